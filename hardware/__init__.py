@@ -1,0 +1,1 @@
+"""Arms and cameras, real and virtual. Nothing in `stages` imports this package."""

@@ -1,0 +1,66 @@
+"""The two roles a lab must fill: an arm that follows velocity commands and a camera that films.
+
+`stages.execute` knows these and nothing else of the hardware. A device that cannot do
+what is asked raises `HardwareError` with the device, what is wrong and the remedy, and
+raises it before anything moves wherever it can be known before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+import pandas as pd
+
+
+class HardwareError(Exception):
+    """A device cannot do what is asked; the message names the device, the fault and the remedy."""
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What an arm did. `arm` and `ticks` are tables ARM and TICKS, `link` is table LINK (data.artifacts)."""
+
+    arm: pd.DataFrame
+    ticks: pd.DataFrame
+    link: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a camera saw: `t` (F,) mid-exposure times [s] on the camera's clock, 0 at the start of the
+    movement, and `images`, F uint8 arrays (height, width) or (height, width, 3)."""
+
+    t: np.ndarray
+    images: Sequence[np.ndarray] = field(repr=False)
+
+
+class ArmDevice(Protocol):
+    """An arm. A context manager: entering opens and checks the link, leaving stops the arm, always."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+
+    def move_to(self, angles: Sequence[float]) -> None:
+        """Go slowly to joint angles [rad] and wait until the string has settled."""
+
+    def perform(self, commands: pd.DataFrame) -> Performance:
+        """Play a table COMMANDS (t, q1..q3, w1..w3) tick by tick; the arm is at rest at the end."""
+
+
+class CameraDevice(Protocol):
+    """A camera. Filming goes on in the background between `start` and `stop`."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None: ...
+
+    def start(self) -> None:
+        """Begin filming."""
+
+    def stop(self, moved_at: float) -> Recording:
+        """End filming. `moved_at`: host time (time.monotonic) of the start of the movement."""

@@ -1,0 +1,1 @@
+"""The stages of a casting experiment: pure functions from artifacts to artifacts."""
