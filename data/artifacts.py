@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -80,7 +81,7 @@ class Motion:
     attempts: pd.DataFrame
     outcome: pd.DataFrame
 
-    TABLES = {
+    TABLES: ClassVar[dict[str, Table]] = {
         "commands": COMMANDS,
         "control_points": CONTROL_POINTS,
         "string": PREDICTED_STRING,
@@ -148,7 +149,7 @@ class Trial:
     link: pd.DataFrame
     images: Sequence[np.ndarray] = field(repr=False)
 
-    TABLES = {"arm": ARM, "ticks": TICKS, "frames": FRAMES, "link": LINK}
+    TABLES: ClassVar[dict[str, Table]] = {"arm": ARM, "ticks": TICKS, "frames": FRAMES, "link": LINK}
 
 
 # --- points -----------------------------------------------------------------------------
@@ -197,7 +198,7 @@ class Points:
     readings: pd.DataFrame
     masks: pd.DataFrame
 
-    TABLES = {"points": POINTS, "readings": READINGS, "masks": MASKS}
+    TABLES: ClassVar[dict[str, Table]] = {"points": POINTS, "readings": READINGS, "masks": MASKS}
 
 
 # --- observation ------------------------------------------------------------------------
@@ -291,7 +292,12 @@ class Estimate:
     matching: pd.DataFrame
     fit: pd.DataFrame
 
-    TABLES = {"parameters": PARAMETERS, "candidates": CANDIDATES, "matching": MATCHING, "fit": FIT}
+    TABLES: ClassVar[dict[str, Table]] = {
+        "parameters": PARAMETERS,
+        "candidates": CANDIDATES,
+        "matching": MATCHING,
+        "fit": FIT,
+    }
 
     def values(self) -> dict[str, float]:
         """Best value of each parameter, by name."""

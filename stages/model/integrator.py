@@ -1,0 +1,101 @@
+"""Time steps of the string engine: each is the few lines that move one mass point.
+
+A step is one or more passes over the string. `update` is source text that the kernel
+generator places where the acceleration (ax, ay) of a point is known; it sees its position
+px, py, its velocity qx, qy, the step dt, and rows of its own (R0..R7) to keep things in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """passes: evaluations of the forces in a step. nodes: when in the step each one is, in
+    steps. order: of convergence. update: source text, a line a string."""
+
+    name: str
+    passes: int
+    nodes: tuple[float, ...]
+    order: int
+    update: tuple[str, ...]
+
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """Largest stable step [s] for modes up to squared frequency [1/s^2] and damping rate [1/s]."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class SemiImplicitEuler(Integrator):
+    """v' = v + dt a(x, v), x' = x + dt v'. Keeps the energy of undamped strings bounded."""
+
+    name: str = "semi_implicit_euler"
+    passes: int = 1
+    nodes: tuple[float, ...] = (0.0,)
+    order: int = 1
+    update: tuple[str, ...] = ("qx += dt * ax", "qy += dt * ay", "px += dt * qx", "py += dt * qy")
+
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4."""
+        return 4.0 / (damping + np.sqrt(damping**2 + 4.0 * frequency2))
+
+
+@dataclass(frozen=True)
+class ExplicitEuler(Integrator):
+    """x' = x + dt v, v' = v + dt a(x, v): the paper's Euler method (II-B).
+
+    A mode grows unless dt < c / w^2, so that undamped motion always gains energy.
+    """
+
+    name: str = "explicit_euler"
+    passes: int = 1
+    nodes: tuple[float, ...] = (0.0,)
+    order: int = 1
+    update: tuple[str, ...] = ("px += dt * qx", "py += dt * qy", "qx += dt * ax", "qy += dt * ay")
+
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """Underdamped modes need dt < c / w^2, overdamped ones dt < 2 / c."""
+        return np.minimum(damping / np.maximum(frequency2, 1e-300), 2.0 / np.maximum(damping, 1e-300))
+
+
+@dataclass(frozen=True)
+class RungeKutta4(Integrator):
+    """The classical fourth-order method, for reference solutions and the virtual lab."""
+
+    name: str = "runge_kutta_4"
+    passes: int = 4
+    nodes: tuple[float, ...] = (0.0, 0.5, 0.5, 1.0)
+    order: int = 4
+    update: tuple[str, ...] = (
+        "first = stage == 0",
+        "last = stage == 3",
+        "bx = px if first else B[R0 + p]",
+        "by = py if first else B[R1 + p]",
+        "ux = qx if first else B[R2 + p]",
+        "uy = qy if first else B[R3 + p]",
+        "weight = 1.0 if first or last else 2.0",
+        "sx = qx if first else B[R4 + p] + weight * qx",
+        "sy = qy if first else B[R5 + p] + weight * qy",
+        "gx = ax if first else B[R6 + p] + weight * ax",
+        "gy = ay if first else B[R7 + p] + weight * ay",
+        "B[R0 + p] = bx",
+        "B[R1 + p] = by",
+        "B[R2 + p] = ux",
+        "B[R3 + p] = uy",
+        "B[R4 + p] = sx",
+        "B[R5 + p] = sy",
+        "B[R6 + p] = gx",
+        "B[R7 + p] = gy",
+        "h = dt / 6.0 if last else (dt if stage == 2 else 0.5 * dt)",
+        "px = bx + h * (sx if last else qx)",
+        "py = by + h * (sy if last else qy)",
+        "qx = ux + h * (gx if last else ax)",
+        "qy = uy + h * (gy if last else ay)",
+    )
+
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """Real axis to 2.78, imaginary axis to 2.82; the bound of both together, kept simple."""
+        return 2.6 / (damping + np.sqrt(frequency2))

@@ -1,0 +1,369 @@
+"""The step loop, fused for one set of effects.
+
+`kernel_for` writes a module that holds the laws of the effects, word for word, and one
+loop around them, and lets Numba compile it. The module's file is named after a hash of its
+own text (and of Numba and the processor), so that a changed law is a new file and stale
+machine code cannot be read. What is absent is not in the text, and costs nothing.
+
+Layout: W candidates side by side. Every quantity of a mass point or a segment is a row of
+W numbers; the innermost loop runs over the row, branch-free, so that LLVM fills the vector
+units. It does so only where it sees that rows do not overlap: all rows lie in one buffer B
+at distances known at compile time, and even what is needed only once (a segment's tension,
+say) has a row for each segment. Indices are unsigned, so that none can be negative.
+
+Each pass goes along the string once, a segment ahead of the point it moves: segment i + 1
+needs points i + 1 and i + 2 as they were, point i + 1 needs the forces of segments i and
+i + 1. Segment angles are continuous: each pass adds the angle by which the segment has
+turned since the last, so that hinges may wind through +-pi.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+import textwrap
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import llvmlite.binding
+import numba
+import numpy as np
+
+from stages.model.effect import StringEffect, arguments
+from stages.model.integrator import Integrator
+
+W = 16  # candidates side by side: two AVX-512 or four AVX2 registers of float64
+CAPACITY = 129  # mass points at most; odd, so that rows of different kinds do not share cache sets
+
+ROWS = (
+    *("X", "Y", "VX", "VY", "ANGLE", "SX", "SY", "INERTIA", "WEIGHT"),
+    *("TX", "TY", "INVERSE", "PULL", "OMEGA", "MOMENT", "FX", "FY"),
+    *("R0", "R1", "R2", "R3", "R4", "R5", "R6", "R7"),
+    *("HA", "HW"),
+)
+
+# What a law's argument is in the text of the loop.
+EXPRESSIONS = {
+    "tension": {"stretch": "stretch", "rate": "rate", "s": "s_middle"},
+    "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge"},
+    "grasp_moment": {"angle": "curvature", "rate": "bend"},
+    "load": {"x": "px", "y": "py", "vx": "qx", "vy": "qy", "tx": "lx", "ty": "ly", "s": "s_point", "t": "t"},
+    "acceleration": {"x": "px", "y": "py", "t": "t"},
+    "rest_curvature": {"s": "s_hinge"},
+}
+
+Run = Callable[..., None]
+
+
+def turn_coefficients(degree: int = 8, limit: float = 0.5) -> np.ndarray:
+    """Coefficients a_k of atan(d) = d * sum a_k d^(2k), fitted for |d| <= limit (relative error 1e-12)."""
+    nodes = np.polynomial.chebyshev.chebpts1(200)
+    d2 = (nodes + 1.0) / 2.0 * limit**2
+    d = np.sqrt(d2)
+    return np.polynomial.polynomial.polyfit(d2, np.arctan(d) / d, degree - 1)
+
+
+@cache
+def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator) -> Run:
+    """The compiled step loop for these effects.
+
+    names: qualified parameter names in the order of the parameter rows. Returns
+    `run(B, P, hand, hand_lanes, grid, steps, out, alive)`; see the generated text.
+    """
+    return _load(source(effects, names, integrator)).run
+
+
+def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator) -> str:
+    """The module's text."""
+    slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
+    constants = {name: number * CAPACITY * W for number, name in enumerate(ROWS)}
+    heavy = any({"density", "tip_mass"} & e.laws().keys() for e in effects)
+    pieces = {
+        "tension": _sum(slots, "tension", names),
+        "moment": _sum(slots, "moment", names),
+        "rest": _sum(slots, "rest_curvature", names),
+        "grasp_moment": _sum(slots, "grasp_moment", names),
+        "turn": _horner("d2", [repr(float(c)) for c in turn_coefficients()]),
+        "load": _vector(slots, "load", names, "load"),
+        "acceleration": _vector(slots, "acceleration", names, "fall"),
+        "weight": "B[WEIGHT + p]" if heavy else "1.0",
+        "update": "\n".join(integrator.update),
+    }
+    fill = {
+        "constants": "\n".join(f"{name} = np.uintp({value})" for name, value in constants.items()),
+        "laws": "\n\n\n".join(_law_text(e, slot) for slot in slots for e in slots[slot]),
+        "nodes": repr(tuple(map(float, integrator.nodes))),
+        "W": str(W),
+        **{name: _fill(text, pieces) for name, text in PIECES.items()},
+    }
+    return _fill(TEMPLATE, fill)
+
+
+def buffer_size() -> int:
+    """Numbers in the buffer B of one block."""
+    return len(ROWS) * CAPACITY * W
+
+
+def row(name: str) -> int:
+    """Where the rows of a kind begin in B."""
+    return ROWS.index(name) * CAPACITY * W
+
+
+def _law_text(effect: type[StringEffect], slot: str) -> str:
+    """The law as a function of its own in the generated module."""
+    lines = textwrap.dedent(inspect.getsource(effect.laws()[slot])).splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith("def "))
+    body = "\n".join(lines[start:]).replace(f"def {slot}(", f"def {effect.name}_{slot}(", 1)
+    return f"@njit(**LAW)\n{body}"
+
+
+def _call(effect: type[StringEffect], slot: str, names: Sequence[str]) -> str:
+    """The call of a law with its arguments: those of the slot by name, parameters from their rows."""
+    known = EXPRESSIONS[slot]
+    given = [known.get(a) or f"P[np.uintp({_index(effect, a, names) * W}) + j]" for a in arguments(effect.laws()[slot])]
+    return f"{effect.name}_{slot}({', '.join(given)})"
+
+
+def _index(effect: type[StringEffect], argument: str, names: Sequence[str]) -> int:
+    """Row of the parameter that a law calls `argument`: the effect's own, or one of the paper's."""
+    for name in (f"{effect.name}.{argument}", argument):
+        if name in names:
+            return list(names).index(name)
+    raise TypeError(f"effect '{effect.name}': no parameter '{argument}'; there are {', '.join(names)}")
+
+
+def _sum(slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequence[str]) -> str:
+    return " + ".join(_call(e, slot, names) for e in slots[slot]) or "0.0"
+
+
+def _vector(slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequence[str], prefix: str) -> str:
+    calls = [f"{prefix}{i}x, {prefix}{i}y = {_call(e, slot, names)}" for i, e in enumerate(slots[slot])]
+    total = [f"{prefix}{c} = " + (" + ".join(f"{prefix}{i}{c}" for i in range(len(calls))) or "0.0") for c in "xy"]
+    return "\n".join([*calls, *total])
+
+
+def _horner(variable: str, coefficients: Sequence[str]) -> str:
+    text = coefficients[-1]
+    for coefficient in reversed(coefficients[:-1]):
+        text = f"({coefficient} + {variable} * {text})"
+    return text
+
+
+def _fill(template: str, values: dict[str, str]) -> str:
+    """Put the values in their places `<<name>>`, keeping the indentation of the place."""
+    lines = []
+    for line in template.splitlines():
+        stripped = line.strip()
+        name = stripped[2:-2]
+        if stripped.startswith("<<") and stripped.endswith(">>") and name in values:
+            lines.append(textwrap.indent(values[name], line[: len(line) - len(line.lstrip())]))
+            continue
+        for key, value in values.items():
+            line = line.replace(f"<<{key}>>", value)  # noqa: PLW2901
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def _load(text: str) -> ModuleType:
+    """Import the module, written once to a cache folder under a name made of its content."""
+    made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
+    digest = hashlib.sha256((text + made_by).encode()).hexdigest()[:20]
+    path = cache_folder() / f"string_{digest}.py"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = path.with_suffix(f".{os.getpid()}.tmp")
+        aside.write_text(text)
+        os.replace(aside, path)
+    specification = importlib.util.spec_from_file_location(path.stem, path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[path.stem] = module  # cached machine code looks its module up by name
+    specification.loader.exec_module(module)
+    return module
+
+
+def cache_folder() -> Path:
+    """Where generated modules and their machine code are kept."""
+    chosen = os.environ.get("STRINGCAST_CACHE")
+    folder = Path(chosen) if chosen else Path(__file__).resolve().parents[2] / ".numba_cache"
+    usable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
+    return folder if usable else Path(tempfile.gettempdir()) / f"stringcast-{os.getuid()}"
+
+
+# The parts of a pass: k is the row of the segment that is measured, p = k - W that of the
+# segment whose forces are then known, and of the point at its start, which then moves.
+PIECES = {
+    "segment": """
+ex = B[X + k + W] - B[X + k]
+ey = B[Y + k + W] - B[Y + k]
+wx = B[VX + k + W] - B[VX + k]
+wy = B[VY + k + W] - B[VY + k]
+d = (B[SX + k] * ey - B[SY + k] * ex) / (B[SX + k] * ex + B[SY + k] * ey)
+d2 = d * d
+angle = B[ANGLE + k] + d * <<turn>>
+size = np.sqrt(ex * ex + ey * ey)
+inverse = 1.0 / size
+tx = ex * inverse
+ty = ey * inverse
+omega = (tx * wy - ty * wx) * inverse
+stretch = size * over - 1.0
+rate = (tx * wx + ty * wy) * over
+B[SX + k] = ex
+B[SY + k] = ey
+B[ANGLE + k] = angle
+B[TX + k] = tx
+B[TY + k] = ty
+B[INVERSE + k] = inverse
+B[OMEGA + k] = omega
+B[PULL + k] = <<tension>>
+""",
+    "grasped": """
+curvature = angle - B[HA + j]
+bend = omega - B[HW + j]
+B[MOMENT + k] = <<grasp_moment>>
+""",
+    "hinge": """
+curvature = (angle - B[ANGLE + p]) * over - (<<rest>>)
+bend = (omega - B[OMEGA + p]) * over
+couple = <<moment>>
+B[MOMENT + k] = couple
+""",
+    "force": """
+twist = (couple - B[MOMENT + p]) * B[INVERSE + p]
+fx = -B[PULL + p] * B[TX + p] - twist * B[TY + p]
+fy = -B[PULL + p] * B[TY + p] + twist * B[TX + p]
+B[FX + p] = fx
+B[FY + p] = fy
+""",
+    "point": """
+px = B[X + p]
+py = B[Y + p]
+qx = B[VX + p]
+qy = B[VY + p]
+lx = 0.5 * (B[TX + p - W] + B[TX + p])
+ly = 0.5 * (B[TY + p - W] + B[TY + p])
+<<load>>
+<<acceleration>>
+ax = (B[FX + p - W] - fx) * B[INERTIA + p] + <<weight>> * loadx + fallx
+ay = (B[FY + p - W] - fy) * B[INERTIA + p] + <<weight>> * loady + fally
+<<update>>
+B[X + p] = px
+B[Y + p] = py
+B[VX + p] = qx
+B[VY + p] = qy
+""",
+}
+
+TEMPLATE = """\"\"\"Generated by stages.model.kernel. Not to be edited.\"\"\"
+import numpy as np
+from numba import njit, prange
+
+LAW = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True}
+NODES = <<nodes>>
+W = np.uintp(<<W>>)
+ONE = np.uintp(1)
+TWO = np.uintp(2)
+<<constants>>
+
+
+<<laws>>
+
+
+@njit(**LAW)
+def grasp(B, H, lane, u, tick):
+    # Pose and rate of the grasp at fraction u of a tick, from cubic coefficients H (12, lanes).
+    for j in range(W):
+        m = j * lane
+        B[X + j] = H[0, m] + u * (H[1, m] + u * (H[2, m] + u * H[3, m]))
+        B[Y + j] = H[4, m] + u * (H[5, m] + u * (H[6, m] + u * H[7, m]))
+        B[HA + j] = H[8, m] + u * (H[9, m] + u * (H[10, m] + u * H[11, m]))
+        B[VX + j] = (H[1, m] + u * (2.0 * H[2, m] + 3.0 * u * H[3, m])) / tick
+        B[VY + j] = (H[5, m] + u * (2.0 * H[6, m] + 3.0 * u * H[7, m])) / tick
+        B[HW + j] = (H[9, m] + u * (2.0 * H[10, m] + 3.0 * u * H[11, m])) / tick
+
+
+@njit(**LAW)
+def along(B, P, n, length, dt, t, stage):
+    # One pass: from the grasp to the tip, moving each point once both its segments are known.
+    over = 1.0 / length
+    s_middle = 0.5 * length
+    for j in range(W):
+        k = j
+        <<segment>>
+        <<grasped>>
+    s_middle = 1.5 * length
+    s_hinge = length
+    for j in range(W):
+        p = j
+        k = W + j
+        <<segment>>
+        <<hinge>>
+        <<force>>
+    for i in range(TWO, n - ONE):
+        s_middle = (i + 0.5) * length
+        s_hinge = i * length
+        s_point = (i - 1.0) * length
+        for j in range(W):
+            k = i * W + j
+            p = k - W
+            <<segment>>
+            <<hinge>>
+            <<force>>
+            <<point>>
+    s_point = (n - 2.0) * length
+    for j in range(W):
+        p = (n - TWO) * W + j
+        couple = 0.0
+        <<force>>
+        <<point>>
+    s_point = (n - 1.0) * length
+    for j in range(W):
+        p = (n - ONE) * W + j
+        B[TX + p] = B[TX + p - W]
+        B[TY + p] = B[TY + p - W]
+        fx = 0.0
+        fy = 0.0
+        <<point>>
+
+
+@njit(**LAW)
+def record(B, n, out, alive):
+    # Positions at a tick; a lane that is no longer finite is given up.
+    for i in range(n):
+        for j in range(W):
+            out[0, i, j] = B[X + i * W + j]
+            out[1, i, j] = B[Y + i * W + j]
+    for j in range(W):
+        size = abs(B[X + (n - ONE) * W + j]) + abs(B[Y + (n - ONE) * W + j])
+        alive[j] = alive[j] and size < 1e3
+
+
+@njit(parallel=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
+def run(buffers, P, H, per_block, per_lane, points, length, steps, tick, start, out, alive):
+    # buffers (blocks, size), P (blocks, parameters * W), H (ticks, 12, blocks or 1, W or 1),
+    # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W).
+    for b in prange(buffers.shape[0]):
+        B = buffers[b]
+        n = np.uintp(points)
+        hand = H[:, :, b * per_block]
+        lane = np.uintp(per_lane)
+        dt = tick / steps[b]
+        record(B, n, out[b, 0], alive[b])
+        for c in range(hand.shape[0]):
+            for q in range(steps[b]):
+                for stage in range(len(NODES)):
+                    u = (q + NODES[stage]) / steps[b]
+                    grasp(B, hand[c], lane, u, tick)
+                    along(B, P[b], n, length, dt, start + (c + u) * tick, stage)
+            grasp(B, hand[c], lane, 1.0, tick)
+            record(B, n, out[b, c + 1], alive[b])
+            if not alive[b].any():
+                break
+"""

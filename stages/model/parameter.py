@@ -1,0 +1,43 @@
+"""A parameter: what it is called, measured in, and where it is sought."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
+
+    low, high: search range, in `unit`. start: value before anything is known. symbol: the
+    paper's, empty if it has none. Ranges with low > 0 are searched in the exponential
+    form of Eq. 3, P = low (high / low)^chi; others linearly.
+    per_length: power of the segment length that turns the paper's value per mass point
+    into a property of the material (see `stages.model.string.String.material`).
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    start: float
+    symbol: str = ""
+    per_length: int = 0
+
+    def value(self, chi: np.ndarray) -> np.ndarray:
+        """Values at exponents chi in [0, 1] (Eq. 3). Any shape."""
+        if self.low > 0:
+            return self.low * (self.high / self.low) ** np.asarray(chi)
+        return self.low + (self.high - self.low) * np.asarray(chi)
+
+    def chi(self, value: np.ndarray) -> np.ndarray:
+        """Exponents of values; the inverse of `value`, clipped to [0, 1]. Any shape."""
+        value = np.asarray(value, dtype=float)
+        if self.low > 0:
+            position = np.log(np.maximum(value, 1e-300) / self.low) / np.log(self.high / self.low)
+        else:
+            position = (value - self.low) / (self.high - self.low)
+        return np.clip(position, 0.0, 1.0)

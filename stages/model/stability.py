@@ -1,0 +1,125 @@
+"""How small a step must be: a bound that covers every force at work.
+
+Each law's slopes (how steeply it rises with stretch, curvature or their rates) are sampled
+over the range a string can meet, so that a new effect is covered without being asked. The
+slopes are turned into squared frequencies and damping rates by the largest eigenvalues of
+the chain's axial, bending and grasp operators, whose sum bounds that of all together.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from stages.model.string import String
+
+SAFETY = 0.9
+FASTEST = 30.0  # [m/s] speed up to which air resistance is covered
+TAUT = 0.2  # stretch whose tension stiffens the string sideways
+MOST_STEPS = 5000  # in a tick; more is impractical, and the candidate is rejected
+
+SAMPLES: dict[str, tuple[tuple[str, np.ndarray], ...]] = {
+    "tension": (("stretch", np.linspace(-0.1, 0.3, 9)), ("rate", np.linspace(-50.0, 50.0, 9))),
+    "moment": (("curvature", np.linspace(-100.0, 100.0, 9)), ("rate", np.linspace(-3000.0, 3000.0, 9))),
+    "grasp_moment": (("angle", np.linspace(-3.0, 3.0, 9)), ("rate", np.linspace(-100.0, 100.0, 9))),
+}
+
+
+def steps_per_tick(string: String, material: np.ndarray, tick: float) -> tuple[np.ndarray, np.ndarray]:
+    """Steps in a tick for each candidate, and which candidates are practical at all.
+
+    material: (C, P). Steps come in a few sizes (each about 1.2 times the last), so that
+    candidates can run side by side; a candidate's own depends on nothing but itself.
+    """
+    frequency2, damping = rates(string, material)
+    step = np.minimum(SAFETY * string.integrator.largest_step(frequency2, damping), string.largest_step)
+    needed = tick / np.maximum(step, 1e-300)
+    possible = np.isfinite(needed) & (needed <= MOST_STEPS)
+    level = np.ceil(np.log(np.maximum(np.where(possible, needed, 1.0), 1.0)) / np.log(1.2) - 1e-9)
+    return np.ceil(1.2**level - 1e-9).astype(int), possible
+
+
+def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of squared frequency [1/s^2] and damping rate [1/s] of each candidate, (C,) each."""
+    axial, bending, grasp = _operators(string, material)
+    stretch, stretch_rate = slopes(string, material, "tension")
+    bend, bend_rate = slopes(string, material, "moment")
+    turn, turn_rate = slopes(string, material, "grasp_moment")
+    length = string.segment
+    frequency2 = (1 + TAUT) * stretch * axial / length + bend * bending / length**3 + turn * grasp / length**2
+    damping = stretch_rate * axial / length + bend_rate * bending / length**3 + turn_rate * grasp / length**2
+    return frequency2, damping + _drag(string, material)
+
+
+def slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
+    """Steepest rise of the slot's laws with their first and second argument, (C,) each."""
+    (first, values), (second, speeds) = SAMPLES[slot]
+    a, b = (grid.ravel()[None] for grid in np.meshgrid(values, speeds, indexing="ij"))
+    da, db = 1e-4 * np.ptp(values), 1e-4 * np.ptp(speeds)
+
+    def total(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return slot_sum(string, material, slot, {first: x, second: y})
+
+    steep = np.abs(total(a + da, b) - total(a - da, b)).max(axis=1) / (2 * da)
+    damped = np.abs(total(a, b + db) - total(a, b - db)).max(axis=1) / (2 * db)
+    return steep, damped
+
+
+def slot_sum(string: String, material: np.ndarray, slot: str, given: dict[str, np.ndarray]) -> np.ndarray:
+    """Sum of a slot's scalar laws for all candidates, (C, M). given: the slot's arguments, (1 or C, M) each."""
+    shape = np.broadcast_shapes((len(material), 1), *(np.shape(v) for v in given.values()))
+    total = np.zeros(shape)
+    for effect in string.effects:
+        law = effect.laws().get(slot)
+        if law is not None:
+            parameters = string.arguments_of(effect, slot, material)
+            known = {name: value for name, value in given.items() if name in law.__code__.co_varnames}
+            total = total + law(**known, **parameters)  # type: ignore[operator]
+    return total
+
+
+def _drag(string: String, material: np.ndarray) -> np.ndarray:
+    """Damping rate of the loads at the fastest speed covered, (C,)."""
+    step = 1e-3
+    still = np.zeros((1, 1))
+    masses, cells = string.masses(material)
+    worst = np.zeros(len(material))
+    for vx, vy in ((FASTEST, 0.0), (0.0, FASTEST)):
+        pulls = [load(string, material, {"vx": still + vx * k, "vy": still + vy * k}) for k in (1.0, 1.0 + step)]
+        worst = np.maximum(worst, np.abs(pulls[1] - pulls[0]).max(axis=(1, 2)) / (step * FASTEST))
+    return worst * (cells / masses).max(axis=1)
+
+
+def load(string: String, material: np.ndarray, given: dict[str, np.ndarray]) -> np.ndarray:
+    """Sum of the loads, (C, M, 2) [m/s^2]; arguments not given are 0, the tangent points right."""
+    still = dict.fromkeys(("x", "y", "vx", "vy", "ty", "s", "t"), np.zeros((1, 1))) | {"tx": np.ones((1, 1))}
+    known = still | given
+    total = np.zeros((*np.broadcast_shapes((len(material), 1), *(v.shape for v in known.values())), 2))
+    for effect in string.effects:
+        law = effect.laws().get("load")
+        if law is not None:
+            parameters = string.arguments_of(effect, "load", material)
+            chosen = {name: value for name, value in known.items() if name in law.__code__.co_varnames}
+            parts = law(**chosen, **parameters)
+            total = total + np.stack([part + 0 * total[..., 0] for part in parts], axis=-1)  # type: ignore[attr-defined]
+    return total
+
+
+def _operators(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Largest eigenvalues of the chain's operators for unit segments, masses in metres: (C,) each.
+
+    axial: first differences, bending: second differences, grasp: the first segment's turn.
+    """
+    masses, _ = string.masses(material)
+    distinct, which = np.unique(masses, axis=0, return_inverse=True)
+    free = string.points - 1
+    first = np.eye(free) - np.eye(free, k=-1)
+    second = (first - np.eye(free, k=-1) @ first)[1:]
+    tables = []
+    for mass in distinct:
+        root = 1.0 / np.sqrt(mass[1:])
+        tables.append([np.linalg.norm(rows * root, ord=2) ** 2 for rows in (first, second, first[:1])])
+    axial, bending, grasp = np.array(tables)[which.ravel()].T
+    return axial, bending, grasp

@@ -1,0 +1,280 @@
+"""The string: its mass points, its effects, and `simulate`, which moves many candidates at once.
+
+Parameters are given in the paper's view: per unit mass of one mass point (Table 1), at
+`reference_points` mass points. Inside, they are properties of the material (bending
+stiffness over mass per length, and so on), so that a value means the same string whatever
+the number of points; at `points == reference_points` the two are Eq. 1 exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from stages.model import kernel
+from stages.model.effect import StringEffect, arguments
+from stages.model.effects.air_drag import AirDrag
+from stages.model.effects.axial_damper import AxialDamper
+from stages.model.effects.axial_spring import AxialSpring
+from stages.model.effects.grasp_damper import GraspDamper
+from stages.model.effects.grasp_spring import GraspSpring
+from stages.model.effects.gravity import Gravity
+from stages.model.effects.hinge_damper import HingeDamper
+from stages.model.effects.hinge_spring import HingeSpring
+from stages.model.equilibrium import hanging
+from stages.model.hand import HandMotion
+from stages.model.integrator import Integrator, SemiImplicitEuler
+from stages.model.parameter import Parameter
+from stages.model.stability import steps_per_tick
+
+BASE: tuple[type[StringEffect], ...] = (
+    Gravity,
+    AxialSpring,
+    AxialDamper,
+    HingeSpring,
+    HingeDamper,
+    AirDrag,
+    GraspSpring,
+    GraspDamper,
+)
+
+
+@dataclass(frozen=True)
+class String:
+    """A chain of mass points hung from the grasp.
+
+    length: rest length [m]. points: n, the first is held by the hand. effects: the forces
+    at work. reference_points: the n at which per-mass-point parameters are given.
+    tip_cell: mass of the last point, in segments; 1 is Eq. 1 (all points alike), 1/2 is
+    second-order accurate in the number of points. grasp_cell: share of a segment's bending
+    compliance that lies in the hinge at the grasp; 0 is Eq. 1, 1/2 second-order accurate.
+    ranges: parameters whose range or start differ from the effect's own, by name.
+    largest_step: step allowed for accuracy [s]; stability may ask for less.
+    """
+
+    length: float
+    points: int = 10
+    effects: tuple[type[StringEffect], ...] = BASE
+    reference_points: int = 10
+    tip_cell: float = 1.0
+    grasp_cell: float = 0.0
+    ranges: Mapping[str, Parameter] = field(default_factory=dict)
+    integrator: Integrator = SemiImplicitEuler()
+    largest_step: float = 2.0e-4
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be simulated."""
+        if not 3 <= self.points < kernel.CAPACITY:
+            raise ValueError(f"string.points is {self.points}; it must be from 3 to {kernel.CAPACITY - 1}")
+        unknown = set(self.ranges) - {e.qualified(p) for e in self.effects for p in e.parameters}
+        if unknown:
+            raise ValueError(f"ranges for unknown parameters: {', '.join(sorted(unknown))}")
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters of all effects, with qualified names, in the order of `values`."""
+        named = (replace(p, name=e.qualified(p)) for e in self.effects for p in e.parameters)
+        return tuple(self.ranges.get(p.name, p) for p in named)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Qualified names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def segment(self) -> float:
+        """Rest length of a segment [m]."""
+        return self.length / (self.points - 1)
+
+    def arc_lengths(self) -> np.ndarray:
+        """(n,) arc length of each mass point from the grasp [m]."""
+        return np.arange(self.points) * self.segment
+
+    def start(self) -> np.ndarray:
+        """(P,) start values of the parameters."""
+        return np.array([p.start for p in self.parameters])
+
+    def values(self, named: Mapping[str, float]) -> np.ndarray:
+        """(P,) values in the order of `parameters`; a missing name takes its start value."""
+        return np.array([named.get(p.name, p.start) for p in self.parameters])
+
+    def material(self, values: np.ndarray) -> np.ndarray:
+        """Material properties from per-mass-point values. (..., P) to (..., P)."""
+        reference = self.length / (self.reference_points - 1)
+        material = values * reference ** np.array([p.per_length for p in self.parameters], dtype=float)
+        return self._in_series(self._in_series(material, "stiffness"), "damping")
+
+    def _in_series(self, material: np.ndarray, kind: str) -> np.ndarray:
+        """The hinge at the grasp, softened by the bending of its share of the first segment."""
+        names = (f"grasp_{kind}", f"bending_{kind}")
+        if self.grasp_cell == 0 or not set(names) <= set(self.names):
+            return material
+        grasp, bending = (self.names.index(name) for name in names)
+        softened = material.copy()
+        cell = self.grasp_cell * self.segment
+        softened[..., grasp] = 1 / (1 / material[..., grasp] + cell / material[..., bending])
+        return softened
+
+    def arguments_of(self, effect: type[StringEffect], slot: str, material: np.ndarray) -> dict[str, np.ndarray]:
+        """The parameters a law takes, each (C, 1), by the law's own names. material: (C, P)."""
+        chosen = {}
+        for name in arguments(effect.laws()[slot]):
+            for qualified in (f"{effect.name}.{name}", name):
+                if qualified in self.names:
+                    chosen[name] = material[:, self.names.index(qualified), None]
+                    break
+        return chosen
+
+    def masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Masses of the points over nominal mass per length [m], and the length each stands for [m].
+
+        material: (C, P). Returns (C, n) and (n,).
+        """
+        cells = np.full(self.points, self.segment)
+        cells[-1] *= self.tip_cell
+        s = self.arc_lengths()[None]
+        density = np.ones((len(material), self.points))
+        tip = np.zeros((len(material), 1))
+        for effect in self.effects:
+            if "density" in effect.laws():
+                given = self.arguments_of(effect, "density", material)
+                density = density + effect.laws()["density"](s=s, length=self.length, **given)  # type: ignore[operator]
+            if "tip_mass" in effect.laws():
+                given = self.arguments_of(effect, "tip_mass", material)
+                tip = tip + effect.laws()["tip_mass"](length=self.length, **given)  # type: ignore[operator]
+        masses = density * cells
+        masses[:, -1:] += tip
+        return masses, cells
+
+
+@dataclass(frozen=True)
+class StringMotion:
+    """Simulated strings. points: (C, F, n, 2) [m], NaN where a run was rejected; finite: (C,) bool."""
+
+    points: np.ndarray
+    finite: np.ndarray
+
+    @property
+    def tip(self) -> np.ndarray:
+        """(C, F, 2) [m]."""
+        return self.points[:, :, -1]
+
+
+def simulate(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> StringMotion:
+    """Move candidates along the hand's motion from static equilibrium.
+
+    hand: one motion for all candidates, or one each. values: (C, P) parameters in the order
+    of `string.parameters`. times: (F,) when the string is wanted [s]; before the hand's
+    first tick it rests, after the last the hand rests. A candidate that does not stay
+    finite, or whose stable step is impractically small, is rejected.
+
+    Results do not depend on the number of threads nor on which candidates run together.
+    """
+    material = string.material(np.atleast_2d(values))
+    poses, rates = _extended(hand, float(np.max(times)))
+    steps, possible = steps_per_tick(string, material, hand.tick)
+    points = np.full((len(material), len(times), string.points, 2), np.nan)
+    finite = possible.copy()
+    for level in np.unique(steps[possible]):
+        chosen = np.flatnonzero(possible & (steps == level))
+        pose = poses if len(poses) == 1 else poses[chosen]
+        rate = rates if len(rates) == 1 else rates[chosen]
+        ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level))
+        points[chosen] = _sampled(ticks, (times - hand.start) / hand.tick)
+        finite[chosen] = alive & np.isfinite(points[chosen]).all(axis=(1, 2, 3))
+    points[~finite] = np.nan
+    return StringMotion(points, finite)
+
+
+def _extended(hand: HandMotion, until: float) -> tuple[np.ndarray, np.ndarray]:
+    """The hand's ticks, with rest added at the end if `until` [s] lies beyond it."""
+    more = max(int(np.ceil((until - hand.end) / hand.tick - 1e-9)), 0)
+    pose = np.concatenate([hand.pose, np.repeat(hand.pose[:, -1:], more, axis=1)], axis=1)
+    rate = np.concatenate([hand.rate, np.zeros((len(hand.rate), more, 3))], axis=1)
+    return pose, rate
+
+
+def _run(
+    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, hand: HandMotion, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2) and who stayed finite (C,)."""
+    width = kernel.W
+    count, blocks = len(material), -(-len(material) // width)
+    index = np.minimum(np.arange(blocks * width), count - 1)
+    parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1))
+    own = pose if len(pose) == 1 else pose[index]
+    angles, lengths = hanging(string, material, pose[:, 0])
+    buffers = _buffers(string, material[index], own[:, 0], angles[index], lengths[index])
+    cubic = _cubic(own, rate if len(rate) == 1 else rate[index], hand.tick)
+    shared = len(pose) == 1
+    cubic = cubic.reshape(*cubic.shape[:2], 1 if shared else blocks, 1 if shared else width)
+    out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
+    alive = np.ones((blocks, width), dtype=bool)
+    run = kernel.kernel_for(string.effects, string.names, string.integrator)
+    per = 0 if shared else 1
+    run(
+        *(buffers, parameters.reshape(blocks, -1), cubic, per, per, string.points, string.segment),
+        *(np.full(blocks, steps), hand.tick, hand.start, out, alive),
+    )
+    ticks = out.transpose(0, 4, 1, 3, 2).reshape(blocks * width, out.shape[1], string.points, 2)
+    return ticks[:count], alive.reshape(-1)[:count]
+
+
+def _buffers(
+    string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray
+) -> np.ndarray:
+    """The kernel's rows, filled with the initial state: at rest, in equilibrium."""
+    width = kernel.W
+    blocks = len(material) // width
+    vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    positions = np.cumsum(np.concatenate([np.zeros((len(material), 1, 2)), vectors], axis=1), axis=1)
+    positions = positions + (pose[:, None, :2])
+    masses, cells = string.masses(material)
+    rows = {
+        "X": positions[..., 0],
+        "Y": positions[..., 1],
+        "ANGLE": angles,
+        "SX": vectors[..., 0],
+        "SY": vectors[..., 1],
+        "INERTIA": 1.0 / masses,
+        "WEIGHT": cells / masses,
+    }
+    buffers = np.zeros((blocks, kernel.buffer_size()))
+    for name, data in rows.items():
+        first, count = kernel.row(name), data.shape[1] * width
+        lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1).reshape(blocks, count)
+        buffers[:, first : first + count] = lanes
+    return buffers
+
+
+def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:
+    """Coefficients of the cubic in each tick: (K - 1, 12, B), for x, y, theta each a0..a3."""
+    p0, p1 = pose[:, :-1], pose[:, 1:]
+    v0, v1 = rate[:, :-1] * tick, rate[:, 1:] * tick
+    coefficients = np.stack([p0, v0, 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1], axis=-1)
+    batch, count = coefficients.shape[:2]
+    return np.ascontiguousarray(coefficients.reshape(batch, count, 12).transpose(1, 2, 0))
+
+
+def _sampled(ticks: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Positions between ticks, by Lagrange's polynomial through the six nearest.
+
+    ticks: (C, K, n, 2). position: (F,) in ticks, clipped to the first and last. (C, F, n, 2).
+    """
+    last = ticks.shape[1] - 1
+    position = np.clip(position, 0, last)
+    whole = np.round(position)
+    if np.allclose(position, whole, rtol=0, atol=1e-6):
+        return ticks[:, whole.astype(int)]
+    width = min(6, last + 1)
+    first = np.clip(np.floor(position).astype(int) - (width // 2 - 1), 0, last + 1 - width)
+    offset = position - first
+    result = np.zeros((ticks.shape[0], len(position), *ticks.shape[2:]))
+    for i in range(width):
+        others = [m for m in range(width) if m != i]
+        weight = np.prod([(offset - m) / (i - m) for m in others], axis=0)
+        result += weight[None, :, None, None] * ticks[:, first + i]
+    return result
