@@ -23,8 +23,12 @@ class Integrator:
     order: int
     update: tuple[str, ...]
 
-    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
-        """Largest stable step [s] for modes up to squared frequency [1/s^2] and damping rate [1/s]."""
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
+        """Largest stable step [s], (C,).
+
+        frequency2 [1/s^2], damping [1/s]: (M, C) bounds for M kinds of motion, whose sums bound
+        all together. drag [1/s]: (C,) the most that air adds.
+        """
         raise NotImplementedError
 
 
@@ -38,9 +42,10 @@ class SemiImplicitEuler(Integrator):
     order: int = 1
     update: tuple[str, ...] = ("qx += dt * ax", "qy += dt * ay", "px += dt * qx", "py += dt * qy")
 
-    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4."""
-        return 4.0 / (damping + np.sqrt(damping**2 + 4.0 * frequency2))
+        c = damping.sum(axis=0) + drag
+        return 4.0 / (c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0)))
 
 
 @dataclass(frozen=True)
@@ -56,9 +61,10 @@ class ExplicitEuler(Integrator):
     order: int = 1
     update: tuple[str, ...] = ("px += dt * qx", "py += dt * qy", "qx += dt * ax", "qy += dt * ay")
 
-    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
-        """Underdamped modes need dt < c / w^2, overdamped ones dt < 2 / c."""
-        return np.minimum(damping / np.maximum(frequency2, 1e-300), 2.0 / np.maximum(damping, 1e-300))
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
+        """Underdamped modes need dt < c / w^2, each kind on its own damping; overdamped ones dt < 2 / c."""
+        slowest = (damping / np.maximum(frequency2, 1e-300)).min(axis=0)
+        return np.minimum(slowest, 2.0 / np.maximum(damping.sum(axis=0) + drag, 1e-300))
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,6 @@ class RungeKutta4(Integrator):
         "qy = uy + h * (gy if last else ay)",
     )
 
-    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Real axis to 2.78, imaginary axis to 2.82; the bound of both together, kept simple."""
-        return 2.6 / (damping + np.sqrt(frequency2))
+        return 2.6 / (damping.sum(axis=0) + drag + np.sqrt(frequency2.sum(axis=0)))

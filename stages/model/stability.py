@@ -34,7 +34,8 @@ def steps_per_tick(string: String, material: np.ndarray, tick: float) -> tuple[n
     candidates can run side by side; a candidate's own depends on nothing but itself.
     """
     frequency2, damping = rates(string, material)
-    step = np.minimum(SAFETY * string.integrator.largest_step(frequency2, damping), string.largest_step)
+    stable = string.integrator.largest_step(frequency2, damping, _drag(string, material))
+    step = np.minimum(SAFETY * stable, string.largest_step)
     needed = tick / np.maximum(step, 1e-300)
     possible = np.isfinite(needed) & (needed <= MOST_STEPS)
     level = np.ceil(np.log(np.maximum(np.where(possible, needed, 1.0), 1.0)) / np.log(1.2) - 1e-9)
@@ -42,15 +43,14 @@ def steps_per_tick(string: String, material: np.ndarray, tick: float) -> tuple[n
 
 
 def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of squared frequency [1/s^2] and damping rate [1/s] of each candidate, (C,) each."""
+    """Bounds of squared frequency [1/s^2] and damping rate [1/s], (3, C) each: axial, bending, grasp."""
     axial, bending, grasp = _operators(string, material)
     stretch, stretch_rate = slopes(string, material, "tension")
     bend, bend_rate = slopes(string, material, "moment")
     turn, turn_rate = slopes(string, material, "grasp_moment")
     length = string.segment
-    frequency2 = (1 + TAUT) * stretch * axial / length + bend * bending / length**3 + turn * grasp / length**2
-    damping = stretch_rate * axial / length + bend_rate * bending / length**3 + turn_rate * grasp / length**2
-    return frequency2, damping + _drag(string, material)
+    reach = np.stack([axial / length, bending / length**3, grasp / length**2])
+    return np.stack([(1 + TAUT) * stretch, bend, turn]) * reach, np.stack([stretch_rate, bend_rate, turn_rate]) * reach
 
 
 def slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,77 @@
+"""Set up and run, with nothing but Python: `python3 tasks.py run`, `python3 tasks.py test`.
+
+run [OVERRIDES]    the main job: `python -m pipeline OVERRIDES`, by default +experiment=stringB
+test [ARGUMENTS]   style, types and tests; arguments go to pytest
+setup              only make the environment
+
+The environment is `.venv`, made from `requirements.lock` and made again when that changes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+ENVIRONMENT = ROOT / ".venv"
+LOCK = ROOT / "requirements.lock"
+MARK = ENVIRONMENT / "locked"
+PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+CHECKS = (
+    ("ruff", "check", "."),
+    ("ruff", "format", "--check", "."),
+    ("mypy",),
+)
+
+
+def main(arguments: list[str]) -> int:
+    """Run one task; its exit status."""
+    task, rest = (arguments[0], arguments[1:]) if arguments else ("help", [])
+    if task not in TASKS:
+        print(__doc__)
+        return 0 if task in ("help", "-h", "--help") else 2
+    setup()
+    return TASKS[task](rest)
+
+
+def setup() -> None:
+    """Make `.venv` hold exactly what the lock says."""
+    if sys.version_info < (3, 11):
+        sys.exit(
+            f"stringcast needs Python 3.11 or newer; this is {sys.version.split()[0]}. Run tasks.py with a newer one."
+        )
+    digest = hashlib.sha256(LOCK.read_bytes() + sys.version.encode()).hexdigest()
+    if MARK.exists() and MARK.read_text() == digest:
+        return
+    print("Setting up .venv (once; a minute or two) ...", flush=True)
+    venv.create(ENVIRONMENT, with_pip=True, clear=True)
+    install = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--require-hashes", "-r", LOCK]
+    if subprocess.run(install, check=False).returncode:
+        sys.exit("The packages of requirements.lock could not be installed; see above. Is a package registry in reach?")
+    MARK.write_text(digest)
+
+
+def call(*command: str) -> int:
+    """Run a module of the environment in the project's folder."""
+    return subprocess.run([PYTHON, "-m", *command], cwd=ROOT, check=False).returncode
+
+
+def run(rest: list[str]) -> int:
+    """The pipeline."""
+    return call("pipeline", *(rest or ["+experiment=stringB"]))
+
+
+def test(rest: list[str]) -> int:
+    """Style, types, tests: all of them, and 0 only if each is clean."""
+    results = [call(*check) for check in CHECKS]
+    return max(*results, call("pytest", *rest))
+
+
+TASKS = {"run": run, "test": test, "setup": lambda rest: 0}
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,73 @@
+"""What every force must respect: no place, direction, handedness or company is special."""
+
+import numpy as np
+import pytest
+
+from stages.model.effects.gravity import Gravity
+from stages.model.hand import hand_motion_from_grasp
+from stages.model.string import BASE, String, simulate
+
+T = np.arange(0, 0.4, 0.005)
+POSE = np.stack([0.1 * np.sin(9 * T) ** 2, 0.1 * np.sin(5 * T) ** 2, 0.3 + 1.5 * np.sin(7 * T) ** 2], axis=-1)
+NAMED = {
+    "axial_stiffness": 2e5,
+    "axial_damping": 30.0,
+    "bending_stiffness": 4.0,
+    "bending_damping": 5e-3,
+    "linear_drag": 0.3,
+    "quadratic_drag": 0.2,
+    "grasp_stiffness": 3.0,
+    "grasp_damping": 5e-3,
+}
+WEIGHTLESS = tuple(effect for effect in BASE if effect is not Gravity)
+
+
+def moved(pose: np.ndarray, effects=BASE) -> np.ndarray:
+    string = String(0.3, effects=effects)
+    return simulate(string, hand_motion_from_grasp(T, pose), string.values(NAMED)[None], T).points[0]
+
+
+def test_moving_the_whole_experiment_moves_the_string_with_it():
+    np.testing.assert_allclose(moved(POSE + [0.3, -0.2, 0.0]) - [0.3, -0.2], moved(POSE), atol=1e-9)
+
+
+def test_a_mirrored_motion_makes_a_mirrored_string():
+    mirrored = POSE * [-1, 1, -1] + [0, 0, np.pi]
+    np.testing.assert_allclose(moved(mirrored) * [-1, 1], moved(POSE), atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", [0.7, 2.5, -2.0])
+def test_without_weight_no_direction_is_special(turn):
+    c, s = np.cos(turn), np.sin(turn)
+    rotation = np.array([[c, -s], [s, c]])
+    turned = np.concatenate([POSE[:, :2] @ rotation.T, POSE[:, 2:] + turn], axis=1)
+    expected = moved(POSE, WEIGHTLESS) @ rotation.T
+    # at rest a weightless string points where the grasp does, so both start alike
+    np.testing.assert_allclose(moved(turned, WEIGHTLESS), expected, atol=1e-8)
+
+
+def test_inner_forces_do_not_push_the_string_as_a_whole():
+    """Weightless, airless and carried along evenly, it keeps its speed."""
+    string = String(0.3, effects=tuple(e for e in WEIGHTLESS if e.__name__ != "AirDrag"))
+    t = np.arange(0, 0.4, 0.005)
+    speed = np.clip((t - 0.05) / 0.1, 0, 1)
+    x = np.cumsum(speed) * 0.005
+    pose = np.stack([x, 0 * t, 0 * t - np.pi / 2], axis=-1)
+    named = NAMED | {"axial_damping": 300.0, "bending_damping": 0.3, "grasp_damping": 0.3}
+    points = simulate(string, hand_motion_from_grasp(t, pose), string.values(named)[None], t).points[0]
+    assert np.isfinite(points).all()
+
+
+def test_candidates_do_not_notice_each_other_nor_the_threads():
+    numba = pytest.importorskip("numba")
+    string = String(0.3)
+    rng = np.random.default_rng(1)
+    values = np.array([p.value(rng.random(40)) for p in string.parameters]).T
+    hand = hand_motion_from_grasp(T, POSE)
+    together = simulate(string, hand, values, T).points
+    numba.set_num_threads(1)
+    try:
+        alone = np.concatenate([simulate(string, hand, values[i : i + 1], T).points for i in range(40)])
+    finally:
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    np.testing.assert_array_equal(together, alone)
