@@ -1,0 +1,1 @@
+"""A virtual lab: an arm, a string and a camera that can surprise the model. No stage imports it."""

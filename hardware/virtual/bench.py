@@ -1,0 +1,180 @@
+"""The bench: arm and camera of one scene, on a clock that does not wait.
+
+Arm and camera share what happened: `perform` moves the joints and, with them, a string
+finer than the model's (other points, other integrator, other step); `stop` films it. What
+is really so is written by `envelope`, for tests to open after the verdict.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import JOINTS, SPEEDS
+from hardware.roles import HardwareError, Performance, Recording
+from hardware.virtual.render import Look, noisy, render, scenery
+from hardware.virtual.servo import Servo
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.effect import StringEffect
+from stages.model.hand import hand_motion
+from stages.model.integrator import RungeKutta4
+from stages.model.string import BASE, String, simulate
+
+EXPOSURES = 5  # moments drawn in one exposure
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """The string on the bench. parameters: the paper's, per mass point at n = 10; hidden: effects beyond them."""
+
+    length: float
+    parameters: Mapping[str, float]
+    points: int = 40
+    hidden: tuple[type[StringEffect], ...] = ()
+
+    def string(self) -> String:
+        """The fine string that hangs from the hand."""
+        return String(
+            self.length,
+            points=self.points,
+            effects=(*BASE, *self.hidden),
+            tip_cell=0.5,
+            grasp_cell=0.5,
+            integrator=RungeKutta4(),
+            largest_step=1e-4,
+        )
+
+
+@dataclass
+class Bench:
+    """A lab in a box. seed: of everything that happens by chance; `count` keeps trials apart."""
+
+    arm: Arm
+    camera: Camera
+    specimen: Specimen
+    seed: int
+    servo: Servo = field(default_factory=Servo)
+    look: Look = field(default_factory=Look)
+    count: int = 0
+    pose: np.ndarray | None = None
+    performed: tuple[np.ndarray, np.ndarray] | None = None
+
+    def generator(self, purpose: int) -> np.random.Generator:
+        """Chance for one purpose in the trial at hand."""
+        return np.random.default_rng([self.seed, self.count, purpose])
+
+    def string_at(self, times: np.ndarray) -> np.ndarray:
+        """The true string at times, (F, n, 2) [m]."""
+        if self.performed is None:
+            raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
+        t, angles = self.performed
+        string = self.specimen.string()
+        values = string.values(self.specimen.parameters)[None]
+        return simulate(string, hand_motion(self.arm, t, angles, tick=0.001), values, times).points[0]
+
+    def joints_at(self, times: np.ndarray) -> np.ndarray:
+        """The true arm at times, (F, J + 1, 2) [m]."""
+        if self.performed is None:
+            raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
+        t, angles = self.performed
+        return self.arm.joints(np.stack([np.interp(times, t, angles[:, j]) for j in range(angles.shape[1])], axis=-1))
+
+    def envelope(self, path: Path) -> None:
+        """Write what is really so. No stage opens this."""
+        truth = asdict(self.specimen) | {"hidden": [e.name for e in self.specimen.hidden], "seed": self.seed}
+        path.write_text(json.dumps(truth, indent=2, default=str))
+
+
+@dataclass
+class VirtualArm:
+    """The bench's arm; fills `hardware.roles.ArmDevice`."""
+
+    bench: Bench
+
+    def __enter__(self) -> Self:
+        """Nothing to open."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing moves on its own."""
+
+    def move_to(self, angles: Sequence[float]) -> None:
+        """Be there; the string has settled."""
+        self.bench.pose = np.asarray(angles, dtype=float)
+        self.bench.count += 1
+
+    def perform(self, commands: pd.DataFrame) -> Performance:
+        """Play the commands through the velocity loop."""
+        bench = self.bench
+        if bench.pose is None:
+            raise HardwareError("virtual arm: it is nowhere yet. Call move_to before perform.")
+        t, speeds = commands["t"].to_numpy(), commands[list(SPEEDS)].to_numpy()
+        fine, turned = bench.servo.follow(t, speeds, bench.generator(1))
+        bench.performed = (fine, bench.pose + turned)
+        reported = np.stack([np.interp(t, fine, bench.pose[j] + turned[:, j]) for j in range(3)], axis=-1)
+        return _report(t, speeds, bench.servo.encoder(reported), bench.generator(2))
+
+
+@dataclass
+class VirtualCamera:
+    """The bench's camera; fills `hardware.roles.CameraDevice`."""
+
+    bench: Bench
+
+    def __enter__(self) -> Self:
+        """Nothing to open."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing to close."""
+
+    def start(self) -> None:
+        """It films whatever is performed next."""
+
+    def stop(self, moved_at: float) -> Recording:
+        """Film what was performed. The bench's clock is the movement's; `moved_at` is not needed."""
+        bench, camera = self.bench, self.bench.camera
+        if bench.performed is None:
+            raise HardwareError("virtual camera: nothing was performed. Perform a motion before filming it.")
+        first, last = bench.performed[0][[0, -1]]
+        t = np.arange(np.ceil(first * camera.fps - 1e-6), np.floor(last * camera.fps + 1e-6) + 1) / camera.fps
+        open_shutter = np.linspace(-0.5, 0.5, EXPOSURES) * camera.exposure
+        moments = np.clip(t[:, None] + open_shutter, first, last).ravel()
+        strings = bench.string_at(moments).reshape(len(t), EXPOSURES, -1, 2)
+        joints = bench.joints_at(moments).reshape(len(t), EXPOSURES, -1, 2)
+        wall = scenery(camera, bench.look, bench.seed)
+        rng = bench.generator(3)
+        images = [
+            noisy(render(camera, bench.look, j, s, wall), bench.look, rng) for j, s in zip(joints, strings, strict=True)
+        ]
+        return Recording(t, images)
+
+
+def _report(t: np.ndarray, speeds: np.ndarray, angles: np.ndarray, rng: np.random.Generator) -> Performance:
+    """Tables as a good link would give them: commands late by tens of microseconds."""
+    late = np.abs(rng.normal(0, 4e-5, len(t)))
+    ticks = {
+        "tick": np.arange(len(t)),
+        "t_due": t,
+        "t_sent": t + late,
+        "t_acknowledged": t + late + 8e-4,
+        "t_device": t,
+    }
+    measured = dict(zip(JOINTS, angles.T, strict=True))
+    log = pd.DataFrame(ticks | dict(zip(SPEEDS, speeds.T, strict=True)) | measured | {"missed": False})
+    p50, p99 = np.percentile(late, [50, 99])
+    jitter = {"jitter_p50": [p50], "jitter_p99": [p99], "jitter_max": [late.max()]}
+    link = pd.DataFrame({"valid": [True], "reason": [""], "ticks": [len(t)], "missed": [0]} | jitter)
+    return Performance(pd.DataFrame({"t": t} | measured), log, link)

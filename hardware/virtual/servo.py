@@ -1,0 +1,43 @@
+"""A real arm's velocity loop: joints follow their commands, but not at once and not exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+
+@dataclass(frozen=True)
+class Servo:
+    """The velocity loop of each joint, and its encoder.
+
+    bandwidth: where the loop's gain has fallen by 3 dB [Hz]. resolution: one count of the
+    encoder [rad]. repeatability: how differently two performances turn out, one sigma of
+    the speed's relative error.
+    """
+
+    bandwidth: float = 40.0
+    resolution: float = 2 * np.pi / 65536
+    repeatability: float = 0.002
+    step: float = 0.0005
+
+    def follow(self, t: np.ndarray, speeds: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """What the joints do under commands held from tick to tick.
+
+        t: (K,) ticks [s], speeds: (K, J) [rad/s]. Returns fine times (M,) and angles (M, J)
+        relative to the start; critically damped second order.
+        """
+        fine = np.arange(t[0], t[-1] + self.step / 2, self.step)
+        held = speeds[np.clip(np.searchsorted(t, fine + 1e-9, side="right") - 1, 0, len(t) - 1)]
+        held = held * (1 + self.repeatability * rng.standard_normal(speeds.shape[1]))
+        # two equal poles p: -3 dB of 1 / (s / p + 1)^2 is at p sqrt(sqrt(2) - 1)
+        pole = np.exp(-2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1) * self.step)
+        real = held
+        for _ in range(2):
+            real = lfilter([1 - pole], [1, -pole], real, axis=0)
+        return fine, np.concatenate([np.zeros((1, speeds.shape[1])), np.cumsum(real[:-1], axis=0) * self.step])
+
+    def encoder(self, angles: np.ndarray) -> np.ndarray:
+        """What the encoder reports, [rad]."""
+        return np.round(angles / self.resolution) * self.resolution

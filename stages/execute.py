@@ -1,0 +1,59 @@
+"""Execute: perform a motion with an arm and film it with a camera."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from data.artifacts import JOINTS, SPEEDS, Motion, Trial
+
+if TYPE_CHECKING:
+    from hardware.roles import ArmDevice, CameraDevice
+
+
+def execute(
+    motion: Motion,
+    arm: ArmDevice,
+    camera: CameraDevice,
+    *,
+    before: Annotated[float, Field(ge=0, le=10)],
+    after: Annotated[float, Field(ge=0, le=10)],
+) -> Trial:
+    """Perform `motion` and bring back what was commanded, measured and seen.
+
+    before, after: rest filmed around the movement [s] (V: 0.2 s). Devices are opened here and
+    always left stopped. Raises what the devices raise.
+    """
+    commands = padded(motion.commands, before, after)
+    with camera, arm:
+        arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
+        camera.start()
+        begun = time.monotonic()
+        performance = arm.perform(commands)
+        recording = camera.stop(begun + before)
+    end = motion.duration + after
+    inside = np.flatnonzero((recording.t >= -before - 1e-9) & (recording.t <= end + 1e-9))
+    frames = pd.DataFrame(
+        {
+            "frame": np.arange(len(inside)),
+            "t": recording.t[inside],
+            "file": [f"images/{number:06d}.png" for number in range(len(inside))],
+        }
+    )
+    images = [recording.images[int(i)] for i in inside]
+    return Trial(performance.arm, performance.ticks, frames, performance.link, images)
+
+
+def padded(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:
+    """Commands with rest before and after, on the same tick; the movement still starts at t = 0."""
+    tick = float(np.median(np.diff(commands["t"])))
+    early, late = (round(rest / tick) for rest in (before, after))
+    still = dict.fromkeys(SPEEDS, 0.0)
+    first = pd.concat([commands.iloc[:1]] * early, ignore_index=True).assign(**still) if early else commands.iloc[:0]
+    last = pd.concat([commands.iloc[-1:]] * late, ignore_index=True).assign(**still) if late else commands.iloc[:0]
+    whole = pd.concat([first, commands, last], ignore_index=True)
+    return whole.assign(t=commands["t"].iloc[0] + tick * (np.arange(len(whole)) - early))
