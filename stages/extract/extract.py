@@ -1,0 +1,133 @@
+"""Read the string in every frame; what cannot be read is marked invalid with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import cv2
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from data.artifacts import MASKS, POINTS, READINGS, Points
+from stages.extract.centreline import Line, UnreadableError, refine, trace
+from stages.extract.footage import Footage
+from stages.extract.isolate import background, excess, silhouette, threshold
+from stages.extract.score import rasterise
+from stages.model.camera import Camera
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One frame: points (K, 2) [m], sigma (K,) [m], mask as PNG, length of the line [m]."""
+
+    points: np.ndarray
+    sigma: np.ndarray
+    mask: bytes
+    length: float
+
+
+def extract(
+    footage: Footage,
+    camera: Camera,
+    *,
+    string_length: Annotated[float, Field(gt=0)],
+    points: Annotated[int, Field(ge=2)],
+    sigmas: Annotated[float, Field(gt=0)],
+    arm_width: Annotated[float, Field(ge=0)],
+    hidden: Annotated[float, Field(ge=0)],
+    shorter: Annotated[float, Field(gt=0, lt=1)],
+    longer: Annotated[float, Field(gt=0)],
+) -> Points:
+    """The string in each frame.
+
+    string_length: from grasp to tip [m]. points: how many are reported along it. sigmas:
+    threshold above noise. arm_width: of the limbs to be masked [m]. hidden: length near the
+    grasp that may be out of sight [m]. shorter, longer: by how much of the string's length the
+    line may differ before the frame is refused (a swung string stretches).
+    """
+    scene = background(footage.images)
+    readings: list[Reading | str] = []
+    for number in range(len(footage.t)):
+        try:
+            line, mask = _line(footage, number, scene, camera, sigmas, arm_width, hidden)
+            readings.append(_reading(line, mask, camera, np.linspace(0, string_length, points), shorter, longer))
+        except UnreadableError as reason:
+            readings.append(str(reason))
+    return _tables(footage.t, readings, np.linspace(0, string_length, points))
+
+
+def _line(
+    footage: Footage, number: int, scene: np.ndarray, camera: Camera, sigmas: float, arm_width: float, hidden: float
+) -> tuple[Line, np.ndarray]:
+    """The centre-line [px] in one frame, beginning at the grasp, and its binary image."""
+    shape = (camera.height, camera.width)
+    body, blur = _body(footage, number, camera)
+    limb = silhouette(shape, body, arm_width * camera.px_per_m + 4 + 2 * blur)
+    middle = silhouette(shape, body, max(arm_width * camera.px_per_m / 3, 1))
+    difference = excess(footage.images[number], scene, limb, middle)
+    level = threshold(difference, sigmas)
+    soft = cv2.GaussianBlur(difference, (0, 0), 0.8)
+    mask = (soft > level).astype(np.uint8)
+    grasp = camera.pixels(footage.grasp[number, :2])
+    way = trace(soft, mask, limb, grasp, start_radius=hidden * camera.px_per_m + 8)
+    line = refine(difference, way, level / sigmas)
+    whole = Line(np.concatenate([grasp[None], line.points[1:]]), line.sigma)
+    near = rasterise(whole.points, mask.shape, 9)
+    return whole, mask & (near > 0)
+
+
+def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray | None, float]:
+    """The arm's joints [px] in a frame, and how far the fastest moves during the exposure [px]."""
+    if footage.body is None:
+        return None, 0.0
+    near = camera.pixels(footage.body[max(number - 1, 0) : number + 2])
+    speed = np.linalg.norm(near[-1] - near[0], axis=-1).max() / max(len(near) - 1, 1) * camera.fps
+    return camera.pixels(footage.body[number]), float(speed * camera.exposure)
+
+
+def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorter: float, longer: float) -> Reading:
+    """Points at equal arc lengths; refuses a line that is not as long as the string."""
+    depth = line.depth
+    length = float(depth[-1] / camera.px_per_m)
+    if not s[-1] * (1 - shorter) <= length <= s[-1] * (1 + longer):
+        raise UnreadableError(f"the line is {'shorter' if length < s[-1] else 'longer'} than the string")
+    end = line.points[-1]
+    if not (1 <= end[0] <= camera.width - 2 and 1 <= end[1] <= camera.height - 2):
+        raise UnreadableError("the string leaves the picture")
+    wanted = depth[-1] * s / s[-1]
+    at = np.stack([np.interp(wanted, depth, line.points[:, i]) for i in (0, 1)], axis=-1)
+    good, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
+    assert good
+    sigma = np.interp(wanted, depth, line.sigma) / camera.px_per_m
+    return Reading(camera.world(at), sigma, png.tobytes(), length)
+
+
+def _tables(t: np.ndarray, readings: list[Reading | str], s: np.ndarray) -> Points:
+    """Everything read, as tables."""
+    good = [(i, r) for i, r in enumerate(readings) if isinstance(r, Reading)]
+    rows = [
+        pd.DataFrame({"t": t[i], "s": s, "x": r.points[:, 0], "y": r.points[:, 1], "sigma": r.sigma, "valid": True})
+        for i, r in good
+    ]
+    masks = pd.DataFrame(
+        {"frame": [i for i, _ in good], "t": [t[i] for i, _ in good], "png": [r.mask for _, r in good]}
+    )
+    return Points(
+        POINTS.check(pd.concat(rows, ignore_index=True)) if rows else POINTS.empty(),
+        READINGS.check(pd.DataFrame([_row(i, t[i], r) for i, r in enumerate(readings)]))
+        if readings
+        else READINGS.empty(),
+        MASKS.check(masks) if good else MASKS.empty(),
+    )
+
+
+def _row(number: int, t: float, reading: Reading | str) -> dict[str, object]:
+    """One line of READINGS."""
+    if isinstance(reading, str):
+        nothing = dict.fromkeys(("tip_x", "tip_y", "tip_sigma", "length"), np.nan)
+        return {"frame": number, "t": t, "valid": False, "reason": reading} | nothing
+    tip = reading.points[-1]
+    found = {"tip_x": tip[0], "tip_y": tip[1], "tip_sigma": float(reading.sigma[-1]), "length": reading.length}
+    return {"frame": number, "t": t, "valid": True, "reason": ""} | found

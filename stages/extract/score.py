@@ -1,0 +1,27 @@
+"""Score maps (IV-B): the binary image dilated again and again, each time scoring one less."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+
+def score_map(mask: np.ndarray, dilations: int, step_px: int) -> np.ndarray:
+    """Scores p of every pixel, (height, width) uint8: `dilations` (p_max) on the string, down to 0.
+
+    Each dilation grows the string by `step_px` in the eight directions (a square element of
+    2 step_px + 1), so that the score falls with the chessboard distance.
+    """
+    if not mask.any():
+        return np.zeros(mask.shape, np.uint8)
+    distance = cv2.distanceTransform((mask == 0).astype(np.uint8), cv2.DIST_C, 3)
+    steps = np.ceil(distance / step_px - 1e-6)
+    return np.maximum(dilations - steps, 0).astype(np.uint8)
+
+
+def rasterise(points_px: np.ndarray, shape: tuple[int, int], width_px: float) -> np.ndarray:
+    """A binary image of a polyline, uint8 0 or 255. points_px: (K, 2) as (u, v)."""
+    canvas = np.zeros(shape, np.uint8)
+    pixels = np.rint(points_px * 16).astype(np.int32)
+    cv2.polylines(canvas, [pixels[:, None]], False, 255, max(round(width_px), 1), cv2.LINE_8, 4)
+    return canvas
