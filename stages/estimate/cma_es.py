@@ -1,0 +1,51 @@
+"""CMA-ES on the matching rate, for when the paper's random search is too slow to converge.
+
+Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (cmaes package).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from cmaes import CMA
+from pydantic import Field
+
+from data.artifacts import Estimate, Observation
+from stages.estimate.matching import Matching, matching_rate, targets
+from stages.estimate.result import Search, estimate_of, spread, start_chi, values_of
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.string import String
+
+
+def estimate(
+    string: String,
+    arm: Arm,
+    camera: Camera,
+    observations: Sequence[Observation],
+    previous: Estimate | None,
+    *,
+    seed: int,
+    manipulation: Annotated[int, Field(ge=1)],
+    candidates: Annotated[int, Field(ge=1)],
+    sigma: Annotated[float, Field(gt=0, le=1)],
+    population: Annotated[int, Field(ge=4)],
+    matching: Matching,
+) -> Estimate:
+    """Parameters with the highest E. sigma: first step in chi, divided by `manipulation`."""
+    goals = targets(string, arm, camera, observations, matching)
+    before = start_chi(string.parameters, previous)
+    middle = np.clip(before, 0.05, 0.95) if previous is not None else np.full(len(before), 0.5)
+    bounds = np.tile([0.0, 1.0], (len(before), 1))
+    search = CMA(mean=middle, sigma=sigma / manipulation, bounds=bounds, seed=seed, population_size=population)
+    tried, rates = [before[None]], [matching_rate(goals, values_of(string.parameters, before[None]))]
+    for _ in range(max((candidates - 1) // population, 1)):
+        chi = np.stack([search.ask() for _ in range(population)])
+        rate = matching_rate(goals, values_of(string.parameters, chi))
+        search.tell([(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)])
+        tried.append(chi)
+        rates.append(rate)
+    found = Search("CMA-ES", np.concatenate(tried), np.concatenate(rates))
+    return estimate_of(goals, before, found.chi[found.best], found, spread(string.parameters, found))

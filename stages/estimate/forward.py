@@ -1,0 +1,86 @@
+"""What estimation asks of the forward model: candidates' strings at a trial's frame times."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from data.artifacts import JOINTS, Observation
+from data.schema import DataError
+from stages.model.arm import Arm
+from stages.model.hand import HandMotion, hand_motion, hand_motion_from_grasp
+from stages.model.string import String, StringMotion, simulate
+
+CHUNK = 256  # candidates simulated at once: keeps memory in hand, whatever their number
+
+
+@dataclass(frozen=True)
+class Case:
+    """One trial made ready: the hand's motion and what was measured.
+
+    times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at frame
+    index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m].
+    """
+
+    name: str
+    string: String
+    hand: HandMotion
+    times: np.ndarray
+    frame: np.ndarray
+    s: np.ndarray
+    points: np.ndarray
+    sigma: np.ndarray
+
+    def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
+        """Strings of candidates (C, P) at the frame times, chunk by chunk."""
+        for first in range(0, len(values), CHUNK):
+            some = slice(first, min(first + CHUNK, len(values)))
+            yield some, simulate(self.string, self.hand, values[some], self.times)
+
+    @cached_property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mass point before each measured point, and the share of the way to the next."""
+        position = np.clip(self.s / self.string.segment, 0, self.string.points - 1 - 1e-9)
+        return position.astype(int), position % 1
+
+    def at_measured(self, motion: StringMotion) -> np.ndarray:
+        """Simulated positions at the measured arc lengths and times, (C, N, 2) [m]."""
+        before, share = self.places
+        low = motion.points[:, self.frame, before]
+        high = motion.points[:, self.frame, before + 1]
+        return low + share[None, :, None] * (high - low)
+
+    def rms(self, values: np.ndarray) -> float:
+        """Root mean square distance of one candidate (P,) from the measured points [m]."""
+        _, motion = next(self.simulate(values[None]))
+        return float(np.sqrt(np.mean(np.sum((self.at_measured(motion)[0] - self.points) ** 2, axis=-1))))
+
+
+def case(string: String, arm: Arm, observation: Observation) -> Case:
+    """Make one observation ready; raises DataError where it cannot be used."""
+    points = observation.points
+    if "valid" in points:
+        points = points[points["valid"].astype(bool)]
+    points = points[np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)]
+    if points.empty:
+        raise DataError(f"trial {observation.trial}: no valid point of the string. Look at its readings' reasons.")
+    times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
+    sigma = points["sigma"].to_numpy() if "sigma" in points else np.ones(len(points))
+    position = points[["x", "y"]].to_numpy()
+    return Case(
+        observation.trial, string, _hand(arm, observation), times, frame, points["s"].to_numpy(), position, sigma
+    )
+
+
+def _hand(arm: Arm, observation: Observation) -> HandMotion:
+    """The hand's motion, from joint angles or from grasp poses."""
+    if observation.arm is not None:
+        return hand_motion(arm, observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy())
+    if observation.grasp is None:
+        raise DataError(
+            f"trial {observation.trial}: neither joint angles nor grasp poses. Add arm.parquet or grasp.parquet."
+        )
+    return hand_motion_from_grasp(observation.grasp["t"].to_numpy(), observation.grasp[["x", "y", "theta"]].to_numpy())

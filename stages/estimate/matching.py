@@ -1,0 +1,108 @@
+"""The matching rate E of IV-B: mass points against dilated images of the real string."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import cv2
+import numpy as np
+from numba import njit, prange
+from pydantic import Field
+
+from data.artifacts import Observation
+from stages.estimate.forward import Case, case
+from stages.extract.score import rasterise, score_map
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.string import String
+
+Count = Annotated[int, Field(ge=1, le=255)]
+
+
+@dataclass(frozen=True)
+class Matching:
+    """How E is scored. dilations: p_max; step_px: growth of one dilation; tip_step_px: distance
+    per score lost at the tip; delta_w: increase of the weight from point to point (Eq. 6)."""
+
+    dilations: Count
+    step_px: Count
+    tip_step_px: Annotated[float, Field(gt=0)]
+    delta_w: Annotated[float, Field(ge=0)]
+
+
+@dataclass(frozen=True)
+class Target:
+    """One trial's images as score maps (F, height, width) uint8, and its tips (F, 2) [px]."""
+
+    case: Case
+    camera: Camera
+    matching: Matching
+    maps: np.ndarray
+    tips: np.ndarray
+
+    def per_frame(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """E_f of each candidate and frame, (C, F), NaN where a run was rejected, and who stayed finite (C,)."""
+        weights = 1 + np.arange(self.case.string.points) * self.matching.delta_w
+        scores = np.full((len(values), len(self.maps)), np.nan)
+        finite = np.zeros(len(values), dtype=bool)
+        for some, motion in self.case.simulate(values):
+            pixels = self.camera.pixels(motion.points)
+            args = (pixels, self.maps, self.tips, self.matching.tip_step_px, float(self.matching.dilations))
+            scores[some] = np.where(motion.finite[:, None], match(*args, weights), np.nan)
+            finite[some] = motion.finite
+        return scores, finite
+
+
+def targets(
+    string: String, arm: Arm, camera: Camera, observations: Sequence[Observation], matching: Matching
+) -> list[Target]:
+    """Score maps of all observations."""
+    return [_target(case(string, arm, o), camera, o, matching) for o in observations]
+
+
+def matching_rate(goals: Sequence[Target], values: np.ndarray) -> np.ndarray:
+    """E of each candidate (C, P) over all frames of all trials, (C,); NaN where a run was rejected (Eq. 5)."""
+    return np.concatenate([goal.per_frame(values)[0] for goal in goals], axis=1).mean(axis=1)
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def match(
+    pixels: np.ndarray, maps: np.ndarray, tips: np.ndarray, tip_step: float, most: float, weights: np.ndarray
+) -> np.ndarray:
+    """E_f = sum p_i w_i / (p_max sum w_i) of candidates (C, F, n, 2) [px], (C, F) (Eq. 5).
+
+    A point scores the map's value at its pixel, 0 outside the picture; the tip scores p_max
+    less one for each `tip_step` pixels from the real tip.
+    """
+    count, frames, n, _ = pixels.shape
+    result = np.empty((count, frames))
+    for c in prange(count):
+        for f in range(frames):
+            total = 0.0
+            for i in range(n - 1):
+                u = np.floor(pixels[c, f, i, 0] + 0.5)
+                v = np.floor(pixels[c, f, i, 1] + 0.5)
+                if 0 <= u < maps.shape[2] and 0 <= v < maps.shape[1]:
+                    total += maps[f, int(v), int(u)] * weights[i]
+            away = np.hypot(pixels[c, f, n - 1, 0] - tips[f, 0], pixels[c, f, n - 1, 1] - tips[f, 1])
+            total += max(most - np.floor(away / tip_step), 0.0) * weights[n - 1]
+            result[c, f] = total / (most * weights.sum())
+    return result
+
+
+def _target(ready: Case, camera: Camera, observation: Observation, matching: Matching) -> Target:
+    """Score maps from the binary images, or from the measured points where there are none."""
+    images = dict(zip(observation.masks["t"], observation.masks["png"], strict=True)) if len(observation.masks) else {}
+    maps, tips = [], []
+    for number, t in enumerate(ready.times):
+        line = camera.pixels(ready.points[ready.frame == number])
+        mask = _decode(images[t]) if t in images else rasterise(line, (camera.height, camera.width), 3)
+        maps.append(score_map(mask, matching.dilations, matching.step_px))
+        tips.append(line[np.argmax(ready.s[ready.frame == number])])
+    return Target(ready, camera, matching, np.stack(maps), np.array(tips))
+
+
+def _decode(png: bytes) -> np.ndarray:
+    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)

@@ -1,0 +1,56 @@
+"""The paper's estimation: random search on the matching rate, narrowing as it goes (IV-A)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from data.artifacts import Estimate, Observation
+from stages.estimate.matching import Matching, matching_rate, targets
+from stages.estimate.result import Search, estimate_of, spread, start_chi, values_of
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.string import String
+
+
+def estimate(
+    string: String,
+    arm: Arm,
+    camera: Camera,
+    observations: Sequence[Observation],
+    previous: Estimate | None,
+    *,
+    seed: int,
+    manipulation: Annotated[int, Field(ge=1)],
+    candidates: Annotated[int, Field(ge=1)],
+    chi_0: Annotated[float, Field(gt=0, le=1)],
+    beta: Annotated[float, Field(gt=0, le=1)],
+    together: Annotated[int, Field(ge=1)],
+    matching: Matching,
+) -> Estimate:
+    """Parameters with the highest matching rate E.
+
+    Candidate m is chi_best + chi_0 / M beta^m RAND(-1, 1), clipped to [0, 1] (Eq. 4), each
+    parameter with a random number of its own; M is `manipulation`, from 1. chi_best begins
+    with the previous manipulation's estimate and is then the best so far: the narrowing by
+    beta^m would make no sense around a point that stays. Candidates are drawn `together` at a
+    time from the same chi_best (1 is the paper's one by one), so that they fill the machine.
+    """
+    goals = targets(string, arm, camera, observations, matching)
+    before = start_chi(string.parameters, previous)
+    rng = np.random.default_rng(seed)
+    chi, rate = before[None], matching_rate(goals, values_of(string.parameters, before[None]))
+    best, best_rate = before, rate[0]
+    for first in range(1, candidates, together):
+        m = np.arange(first, min(first + together, candidates))
+        step = chi_0 / manipulation * beta**m
+        drawn = np.clip(best + step[:, None] * rng.uniform(-1, 1, (len(m), len(before))), 0, 1)
+        scores = matching_rate(goals, values_of(string.parameters, drawn))
+        chi, rate = np.concatenate([chi, drawn]), np.concatenate([rate, scores])
+        if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):
+            best, best_rate = drawn[int(np.nanargmax(scores))], np.nanmax(scores)
+    search = Search("random search", chi, rate)
+    return estimate_of(goals, before, best, search, spread(string.parameters, search))

@@ -1,0 +1,132 @@
+"""From candidates and scores to the Estimate artifact, the same for every method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import CANDIDATES, FIT, MATCHING, PARAMETERS, Estimate
+from stages.estimate.matching import Target
+from stages.model.parameter import Parameter
+
+NEAR = 0.01  # candidates within this much of the best E are as good as it
+BROAD = 0.5  # an undetermined parameter's good values spread over this share of its range
+EDGE = 0.01  # of the range: a value this close to an end sits on it
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a method tried: chi (C, P), E (C,) with NaN for rejected runs, in order."""
+
+    method: str
+    chi: np.ndarray
+    matching_rate: np.ndarray
+
+    @property
+    def best(self) -> int:
+        """The candidate with the highest E."""
+        return int(np.nanargmax(self.matching_rate))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """95 % intervals in chi, (P,) each; which parameters the data determines; in words."""
+
+    low: np.ndarray
+    high: np.ndarray
+    determined: np.ndarray
+    sentence: str
+
+
+def start_chi(parameters: Sequence[Parameter], previous: Estimate | None) -> np.ndarray:
+    """Where the search begins: the previous manipulation's estimate, else the start values, (P,)."""
+    known = {} if previous is None else previous.values()
+    return np.array([float(p.chi(np.asarray(known.get(p.name, p.start)))) for p in parameters])
+
+
+def values_of(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
+    """Parameter values at exponents (C, P), Eq. 3."""
+    return np.stack([p.value(chi[:, i]) for i, p in enumerate(parameters)], axis=-1)
+
+
+def estimate_of(
+    goals: Sequence[Target], before: np.ndarray, after: np.ndarray, search: Search, interval: Interval
+) -> Estimate:
+    """The artifact. before, after: (P,) exponents before and after."""
+    parameters = goals[0].case.string.parameters
+    pair = values_of(parameters, np.stack([before, after]))
+    matching = pd.concat([_matching(goal, pair) for goal in goals], ignore_index=True)
+    rms = np.sqrt(np.mean([[goal.case.rms(v) ** 2 for v in pair] for goal in goals], axis=0))
+    fit = {
+        "method": search.method,
+        "before": matching["before"].mean(),
+        "after": matching["after"].mean(),
+        "rms_before": rms[0],
+        "rms_after": rms[1],
+        "rejected": int(np.isnan(search.matching_rate).sum()),
+        "sentence": interval.sentence,
+    }
+    return Estimate(
+        PARAMETERS.check(_parameters(parameters, pair[1], after, interval)),
+        CANDIDATES.check(_candidates(parameters, search)),
+        MATCHING.check(matching),
+        FIT.check(pd.DataFrame([fit])),
+    )
+
+
+def spread(parameters: Sequence[Parameter], search: Search) -> Interval:
+    """What the candidates nearly as good as the best say about each parameter."""
+    near = search.matching_rate >= search.matching_rate[search.best] - NEAR
+    low, high = np.percentile(search.chi[near], [2.5, 97.5], axis=0)
+    best = search.chi[search.best]
+    determined = (high - low < BROAD) & (best > EDGE) & (best < 1 - EDGE)
+    return Interval(np.full(len(best), np.nan), np.full(len(best), np.nan), determined, words(parameters, determined))
+
+
+def words(parameters: Sequence[Parameter], determined: np.ndarray) -> str:
+    """Which parameters the data cannot determine, in a sentence."""
+    loose = [p.symbol or p.name for p, good in zip(parameters, determined, strict=True) if not good]
+    if not loose:
+        return "This data determines every parameter."
+    return f"This data cannot determine {', '.join(loose)}: other values fit as well, or the best lies at the end of the range."
+
+
+def _matching(goal: Target, pair: np.ndarray) -> pd.DataFrame:
+    scores, _ = goal.per_frame(pair)
+    return pd.DataFrame({"trial": goal.case.name, "t": goal.case.times, "before": scores[0], "after": scores[1]})
+
+
+def _parameters(
+    parameters: Sequence[Parameter], value: np.ndarray, chi: np.ndarray, interval: Interval
+) -> pd.DataFrame:
+    bound = (chi <= EDGE) | (chi >= 1 - EDGE)
+    ends = [
+        [p.value(np.asarray(c)) for p, c in zip(parameters, end, strict=True)] for end in (interval.low, interval.high)
+    ]
+    return pd.DataFrame(
+        {
+            "name": [p.name for p in parameters],
+            "symbol": [p.symbol for p in parameters],
+            "unit": [p.unit for p in parameters],
+            "value": value,
+            "low": np.array(ends[0], dtype=float),
+            "high": np.array(ends[1], dtype=float),
+            "minimum": [p.low for p in parameters],
+            "maximum": [p.high for p in parameters],
+            "chi": chi,
+            "at_bound": bound,
+            "determined": interval.determined,
+        }
+    )
+
+
+def _candidates(parameters: Sequence[Parameter], search: Search) -> pd.DataFrame:
+    rate = search.matching_rate
+    record = np.fmax.accumulate(np.where(np.isnan(rate), -np.inf, rate))
+    better = np.concatenate([[True], record[1:] > record[:-1]]) & ~np.isnan(rate)
+    table = {"candidate": np.arange(len(rate)), "matching_rate": rate, "finite": ~np.isnan(rate), "accepted": better}
+    values = values_of(parameters, search.chi)
+    return pd.DataFrame(table | {p.name: values[:, i] for i, p in enumerate(parameters)})
