@@ -1,0 +1,6 @@
+"""Generate: random joint-velocity curves until the simulated tip hits the target (III)."""
+
+from stages.generate.generate import MotionNotFoundError, generate
+from stages.generate.space import Box, check_reach
+
+__all__ = ["Box", "MotionNotFoundError", "check_reach", "generate"]

@@ -1,0 +1,85 @@
+"""Joint-velocity curves: degree-5 Bezier curves over control points V_0..V_5 (III)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import comb
+
+from stages.model.arm import Arm
+from stages.model.hand import HandMotion
+
+INTERVALS = 5
+
+
+@dataclass(frozen=True)
+class Curves:
+    """A batch of movements. start: (B, J) initial angles [rad]. duration: (B,) T [s], whole ticks.
+    control: (B, J, 6) V_0..V_5 [rad/s]."""
+
+    start: np.ndarray
+    duration: np.ndarray
+    control: np.ndarray
+
+    def sampled(self, tick: float, until: float) -> tuple[np.ndarray, np.ndarray]:
+        """Angles and velocities (B, K, J) on the tick from 0 to `until` [s]; at rest after T."""
+        u = np.arange(round(until / tick) + 1) * tick / self.duration[:, None]
+        inside = np.clip(u, 0, 1)[:, :, None]
+        speed = np.einsum("bkn,bjn->bkj", _bernstein(inside), self.control) * (u <= 1 + 1e-9)[..., None]
+        # The integral of a Bezier curve is one of a degree more over the sums of its points.
+        sums = np.concatenate([np.zeros((*self.control.shape[:2], 1)), np.cumsum(self.control, axis=-1)], axis=-1)
+        turned = np.einsum("bkn,bjn->bkj", _bernstein(inside, INTERVALS + 1), sums / (INTERVALS + 1))
+        return self.start[:, None] + turned * self.duration[:, None, None], speed
+
+    def only(self, chosen: np.ndarray) -> Curves:
+        """Some of the movements."""
+        return Curves(self.start[chosen], self.duration[chosen], self.control[chosen])
+
+
+def first_curves(
+    arm: Arm, rng: np.random.Generator, count: int, durations: tuple[float, float], alpha: float
+) -> Curves:
+    """Random poses and curves: V_n = alpha_n (t_n - t_{n-1}), V_0 = V_5 = 0 (Eq. 2)."""
+    start = rng.uniform(arm.lowest, arm.highest, (count, len(arm.links)))
+    duration = _whole(rng.uniform(*durations, count), arm.tick)
+    control = np.zeros((count, len(arm.links), INTERVALS + 1))
+    acceleration = rng.uniform(-alpha, alpha, (count, len(arm.links), INTERVALS - 1))
+    control[..., 1:-1] = acceleration * duration[:, None, None] / INTERVALS
+    return Curves(start, duration, control)
+
+
+def next_curves(
+    arm: Arm,
+    rng: np.random.Generator,
+    count: int,
+    durations: tuple[float, float],
+    alpha: float,
+    last: Curves,
+    fraction: float,
+) -> Curves:
+    """Slight changes of the last movement: same start, T within half its first range around the
+    last, V_1..V_4 within `fraction` of their range."""
+    half = (durations[1] - durations[0]) / 4
+    duration = _whole(np.clip(last.duration[0] + rng.uniform(-half, half, count), *durations), arm.tick)
+    reach = np.minimum(alpha * duration[:, None] / INTERVALS, np.asarray(arm.speed))
+    change = rng.uniform(-1, 1, (count, len(arm.links), INTERVALS - 1)) * fraction * reach[..., None]
+    control = np.repeat(last.control, count, axis=0)
+    control[..., 1:-1] += change
+    return Curves(np.repeat(last.start, count, axis=0), duration, control)
+
+
+def hand_of(arm: Arm, angles: np.ndarray, speeds: np.ndarray) -> HandMotion:
+    """The hand's motion of a batch, (B, K, J) each, from t = 0."""
+    return HandMotion(0.0, arm.tick, arm.grasp(angles), arm.grasp_velocity(angles, speeds))
+
+
+def _whole(duration: np.ndarray, tick: float) -> np.ndarray:
+    """Rounded to ticks, at least as many as there are intervals."""
+    return np.maximum(np.round(duration / tick), INTERVALS) * tick
+
+
+def _bernstein(u: np.ndarray, degree: int = INTERVALS) -> np.ndarray:
+    """Bernstein's polynomials at u (..., 1), (..., degree + 1)."""
+    n = np.arange(degree + 1)
+    return comb(degree, n) * u**n * (1 - u) ** (degree - n)

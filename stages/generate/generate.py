@@ -1,0 +1,236 @@
+"""Generate a motion: try random ones until the simulated tip enters the target box."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from data.artifacts import ATTEMPTS, COMMANDS, CONTROL_POINTS, JOINTS, MOTION_OUTCOME, PREDICTED_STRING, SPEEDS, Motion
+from stages.generate.curves import INTERVALS, Curves, first_curves, hand_of, next_curves
+from stages.generate.space import Box, check_reach
+from stages.model.arm import Arm
+from stages.model.string import String, simulate
+
+FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
+HIT = "hit"
+
+
+class MotionNotFoundError(Exception):
+    """No motion was found in the budget; the message says why the tries failed and what to change."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What became of some candidates. times: (F,). points: (C, F, n, 2) [m]. inside: (C, F - 1) tip in the box."""
+
+    times: np.ndarray
+    points: np.ndarray
+    inside: np.ndarray
+
+
+def generate(
+    string: String,
+    arm: Arm,
+    target: Box,
+    obstacles: Sequence[Box],
+    previous: Motion | None,
+    parameters: Mapping[str, float],
+    *,
+    seed: int,
+    attempts: Annotated[int, Field(ge=1)],
+    together: Annotated[int, Field(ge=1)],
+    shortest: Annotated[float, Field(gt=0)],
+    longest: Annotated[float, Field(gt=0)],
+    alpha: Annotated[float, Field(gt=0)],
+    fraction: Annotated[float, Field(gt=0, le=1)],
+    hits: Annotated[int, Field(ge=1)],
+    progress: Callable[[int], object] = lambda tried: None,
+) -> Motion:
+    """A motion whose simulated tip hits the target during the movement.
+
+    previous: the last motion, slightly changed from the second manipulation on. parameters:
+    of the string, by name. attempts: motions tried at most, `together` at a time. shortest,
+    longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2]. fraction: of
+    the control points' range by which they change. hits: motions that hit from which the one
+    whose tip stays longest in the box is taken (1 is the paper's first come). Raises
+    MotionNotFoundError, and DataError for a target out of reach.
+    """
+    check_reach(target, arm, string.length)
+    rng = np.random.default_rng(seed)
+    count: Counter[str] = Counter()
+    found: list[tuple[float, Motion]] = []
+    values = string.values(parameters)
+    while sum(count.values()) < attempts and len(found) < hits:
+        size = min(together, attempts - sum(count.values()))
+        curves = _drawn(arm, rng, size, (shortest, longest), alpha, previous, fraction)
+        found += _tried(string, arm, target, obstacles, values, curves, count, hits - len(found))
+        progress(sum(count.values()))
+    if not found:
+        raise MotionNotFoundError(_failure(count, attempts))
+    return _counted(max(found, key=lambda one: one[0])[1], count)
+
+
+def _drawn(
+    arm: Arm,
+    rng: np.random.Generator,
+    size: int,
+    durations: tuple[float, float],
+    alpha: float,
+    previous: Motion | None,
+    fraction: float,
+) -> Curves:
+    """First or later candidates."""
+    if previous is None:
+        return first_curves(arm, rng, size, durations, alpha)
+    return next_curves(arm, rng, size, durations, alpha, curves_of(previous), fraction)
+
+
+def curves_of(motion: Motion) -> Curves:
+    """The curves of a motion found before."""
+    control = motion.control_points.pivot(index="joint", columns="index", values="velocity").to_numpy()
+    start = motion.commands[list(JOINTS)].iloc[:1].to_numpy()
+    return Curves(start, np.array([motion.duration]), control[None])
+
+
+def _tried(
+    string: String,
+    arm: Arm,
+    target: Box,
+    obstacles: Sequence[Box],
+    values: np.ndarray,
+    curves: Curves,
+    count: Counter[str],
+    wanted: int,
+) -> list[tuple[float, Motion]]:
+    """Check the arm, simulate what is allowed, and keep what hits, in the order drawn."""
+    until = float(curves.duration.max())
+    angles, speeds = curves.sampled(arm.tick, until)
+    reasons = _arm_faults(arm, obstacles, angles, speeds)
+    allowed = np.flatnonzero(reasons == "")
+    if allowed.size:
+        seen = _simulated(string, arm, target, values, angles[allowed], speeds[allowed], until)
+        reasons[allowed] = _string_faults(seen, obstacles, curves.duration[allowed])
+    found: list[tuple[float, Motion]] = []
+    for number, reason in enumerate(reasons):
+        count[reason] += 1
+        if reason == HIT:
+            index = int(np.searchsorted(allowed, number))
+            found.append(_motion(arm, target, string, curves.only(np.array([number])), seen, index))
+            if len(found) == wanted:
+                break
+    return found
+
+
+def _arm_faults(arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """Why the arm cannot do each movement, '' where it can, (B,). Whole curves are checked."""
+    reasons = np.full(len(angles), "", dtype=object)
+    hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
+    joints = arm.joints(angles)
+    touched = [box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=(1, 2)) for box in obstacles]
+    checks = {
+        "the arm touches an obstacle": np.any(touched, axis=0) if touched else np.zeros(len(angles), dtype=bool),
+        "the hand is too fast": (hand > arm.hand_speed).any(axis=1),
+        "a joint is too fast": (np.abs(speeds) > arm.speed).any(axis=(1, 2)),
+        "a joint leaves its range": ((angles < arm.lowest) | (angles > arm.highest)).any(axis=(1, 2)),
+    }
+    for reason, bad in checks.items():
+        reasons[bad] = reason
+    return reasons
+
+
+def _simulated(
+    string: String, arm: Arm, target: Box, values: np.ndarray, angles: np.ndarray, speeds: np.ndarray, until: float
+) -> Simulated:
+    """The strings of allowed movements."""
+    times = np.arange(round(until / arm.tick) * FINE + 1) * arm.tick / FINE
+    motion = simulate(string, hand_of(arm, angles, speeds), np.repeat(values[None], len(angles), axis=0), times)
+    inside = target.crossed(motion.tip[:, :-1], motion.tip[:, 1:])
+    return Simulated(times, motion.points, inside)
+
+
+def _string_faults(seen: Simulated, obstacles: Sequence[Box], duration: np.ndarray) -> np.ndarray:
+    """Why each string fails, or HIT, (C,)."""
+    reasons = np.full(len(duration), HIT, dtype=object)
+    moving = seen.times[None, 1:] <= duration[:, None] + 1e-9
+    for box in obstacles:
+        touched = box.crossed(seen.points[:, 1:, :-1], seen.points[:, 1:, 1:]).any(axis=2)
+        reasons[(touched & moving).any(axis=1)] = "the string touches an obstacle"
+    reasons[~(seen.inside & moving).any(axis=1)] = "the tip misses the target"
+    reasons[~np.isfinite(seen.points).all(axis=(1, 2, 3))] = "the simulation does not stay finite"
+    return reasons
+
+
+def _motion(arm: Arm, target: Box, string: String, curve: Curves, seen: Simulated, index: int) -> tuple[float, Motion]:
+    """The artifact of one hit, and how long its tip stays in the box [s]."""
+    duration = float(curve.duration[0])
+    moving = seen.times[1:] <= duration + 1e-9
+    inside = np.flatnonzero(seen.inside[index] & moving)
+    tip = seen.points[index, 1:, -1]
+    at = inside[int(np.argmin(target.away(tip[inside])))]
+    outcome = {
+        "duration": duration,
+        "t_hit": seen.times[1 + at],
+        **{"tip_x": tip[at, 0], "tip_y": tip[at, 1], "tried": 0},
+        **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
+    }
+    stay = len(inside) * (seen.times[1] - seen.times[0])
+    predicted = _predicted(seen, index, string, duration)
+    return stay, Motion(
+        commands_of(arm, curve),
+        _control(curve),
+        predicted,
+        ATTEMPTS.empty(),
+        MOTION_OUTCOME.check(pd.DataFrame([outcome])),
+    )
+
+
+def commands_of(arm: Arm, curve: Curves) -> pd.DataFrame:
+    """Table COMMANDS of one movement: each velocity is the mean over the tick in which it is held."""
+    angles = curve.sampled(arm.tick, float(curve.duration[0]))[0][0]
+    speeds = np.concatenate([np.diff(angles, axis=0) / arm.tick, np.zeros((1, angles.shape[1]))])
+    columns = {"t": np.arange(len(angles)) * arm.tick}
+    columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(zip(SPEEDS, speeds.T, strict=True))
+    return COMMANDS.check(pd.DataFrame(columns))
+
+
+def _control(curve: Curves) -> pd.DataFrame:
+    joints, index = np.indices(curve.control.shape[1:])
+    t = index * curve.duration[0] / INTERVALS
+    columns = {
+        "joint": joints.ravel() + 1,
+        "index": index.ravel(),
+        "t": t.ravel(),
+        "velocity": curve.control[0].ravel(),
+    }
+    return CONTROL_POINTS.check(pd.DataFrame(columns))
+
+
+def _predicted(seen: Simulated, index: int, string: String, duration: float) -> pd.DataFrame:
+    """The simulated string on the tick."""
+    ticks = np.flatnonzero(seen.times <= duration + 1e-9)[::FINE]
+    points = seen.points[index, ticks]
+    t, s = np.meshgrid(seen.times[ticks], string.arc_lengths(), indexing="ij")
+    columns = {"t": t.ravel(), "s": s.ravel(), "x": points[..., 0].ravel(), "y": points[..., 1].ravel()}
+    return PREDICTED_STRING.check(pd.DataFrame(columns))
+
+
+def _counted(motion: Motion, count: Counter[str]) -> Motion:
+    """The motion with the record of all that was tried."""
+    attempts = pd.DataFrame(sorted(count.items()), columns=["outcome", "count"])
+    outcome = motion.outcome.assign(tried=sum(count.values()))
+    return Motion(motion.commands, motion.control_points, motion.string, ATTEMPTS.check(attempts), outcome)
+
+
+def _failure(count: Counter[str], attempts: int) -> str:
+    """What to tell the user."""
+    reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
+    return (
+        f"no motion hits the target in generate.attempts={attempts} tries ({reasons}). "
+        "Allow more attempts, a larger target box, or other limits of the arm."
+    )
