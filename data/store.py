@@ -108,19 +108,19 @@ class ImageFolder(Sequence[np.ndarray]):
     """The frames of a folder, read one by one."""
 
     folder: Path
-    count: int
+    frames: int
 
     def __len__(self) -> int:
         """Number of frames."""
-        return self.count
+        return self.frames
 
     def __getitem__(self, index: Any) -> Any:
         """One frame (height, width), or a list of them for a slice."""
         if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(self.count))]
-        if not -self.count <= index < self.count:
+            return [self[i] for i in range(*index.indices(self.frames))]
+        if not -self.frames <= index < self.frames:
             raise IndexError(index)
-        path = self.folder / f"{index % self.count:06d}.png"
+        path = self.folder / f"{index % self.frames:06d}.png"
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise DataError(f"{path}: the frame is missing or damaged. Restore it or leave the trial out.")

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
 from data.artifacts import JOINTS, SPEEDS, Motion, Trial
-
-if TYPE_CHECKING:
-    from hardware.roles import ArmDevice, CameraDevice
+from stages.roles import ArmDevice, CameraDevice
 
 
 def execute(

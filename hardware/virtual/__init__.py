@@ -1,1 +1,16 @@
 """A virtual lab: an arm, a string and a camera that can surprise the model. No stage imports it."""
+
+from __future__ import annotations
+
+from hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from hardware.virtual.render import Look
+from hardware.virtual.servo import Servo
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.roles import Lab
+
+
+def open_lab(arm: Arm, camera: Camera, *, seed: int, trial: int, specimen: Specimen, servo: Servo, look: Look) -> Lab:
+    """The virtual arm and camera of one trial. seed: of the bench; trial: keeps trials apart."""
+    bench = Bench(arm, camera, specimen, seed, servo, look, count=trial)
+    return Lab(VirtualArm(bench), VirtualCamera(bench))

@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import JOINTS, SPEEDS
-from hardware.roles import HardwareError, Performance, Recording
 from hardware.virtual.render import Look, noisy, render, scenery
 from hardware.virtual.servo import Servo
 from stages.model.arm import Arm
@@ -27,6 +26,7 @@ from stages.model.effect import StringEffect
 from stages.model.hand import hand_motion
 from stages.model.integrator import RungeKutta4
 from stages.model.string import BASE, String, simulate
+from stages.roles import HardwareError, Performance, Recording
 
 EXPOSURES = 5  # moments drawn in one exposure
 
@@ -95,7 +95,7 @@ class Bench:
 
 @dataclass
 class VirtualArm:
-    """The bench's arm; fills `hardware.roles.ArmDevice`."""
+    """The bench's arm; fills `stages.roles.ArmDevice`."""
 
     bench: Bench
 
@@ -127,7 +127,7 @@ class VirtualArm:
 
 @dataclass
 class VirtualCamera:
-    """The bench's camera; fills `hardware.roles.CameraDevice`."""
+    """The bench's camera; fills `stages.roles.CameraDevice`."""
 
     bench: Bench
 

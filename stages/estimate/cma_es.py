@@ -5,7 +5,7 @@ Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -33,6 +33,7 @@ def estimate(
     sigma: Annotated[float, Field(gt=0, le=1)],
     population: Annotated[int, Field(ge=4)],
     matching: Matching,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> Estimate:
     """Parameters with the highest E. sigma: first step in chi, divided by `manipulation`."""
     goals = targets(string, arm, camera, observations, matching)
@@ -41,11 +42,13 @@ def estimate(
     bounds = np.tile([0.0, 1.0], (len(before), 1))
     search = CMA(mean=middle, sigma=sigma / manipulation, bounds=bounds, seed=seed, population_size=population)
     tried, rates = [before[None]], [matching_rate(goals, values_of(string.parameters, before[None]))]
-    for _ in range(max((candidates - 1) // population, 1)):
+    rounds = max((candidates - 1) // population, 1)
+    for number in range(rounds):
         chi = np.stack([search.ask() for _ in range(population)])
         rate = matching_rate(goals, values_of(string.parameters, chi))
         search.tell([(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)])
         tried.append(chi)
         rates.append(rate)
+        progress((number + 1) / rounds)
     found = Search("CMA-ES", np.concatenate(tried), np.concatenate(rates))
     return estimate_of(goals, before, found.chi[found.best], found, spread(string.parameters, found))

@@ -8,7 +8,7 @@ is the sandwich estimate over blocks of time (White 1980; Cameron and Miller 201
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -43,6 +43,7 @@ def estimate(
     screening: Annotated[int, Field(ge=1)],
     iterations: Annotated[int, Field(ge=1)],
     matching: Matching,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> Estimate:
     """Parameters of least squared distance to the measured points, with 95 % intervals.
 
@@ -56,8 +57,9 @@ def estimate(
     screened = np.concatenate([before[None], drawn])
     order = np.argsort(_costs(cases, screened))
     chi = screened[order[:starts]]
-    for _ in range(iterations):
+    for number in range(iterations):
         chi = _improved(cases, chi)
+        progress((number + 1) / iterations)
     best = chi[int(np.argmin(_costs(cases, chi)))]
     tried = np.concatenate([screened, chi])
     search = Search("least squares", tried, matching_rate(goals, values_of(string.parameters, tried)))

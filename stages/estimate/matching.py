@@ -105,4 +105,6 @@ def _target(ready: Case, camera: Camera, observation: Observation, matching: Mat
 
 
 def _decode(png: bytes) -> np.ndarray:
-    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
+    mask = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert mask is not None  # the store has checked the table; its PNGs are ours
+    return mask

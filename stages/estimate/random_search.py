@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -30,6 +30,7 @@ def estimate(
     beta: Annotated[float, Field(gt=0, le=1)],
     together: Annotated[int, Field(ge=1)],
     matching: Matching,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> Estimate:
     """Parameters with the highest matching rate E.
 
@@ -49,6 +50,7 @@ def estimate(
         step = chi_0 / manipulation * beta**m
         drawn = np.clip(best + step[:, None] * rng.uniform(-1, 1, (len(m), len(before))), 0, 1)
         scores = matching_rate(goals, values_of(string.parameters, drawn))
+        progress((m[-1] + 1) / candidates)
         chi, rate = np.concatenate([chi, drawn]), np.concatenate([rate, scores])
         if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):
             best, best_rate = drawn[int(np.nanargmax(scores))], np.nanmax(scores)

@@ -91,7 +91,8 @@ def words(parameters: Sequence[Parameter], determined: np.ndarray) -> str:
     loose = [p.symbol or p.name for p, good in zip(parameters, determined, strict=True) if not good]
     if not loose:
         return "This data determines every parameter."
-    return f"This data cannot determine {', '.join(loose)}: other values fit as well, or the best lies at the end of the range."
+    why = "other values fit as well, or the best lies at the end of the range"
+    return f"This data cannot determine {', '.join(loose)}: {why}."
 
 
 def _matching(goal: Target, pair: np.ndarray) -> pd.DataFrame:

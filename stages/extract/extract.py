@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -39,6 +40,7 @@ def extract(
     hidden: Annotated[float, Field(ge=0)],
     shorter: Annotated[float, Field(gt=0, lt=1)],
     longer: Annotated[float, Field(gt=0)],
+    progress: Callable[[float], object] = lambda share: None,
 ) -> Points:
     """The string in each frame.
 
@@ -55,6 +57,7 @@ def extract(
             readings.append(_reading(line, mask, camera, np.linspace(0, string_length, points), shorter, longer))
         except UnreadableError as reason:
             readings.append(str(reason))
+        progress((number + 1) / len(footage.t))
     return _tables(footage.t, readings, np.linspace(0, string_length, points))
 
 

@@ -50,7 +50,7 @@ def generate(
     alpha: Annotated[float, Field(gt=0)],
     fraction: Annotated[float, Field(gt=0, le=1)],
     hits: Annotated[int, Field(ge=1)],
-    progress: Callable[[int], object] = lambda tried: None,
+    progress: Callable[[float], object] = lambda share: None,
 ) -> Motion:
     """A motion whose simulated tip hits the target during the movement.
 
@@ -70,7 +70,7 @@ def generate(
         size = min(together, attempts - sum(count.values()))
         curves = _drawn(arm, rng, size, (shortest, longest), alpha, previous, fraction)
         found += _tried(string, arm, target, obstacles, values, curves, count, hits - len(found))
-        progress(sum(count.values()))
+        progress(sum(count.values()) / attempts)
     if not found:
         raise MotionNotFoundError(_failure(count, attempts))
     return _counted(max(found, key=lambda one: one[0])[1], count)

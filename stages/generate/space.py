@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from data.schema import DataError
 from stages.model.arm import Arm
@@ -16,8 +18,8 @@ class Box:
 
     x: float
     y: float
-    w: float
-    h: float
+    w: Annotated[float, Field(gt=0)]
+    h: Annotated[float, Field(gt=0)]
 
     def crossed(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Whether segments from a to b, (..., 2) each [m], touch the box; (...) bool (slab method)."""
@@ -46,7 +48,8 @@ def check_reach(target: Box, arm: Arm, string_length: float) -> None:
     gap = target.gap(*arm.base)
     if gap > reach:
         raise DataError(
-            f"target ({target.x * 1e3:.0f}, {target.y * 1e3:.0f}) mm is out of reach: {gap * 1e3:.0f} mm from the arm's base "
-            f"at ({arm.base[0] * 1e3:.0f}, {arm.base[1] * 1e3:.0f}) mm, arm and string reach {reach * 1e3:.0f} mm. "
+            f"target ({target.x * 1e3:.0f}, {target.y * 1e3:.0f}) mm is out of reach: "
+            f"{gap * 1e3:.0f} mm from the arm's base at ({arm.base[0] * 1e3:.0f}, {arm.base[1] * 1e3:.0f}) mm, "
+            f"arm and string reach {reach * 1e3:.0f} mm. "
             "Choose target.x and target.y closer, or move arm.base."
         )

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
+
+Positive = Annotated[float, Field(gt=0)]
 
 
 @dataclass(frozen=True)
@@ -17,14 +21,14 @@ class Arm:
     speed of the hand [m/s]. tick: period of the velocity commands [s].
     """
 
-    links: tuple[float, ...]
+    links: tuple[Positive, ...]
     base: tuple[float, float]
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
-    speed: tuple[float, ...]
-    acceleration: tuple[float, ...]
-    hand_speed: float
-    tick: float
+    speed: tuple[Positive, ...]
+    acceleration: tuple[Positive, ...]
+    hand_speed: Positive
+    tick: Positive
 
     @property
     def reach(self) -> float:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 
 @dataclass(frozen=True)
@@ -17,12 +19,12 @@ class Camera:
     half-widths.
     """
 
-    width: int
-    height: int
-    px_per_m: float
+    width: Annotated[int, Field(ge=16)]
+    height: Annotated[int, Field(ge=16)]
+    px_per_m: Annotated[float, Field(gt=0)]
     origin_px: tuple[float, float]
-    fps: float
-    exposure: float = 0.0
+    fps: Annotated[float, Field(gt=0)]
+    exposure: Annotated[float, Field(ge=0)] = 0.0
     distortion: float = 0.0
 
     def pixels(self, world: np.ndarray) -> np.ndarray:

@@ -68,3 +68,11 @@ class CameraDevice(Protocol):
 
     def stop(self, moved_at: float) -> Recording:
         """End filming. `moved_at`: host time (time.monotonic) of the start of the movement."""
+
+
+@dataclass(frozen=True)
+class Lab:
+    """An arm and the camera that watches it."""
+
+    arm: ArmDevice
+    camera: CameraDevice

@@ -1,0 +1,1 @@
+"""The shell: configuration, folders, seeds, progress, resuming. The only place that knows Hydra."""

@@ -1,0 +1,183 @@
+"""The loop: iterate until the real tip is in the box or the budget is spent (II-A).
+
+Everything an iteration makes is on disk before the next step begins. A step whose artifact
+is there already is read, not made again: an interrupted run goes on where it stopped, with
+the same result, for every step's seed is its own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from data import dataset, store
+from data.artifacts import Estimate, Motion, Observation, Points, Trial
+from data.schema import DataError
+from pipeline.origin import origin
+from pipeline.steps import STEPS, Past, Progress, step_seed
+from pipeline.world import World
+from stages.judge import Verdict, judge
+
+Bar = Callable[[str], AbstractContextManager[Progress]]
+FOLDERS = {"generate": "motion", "execute": "trial", "extract": "points", "estimate": "estimate"}
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One manipulation: its artifacts by step, and whether the tip hit."""
+
+    number: int
+    done: dict[str, Any] = field(repr=False)
+    verdict: Verdict | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of its trial."""
+        return f"t{self.number:02d}"
+
+    @property
+    def observation(self) -> Observation:
+        """Its trial as estimation sees it."""
+        trial, points = self.done["execute"], self.done["extract"]
+        return Observation(self.name, points.points, points.readings, points.masks, arm=trial.arm)
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a run ended."""
+
+    folder: Path
+    iterations: tuple[Iteration, ...]
+    sentence: str
+
+    @property
+    def hit(self) -> bool:
+        """Whether the real tip reached the target."""
+        return any(i.verdict is not None and i.verdict.hit for i in self.iterations)
+
+
+def cast(world: World, folder: Path, bar: Bar) -> Result:
+    """Cast until it hits or the manipulations are spent."""
+    begin(world, folder)
+    iterations: list[Iteration] = []
+    while len(iterations) < world.config["manipulations"] and not (iterations and _hit(iterations[-1])):
+        iterations.append(_iterate(world, folder, iterations, bar))
+        _publish(world, folder, iterations)
+    return _finish(folder, iterations)
+
+
+def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
+    """Estimation alone, from stored trials: each in turn, beginning with the one before it."""
+    data = dataset.read(trials)
+    if not data.trials:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in data.rejected.items()) or "it holds no trial"
+        raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")
+    begin(world, folder)
+    iterations: list[Iteration] = []
+    observations: list[Observation] = []
+    for number, observation in enumerate(data.trials.values(), start=1):
+        observations.append(observation)
+        last = iterations[-1].done["estimate"] if iterations else None
+        past = Past(number, {}, None, last, tuple(observations[-world.config["memory"] :]))
+        iterations.append(Iteration(number, {"estimate": _step(world, folder, "estimate", past, bar)}))
+    rates = [float(i.done["estimate"].fit["after"].iloc[0]) for i in iterations]
+    sentence = f"Estimated from {len(iterations)} trial(s) of {trials}; the matching rate E is {rates[-1]:.3f}."
+    return _ended(folder, iterations, sentence)
+
+
+def begin(world: World, folder: Path) -> None:
+    """Make the run's folder, or see that it is this run's."""
+    path = folder / "config.json"
+    text = json.dumps(world.config, indent=2, sort_keys=True)
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise DataError(
+            f"{folder}: this folder holds a run with other settings (see config.json). "
+            "Leave hydra.run.dir to its default, or repeat the settings of that run."
+        )
+    store.write_text(path, text)
+
+
+def _iterate(world: World, folder: Path, before: list[Iteration], bar: Bar) -> Iteration:
+    """One manipulation, step by step."""
+    current = Iteration(len(before) + 1, {})
+    for name in world.config["steps"]:
+        seen = [*before, current] if "extract" in current.done else before
+        past = Past(
+            current.number,
+            current.done,
+            before[-1].done["generate"] if before else None,
+            before[-1].done.get("estimate") if before else None,
+            tuple(i.observation for i in seen[-world.config["memory"] :]),
+        )
+        current.done[name] = _step(world, folder, name, past, bar)
+    motion: Motion = current.done["generate"]
+    points: Points = current.done["extract"]
+    return Iteration(current.number, current.done, judge(points.readings, world.target, motion.duration))
+
+
+def _step(world: World, folder: Path, name: str, past: Past, bar: Bar) -> Any:
+    """Read a step's artifact if it is there, else make and store it."""
+    step = STEPS[name]
+    place = folder / "iterations" / f"{past.number:02d}" / FOLDERS[name]
+    if place.is_dir():
+        return store.load(step.kind, place)
+    with bar(f"{past.number}. {name}") as progress:
+        seed = step_seed(world.seed, past.number, name)
+        made = step.make(world, past, seed, progress)
+        inputs = {n: store.content_hash(place.parent / FOLDERS[n]) for n in past.done}
+        store.save(made, place, origin(world.config, name, seed, inputs))
+    return store.load(step.kind, place)
+
+
+def _publish(world: World, folder: Path, iterations: list[Iteration]) -> None:
+    """Keep the run a dataset that others can read."""
+    trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
+    camera = {k: world.config["camera"][k] for k in ("fps", "width", "height", "px_per_m", "origin_px", "distortion")}
+    about = {
+        "name": world.config["name"],
+        "string": {"length": world.string.length},
+        "arm": {"links": list(world.arm.links), "base": list(world.arm.base)},
+        "camera": camera,
+    }
+    dataset.publish(folder, trials, about, origin(world.config, "dataset", world.seed, {}))
+
+
+def _hit(iteration: Iteration) -> bool:
+    return iteration.verdict is not None and iteration.verdict.hit
+
+
+def _finish(folder: Path, iterations: list[Iteration]) -> Result:
+    """Say how it ended."""
+    last = iterations[-1]
+    assert last.verdict is not None
+    tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
+    if last.verdict.hit:
+        sentence = f"The tip reached the target in manipulation {last.number}."
+    else:
+        sentence = f"The tip did not reach the target in {tries}; the budget is spent."
+    return _ended(folder, iterations, sentence)
+
+
+def _ended(folder: Path, iterations: list[Iteration], sentence: str) -> Result:
+    """Write run.json: the run in a few numbers."""
+    result = Result(folder, tuple(iterations), sentence)
+    rows = []
+    for i in iterations:
+        fit = i.done["estimate"].fit.iloc[0] if "estimate" in i.done else {}
+        row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
+        if i.verdict is not None:
+            row |= {"hit": i.verdict.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
+        rows.append(row)
+    store.write_text(
+        folder / "run.json", json.dumps({"hit": result.hit, "sentence": sentence, "iterations": rows}, indent=2)
+    )
+    return result
+
+
+def estimates(result: Result) -> list[Estimate]:
+    """The estimates of a run, in order."""
+    return [i.done["estimate"] for i in result.iterations if "estimate" in i.done]

@@ -1,0 +1,81 @@
+"""From configuration blocks to validated settings and objects, with errors a person can act on."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, TypeVar, get_type_hints
+
+from hydra.utils import get_object
+from pydantic import TypeAdapter, ValidationError
+
+Built = TypeVar("Built")
+FROM_THE_RUN = ("seed", "manipulation", "trial", "progress")
+
+
+class UserError(Exception):
+    """Something the user can put right; the message says what, where and how."""
+
+
+def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any]:
+    """The function a block names, with the block's settings checked and bound.
+
+    place: name of the block; where: the file it comes from. The settings must be exactly the
+    function's keyword-only arguments, less those that the run itself supplies.
+    """
+    function = get_object(block["_target_"])
+    hints = get_type_hints(function, include_extras=True)
+    wanted = {
+        name: hints[name]
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY and name not in FROM_THE_RUN
+    }
+    given = {key: value for key, value in block.items() if key != "_target_"}
+    _check_names(given, wanted, place, where)
+    return functools.partial(function, **{n: _checked(wanted[n], given[n], f"{place}.{n}", where) for n in wanted})
+
+
+def build(kind: type[Built], block: Mapping[str, Any], place: str, where: str) -> Built:
+    """A validated dataclass from a block whose keys are its fields."""
+    assert is_dataclass(kind)
+    required = [f.name for f in fields(kind) if f.name in block or _has_no_default(f)]
+    _check_names(block, dict.fromkeys(required), place, where)
+    return _checked(kind, block, place, where)
+
+
+def _has_no_default(field: Any) -> bool:
+    return repr(field.default).startswith("<dataclasses._MISSING") and repr(field.default_factory).startswith(
+        "<dataclasses._MISSING"
+    )
+
+
+def _check_names(given: Mapping[str, Any], wanted: Mapping[str, Any], place: str, where: str) -> None:
+    """Refuse settings that are unknown or missing."""
+    for name in given:
+        if name not in wanted:
+            near = difflib.get_close_matches(name, list(wanted), 1)
+            hint = f"Did you mean '{near[0]}'?" if near else f"Known are: {', '.join(wanted)}."
+            raise UserError(f"{place}.{name} ({where}): there is no such setting. {hint}")
+    for name in wanted:
+        if name not in given:
+            raise UserError(f"{place}.{name} ({where}): the setting is missing. Give it a value.")
+
+
+def _checked(kind: Any, value: Any, place: str, where: str) -> Any:
+    """`value` as `kind`, or an error that names the field, the file and the remedy."""
+    if is_dataclass(kind) and isinstance(value, Mapping):
+        _check_names(value, {f.name: None for f in fields(kind) if f.name in value or _has_no_default(f)}, place, where)
+    try:
+        return TypeAdapter(
+            kind, config=None if is_dataclass(kind) else {"arbitrary_types_allowed": True}
+        ).validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        path = ".".join([place, *map(str, first["loc"])])
+        remedy = first["msg"][0].lower() + first["msg"][1:]
+        raise UserError(
+            f"{path} = {first['input']!r} ({where}): {remedy}. Change it there or on the command line."
+        ) from error

@@ -1,0 +1,53 @@
+"""What a person sees on the terminal: progress while it runs, a summary at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console, Group
+from rich.panel import Panel
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from pipeline.run import Bar, Iteration, Result
+from pipeline.steps import Progress as Report
+
+
+@contextmanager
+def bars(console: Console) -> Iterator[Bar]:
+    """A bar for each step; one that reports no share pulses."""
+    columns = (TextColumn("{task.description:<14}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+
+        @contextmanager
+        def bar(name: str) -> Iterator[Report]:
+            task = progress.add_task(name, total=None)
+            yield lambda share: progress.update(task, total=1.0, completed=share)
+            progress.update(task, total=1.0, completed=1.0)
+
+        yield bar
+
+
+def summary(result: Result) -> Panel:
+    """How the run ended, manipulation by manipulation."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("cast", "tip in the box", "closest [mm]", "E before", "E after", "residual [mm]"):
+        table.add_column(heading, justify="right")
+    for iteration in result.iterations:
+        table.add_row(*_row(iteration))
+    last = result.iterations[-1].done.get("estimate")
+    words = "" if last is None else str(last.fit["sentence"].iloc[0])
+    colour = "green" if result.hit else "yellow"
+    place = f"[dim]{result.folder}/report.html[/]"
+    return Panel(Group(table, "", words, place), title=f"[bold {colour}]{result.sentence}", border_style=colour)
+
+
+def _row(iteration: Iteration) -> list[str]:
+    verdict, estimate = iteration.verdict, iteration.done.get("estimate")
+    cells = [str(iteration.number)]
+    cells += ["", ""] if verdict is None else ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
+    if estimate is None:
+        return [*cells, "", "", ""]
+    fit = estimate.fit.iloc[0]
+    return [*cells, f"{fit['before']:.3f}", f"{fit['after']:.3f}", f"{fit['rms_after'] * 1e3:.1f}"]

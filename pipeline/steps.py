@@ -1,0 +1,68 @@
+"""The steps of an iteration: what each needs, and how it calls its stage."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from data.artifacts import Estimate, Motion, Observation, Points, Trial
+from pipeline.world import World
+from stages.extract import footage_of
+
+Progress = Callable[[float], object]
+
+
+@dataclass(frozen=True)
+class Past:
+    """What a step may look at: earlier iterations and earlier steps of this one."""
+
+    number: int
+    done: Mapping[str, Any]
+    motion: Motion | None
+    estimate: Estimate | None
+    observations: tuple[Observation, ...]
+
+
+@dataclass(frozen=True)
+class Step:
+    """kind: the artifact it makes. make: how, from the world, the past, a seed and a progress report."""
+
+    kind: type
+    make: Callable[[World, Past, int, Progress], Any]
+
+
+def step_seed(seed: int, number: int, name: str) -> int:
+    """A seed of its own for each step of each iteration."""
+    return int.from_bytes(hashlib.sha256(f"{seed}/{number}/{name}".encode()).digest()[:4], "big")
+
+
+def _generate(world: World, past: Past, seed: int, progress: Progress) -> Motion:
+    known = {} if past.estimate is None else past.estimate.values()
+    place = (world.string, world.arm, world.target, world.obstacles)
+    return world.stages["generate"](*place, past.motion, known, seed=seed, progress=progress)
+
+
+def _execute(world: World, past: Past, seed: int, progress: Progress) -> Trial:
+    lab = world.stages["hardware"](world.arm, world.camera, seed=world.seed, trial=past.number)
+    return world.stages["execute"](past.done["generate"], lab.arm, lab.camera)
+
+
+def _extract(world: World, past: Past, seed: int, progress: Progress) -> Points:
+    return world.stages["extract"](footage_of(past.done["execute"], world.arm), world.camera, progress=progress)
+
+
+def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estimate:
+    return world.stages["estimate"](
+        *(world.string, world.arm, world.camera, past.observations, past.estimate),
+        **{"seed": seed, "manipulation": past.number, "progress": progress},
+    )
+
+
+STEPS: dict[str, Step] = {
+    "generate": Step(Motion, _generate),
+    "execute": Step(Trial, _execute),
+    "extract": Step(Points, _extract),
+    "estimate": Step(Estimate, _estimate),
+}

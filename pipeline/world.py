@@ -1,0 +1,101 @@
+"""From a composed configuration to the objects and stages of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from hydra.utils import instantiate
+
+from pipeline.settings import UserError, build, stage
+from stages.generate import Box, check_reach
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.parameter import Parameter
+from stages.model.string import String
+
+Where = Callable[[str], str]
+
+
+@dataclass(frozen=True)
+class World:
+    """All that a run works with; `stages` are functions with their settings bound."""
+
+    config: Mapping[str, Any]
+    arm: Arm
+    camera: Camera
+    string: String
+    target: Box
+    obstacles: tuple[Box, ...]
+    stages: Mapping[str, Callable[..., Any]]
+
+    @property
+    def seed(self) -> int:
+        """The run's seed."""
+        return int(self.config["seed"])
+
+
+def world(config: Mapping[str, Any], where: Where) -> World:
+    """Check everything before anything moves or is written. where: the file of a block."""
+    _check_run(config, where)
+    arm = build(Arm, config["arm"], "arm", where("arm"))
+    target = build(Box, config["target"], "target", where("target"))
+    string = _string(config["string"], where("string"))
+    if "generate" in config["steps"]:
+        check_reach(target, arm, string.length)
+    boxes = config["obstacles"]["boxes"]
+    return World(
+        config,
+        arm,
+        build(Camera, config["camera"], "camera", where("camera")),
+        string,
+        target,
+        tuple(build(Box, box, f"obstacles.boxes.{i}", where("obstacles")) for i, box in enumerate(boxes)),
+        {name: stage(config[name], name, where(name)) for name in STAGES},
+    )
+
+
+STAGES = ("generate", "execute", "extract", "estimate", "hardware")
+STEPS = ("generate", "execute", "extract", "estimate")
+
+
+def _check_run(config: Mapping[str, Any], where: Where) -> None:
+    """The few settings of the run itself."""
+    for name in ("manipulations", "memory"):
+        if not isinstance(config[name], int) or config[name] < 1:
+            raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
+    if not isinstance(config["seed"], int) or config["seed"] < 0:
+        raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
+    unknown = [step for step in config["steps"] if step not in STEPS]
+    if unknown:
+        raise UserError(f"steps ({where('steps')}): there is no step {unknown[0]!r}. Known are: {', '.join(STEPS)}.")
+
+
+def _string(block: Mapping[str, Any], where: str) -> String:
+    """The string model, with the ranges of its parameters."""
+    settings = {key: value for key, value in block.items() if key not in ("ranges", "integrator")}
+    plain = build(String, settings, "string", where)
+    known = {p.name: p for p in plain.parameters}
+    return replace(plain, ranges=_ranges(block["ranges"], known, where), integrator=instantiate(block["integrator"]))
+
+
+def _ranges(
+    block: Mapping[str, Mapping[str, float]], known: Mapping[str, Parameter], where: str
+) -> dict[str, Parameter]:
+    """Parameters with the configured range and start."""
+    ranges = {}
+    for name, limits in block.items():
+        if name not in known:
+            raise UserError(
+                f"string.ranges.{name} ({where}): there is no such parameter. Known are: {', '.join(known)}."
+            )
+        low, high, start = (float(limits[key]) for key in ("low", "high", "start"))
+        if not low < high:
+            raise UserError(f"string.ranges.{name} ({where}): low = {low} must be below high = {high}. Change one.")
+        if not low <= start <= high:
+            raise UserError(
+                f"string.ranges.{name}.start = {start} ({where}): it must lie from {low} to {high}. Change it."
+            )
+        ranges[name] = replace(known[name], low=low, high=high, start=start)
+    return ranges
