@@ -14,12 +14,12 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from data.schema import DataError
+from pipeline import report
 from pipeline.run import Result, cast, estimate_again
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
 from pipeline.world import world
 from stages.generate import MotionNotFoundError
-from stages.report import report
 from stages.roles import HardwareError
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
@@ -53,7 +53,7 @@ def run(config: DictConfig, console: Console) -> Result:
         else:
             result = cast(here, folder, bar)
         with bar("report"):
-            report(here, result)
+            report.write(here, result)
     console.print(summary(result))
     return result
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -24,9 +24,14 @@ def origin(config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str,
         "inputs": dict(inputs),
         "config": config,
         "code": code(),
-        "packages": {name: version(name) for name in PACKAGES},
+        "packages": versions(PACKAGES),
         "python": platform.python_version(),
     }
+
+
+def versions(packages: Sequence[str]) -> dict[str, str]:
+    """Installed versions by name."""
+    return {name: version(name) for name in packages}
 
 
 @cache

@@ -71,11 +71,11 @@ def case(string: String, arm: Arm, observation: Observation) -> Case:
     sigma = points["sigma"].to_numpy() if "sigma" in points else np.ones(len(points))
     position = points[["x", "y"]].to_numpy()
     return Case(
-        observation.trial, string, _hand(arm, observation), times, frame, points["s"].to_numpy(), position, sigma
+        observation.trial, string, hand(arm, observation), times, frame, points["s"].to_numpy(), position, sigma
     )
 
 
-def _hand(arm: Arm, observation: Observation) -> HandMotion:
+def hand(arm: Arm, observation: Observation) -> HandMotion:
     """The hand's motion, from joint angles or from grasp poses."""
     if observation.arm is not None:
         return hand_motion(arm, observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy())

@@ -276,5 +276,6 @@ def _sampled(ticks: np.ndarray, position: np.ndarray) -> np.ndarray:
     for i in range(width):
         others = [m for m in range(width) if m != i]
         weight = np.prod([(offset - m) / (i - m) for m in others], axis=0)
-        result += weight[None, :, None, None] * ticks[:, first + i]
+        with np.errstate(invalid="ignore"):  # a rejected run is not finite, and stays so
+            result += weight[None, :, None, None] * ticks[:, first + i]
     return result

@@ -1,7 +1,6 @@
-"""The report of a run."""
+"""Report: one self-contained HTML page from everything a run has made."""
 
-from typing import Any
+from stages.report.page import report
+from stages.report.record import Cast, Record, cast_record
 
-
-def report(world: Any, result: Any) -> None:
-    """Write the report."""
+__all__ = ["Cast", "Record", "cast_record", "report"]

@@ -1,0 +1,43 @@
+"""Collect what a run has made and write its report."""
+
+from __future__ import annotations
+
+from data.store import write_text
+from pipeline.origin import PACKAGES, code, versions
+from pipeline.run import Result
+from pipeline.world import World
+from stages.report import Cast, Record, cast_record, report
+
+
+def write(world: World, result: Result) -> None:
+    """`report.html` in the run's folder."""
+    estimates = [i.done.get("estimate") for i in result.iterations]
+    record = Record(
+        world.config["name"],
+        result.sentence,
+        result.hit,
+        world.arm,
+        world.camera,
+        world.string,
+        world.target,
+        world.obstacles,
+        tuple(_casts(world, result)),
+        tuple(e for e in estimates if e is not None),
+        world.config,
+        {"seed": world.seed, "code": code(), "packages": versions(PACKAGES)},
+    )
+    write_text(result.folder / "report.html", report(record))
+
+
+def _casts(world: World, result: Result) -> list[Cast]:
+    """The casts of a run; none where only estimation ran."""
+    casts = []
+    previous = None
+    for iteration in result.iterations:
+        if iteration.verdict is None:
+            return []
+        done = iteration.done
+        made = (done["generate"], done["execute"], done["extract"], done.get("estimate"))
+        casts.append(cast_record(world.string, world.arm, iteration.observation, made, iteration.verdict, previous))
+        previous = done.get("estimate", previous)
+    return casts
