@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
 import json
+import os
+import re
 import sys
 import uuid
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from data.schema import DataError
@@ -78,5 +86,40 @@ def where(block: str) -> str:
     return f"{file} or the command line" if given else file
 
 
+def called() -> None:
+    """Run, and turn what Hydra refuses into one clear message too."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
+    try:
+        main()
+    except (HydraException, OmegaConfBaseException) as error:
+        sys.exit(f"Error: {refusal(error)}")
+    except OSError as error:
+        remedy = "Free space, or choose another folder with hydra.run.dir."
+        sys.exit(f"Error: {error.filename}: cannot be written ({error.strerror}). {remedy}")
+
+
+def refusal(error: BaseException) -> str:
+    """What Hydra says, with the nearest setting there is."""
+    said = str(error).strip().splitlines()[0]
+    key = re.match(r"Could not override '([^']+)'", said)
+    if key is None:
+        said = "\n".join(line for line in str(error).splitlines() if line.strip() and "provider" not in line)
+        return said.removesuffix("Config search path:").strip()
+    GlobalHydra.instance().clear()
+    with initialize_config_dir(str(Path(__file__).resolve().parents[1] / "conf"), version_base="1.3"):
+        names = list(flat(OmegaConf.to_container(compose("config"))))
+    near = difflib.get_close_matches(key[1], names, 1)
+    remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
+    return f"{key[1]} (command line): there is no such setting. {remedy}"
+
+
+def flat(block: Any, place: str = "") -> Iterator[str]:
+    """Names of all settings, with dots."""
+    for name, value in block.items():
+        yield f"{place}{name}"
+        if isinstance(value, dict):
+            yield from flat(value, f"{place}{name}.")
+
+
 if __name__ == "__main__":
-    main()
+    called()

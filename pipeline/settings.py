@@ -75,7 +75,9 @@ def _checked(kind: Any, value: Any, place: str, where: str) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         path = ".".join([place, *map(str, first["loc"])])
-        remedy = first["msg"][0].lower() + first["msg"][1:]
+        remedy = first["msg"].removeprefix("Value error, ")
+        if isinstance(first["input"], Mapping):
+            raise UserError(f"{path} ({where}): {remedy}. Change it there or on the command line.") from error
         raise UserError(
             f"{path} = {first['input']!r} ({where}): {remedy}. Change it there or on the command line."
         ) from error
