@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 GAP = 7  # [px] across which a broken string is joined
 FAINT = 6.0  # how much dearer a pixel without brightness is
-HALF = 4  # [px] half the width of the profile across the line
+HALF = 4.0  # [px] least half width of the profile across the line
 
 
 class UnreadableError(Exception):
@@ -59,13 +59,24 @@ def trace(
     return _way(before, int(np.argmax(reached)), np.stack([columns, rows], axis=-1).astype(float))
 
 
-def refine(difference: np.ndarray, way: np.ndarray, noise: float) -> Line:
-    """Move points to the centroid of brightness across the line; sigma from noise [grey levels]."""
-    smooth = gaussian_filter1d(way, 2.0, axis=0, mode="nearest")
+def half_width(mask: np.ndarray) -> float:
+    """Half the width of what is in the mask [px]: a typical distance of its inside from its edge."""
+    distance = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
+    return float(np.percentile(distance[mask > 0], 90)) if mask.any() else 1.0
+
+
+def refine(difference: np.ndarray, mask: np.ndarray, way: np.ndarray, noise: float, half: float) -> Line:
+    """Move points to the centroid of brightness across the line, and its end to the string's.
+
+    noise: one sigma [grey levels]. half: half the string's width [px].
+    """
+    kept = max(len(way) - int(np.ceil(half)), 2)  # the deepest pixel of a wide end is its corner
+    smooth = gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest")
     tangent = np.gradient(smooth, axis=0) if len(smooth) > 1 else np.array([[1.0, 0.0]])
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
-    across = np.arange(-HALF, HALF + 0.25, 0.5)
+    reach = max(HALF, 1.8 * half + 2)
+    across = np.arange(-reach, reach + 0.25, 0.5)
     places = (smooth[:, None] + across[None, :, None] * normal[:, None]).astype(np.float32)
     profile = cv2.remap(difference, places[..., 0], places[..., 1], cv2.INTER_LINEAR)
     bright = np.maximum(profile - 2 * noise, 0)
@@ -73,18 +84,22 @@ def refine(difference: np.ndarray, way: np.ndarray, noise: float) -> Line:
     shift = (bright * across).sum(axis=1) / np.maximum(total, 1e-9)
     sigma = 2 * noise * np.sqrt((across**2).sum() / 2) / np.maximum(total, 1e-9)
     lost = total < 4 * noise
-    shift[lost], sigma[lost] = 0.0, HALF / 2
-    moved = smooth + gaussian_filter1d(np.clip(shift, -HALF, HALF), 1.0, mode="nearest")[:, None] * normal
-    return Line(_with_ends(moved, way), np.hypot(sigma, 0.2))
+    shift[lost], sigma[lost] = 0.0, reach / 2
+    shift = gaussian_filter1d(np.clip(shift, -reach, reach), max(1.0, half / 3), mode="nearest")
+    moved = smooth + shift[:, None] * normal
+    return Line(_to_the_end(moved, mask, half), np.append(np.hypot(sigma, 0.2), np.hypot(sigma[-1], 0.5)))
 
 
-def _with_ends(moved: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Smoothing shortens the line: let it end where the last pixel is."""
-    if len(moved) < 2:
-        return moved
-    ahead = moved[-1] - moved[-2]
-    ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
-    return np.concatenate([moved[:-1], [moved[-1] + ahead * max(float((way[-1] - moved[-1]) @ ahead), 0.0)]])
+def _to_the_end(line: np.ndarray, mask: np.ndarray, half: float) -> np.ndarray:
+    """The line with one more point: where, straight on, the mask ends."""
+    back = line[max(len(line) - 1 - int(max(6.0, 2 * half)), 0)]
+    ahead = (line[-1] - back) / max(float(np.linalg.norm(line[-1] - back)), 1e-9)
+    away = np.arange(0.0, 3 * half + 4, 0.25)
+    u, v = np.rint(line[-1] + away[:, None] * ahead).astype(int).T
+    seen = (u >= 0) & (v >= 0) & (u < mask.shape[1]) & (v < mask.shape[0])
+    on = np.array([ok and mask[y, x] > 0 for ok, x, y in zip(seen, u, v, strict=True)])
+    ends = float(away[np.argmin(on)]) if not on.all() else float(away[-1])
+    return np.concatenate([line, [line[-1] + max(ends - 0.5, 0.0) * ahead]])
 
 
 def _graph(difference: np.ndarray, allowed: np.ndarray) -> coo_array:

@@ -12,11 +12,14 @@ import pandas as pd
 from pydantic import Field
 
 from data.artifacts import MASKS, POINTS, READINGS, Points
-from stages.extract.centreline import Line, UnreadableError, refine, trace
+from stages.extract.centreline import Line, UnreadableError, half_width, refine, trace
 from stages.extract.footage import Footage
-from stages.extract.isolate import background, excess, silhouette, threshold
+from stages.extract.isolate import background, excess, silhouette, threshold, uncovered
 from stages.extract.score import rasterise
 from stages.model.camera import Camera
+
+
+WIDE = 3.0  # [px] half width from which brightness alone does not show where the middle is
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,8 @@ def extract(
     grasp that may be out of sight [m]. shorter, longer: by how much of the string's length the
     line may differ before the frame is refused (a swung string stretches).
     """
-    scene = background(footage.images)
+    grasps = camera.pixels(footage.grasp[:, :2])
+    scene = uncovered(background(footage.images), grasps, string_length * camera.px_per_m)
     readings: list[Reading | str] = []
     for number in range(len(footage.t)):
         try:
@@ -73,11 +77,13 @@ def _line(
     level = threshold(difference, sigmas)
     soft = cv2.GaussianBlur(difference, (0, 0), 0.8)
     mask = (soft > level).astype(np.uint8)
+    half = half_width(mask)
+    ridge = cv2.GaussianBlur(soft, (0, 0), 0.6 * half) if half > WIDE else soft
     grasp = camera.pixels(footage.grasp[number, :2])
-    way = trace(soft, mask, limb, grasp, start_radius=hidden * camera.px_per_m + 8)
-    line = refine(difference, way, level / sigmas)
+    way = trace(ridge, mask, limb, grasp, start_radius=hidden * camera.px_per_m + 8)
+    line = refine(soft, mask, way, level / sigmas, half)
     whole = Line(np.concatenate([grasp[None], line.points[1:]]), line.sigma)
-    near = rasterise(whole.points, mask.shape, 9)
+    near = rasterise(whole.points, mask.shape, 9 + 2 * half)
     return whole, mask & (near > 0)
 
 

@@ -7,14 +7,32 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-SAMPLES = 40  # frames from which the background is learnt
-LEVEL = 15  # percentile over time; a bright string may rest on a pixel for most of the trial
+SAMPLES = 120  # frames from which the background is learnt
+LEVEL = 3  # percentile over time: a pixel shows the background when the string has left it at least this often
+STATIC = 0.35  # of the string's length: how far from a resting grasp the string may never leave its pixels
+STILL = 5.0  # [px] a resting grasp moves less
 
 
 def background(images: Sequence[np.ndarray]) -> np.ndarray:
     """The scene without moving bright things, (height, width) float32."""
     chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES).astype(int))
-    return np.percentile(np.stack([images[int(i)] for i in chosen]), LEVEL, axis=0).astype(np.float32)
+    stack = np.stack([images[int(i)] for i in chosen])
+    low, middle = (np.percentile(stack, level, axis=0).astype(np.float32) for level in (LEVEL, 50))
+    return low + np.median(middle - low)  # noise alone makes a low percentile darker than the scene
+
+
+def uncovered(scene: np.ndarray, grasp: np.ndarray, length: float) -> np.ndarray:
+    """The scene with the string's ever-covered beginning replaced by what surrounds it.
+
+    grasp: (F, 2) [px], length: of the string [px]. Only where the grasp rests; a moving one
+    uncovers everything.
+    """
+    if np.ptp(grasp, axis=0).max() > STILL:
+        return scene
+    around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), int(length) // 2 * 2 + 1).astype(np.float32)
+    v, u = np.indices(scene.shape)
+    near = np.hypot(u - grasp[0, 0], v - grasp[0, 1]) < STATIC * length
+    return np.where(near, np.minimum(scene, around), scene)
 
 
 def excess(image: np.ndarray, scene: np.ndarray, limb: np.ndarray, middle: np.ndarray) -> np.ndarray:
