@@ -18,7 +18,8 @@ from scipy.sparse.csgraph import dijkstra
 
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 GAP = 7  # [px] across which a broken string is joined
-FAINT = 6.0  # how much dearer a pixel without brightness is
+FAINT = 3.0  # how much dearer the string's faintest pixel is than its brightest
+UNSEEN = 20.0  # how dear a pixel outside the mask is: a gap is bridged, a loop is not cut short
 HALF = 4.0  # [px] least half width of the profile across the line
 
 
@@ -54,7 +55,9 @@ def trace(
     distance = np.hypot(columns - grasp[0], rows - grasp[1])
     if distance[inside].min() > start_radius:
         raise UnreadableError("no string at the grasp")
-    depth, before = dijkstra(_graph(difference, allowed), indices=int(np.argmin(distance)), return_predecessors=True)
+    depth, before = dijkstra(
+        _graph(difference, mask, allowed), indices=int(np.argmin(distance)), return_predecessors=True
+    )
     reached = np.where(np.isfinite(depth) & inside, depth, -1.0)
     return _way(before, int(np.argmax(reached)), np.stack([columns, rows], axis=-1).astype(float))
 
@@ -102,13 +105,13 @@ def _to_the_end(line: np.ndarray, mask: np.ndarray, half: float) -> np.ndarray:
     return np.concatenate([line, [line[-1] + max(ends - 0.5, 0.0) * ahead]])
 
 
-def _graph(difference: np.ndarray, allowed: np.ndarray) -> coo_array:
+def _graph(difference: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:
     """Steps between neighbouring allowed pixels, priced by length and faintness."""
     number = np.full(allowed.shape, -1)
     count = int(allowed.sum())
     number[allowed] = np.arange(count)
     bright = np.minimum(difference / max(float(np.percentile(difference[allowed], 95)), 1e-6), 1.0)
-    price = 1 + FAINT * (1 - bright[allowed])
+    price = np.where(mask[allowed] > 0, 1 + FAINT * (1 - bright[allowed]), UNSEEN)
     padded = np.pad(number, 1, constant_values=-1)
     inner = padded[1:-1, 1:-1]
     a, b, w = [], [], []
