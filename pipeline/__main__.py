@@ -43,6 +43,7 @@ def main(config: DictConfig) -> float | None:
         result = run(config, console)
     except EXPECTED as error:
         console.print(f"[bold red]Error:[/] {error}", highlight=False, soft_wrap=True)
+        forget(Path(HydraConfig.get().runtime.output_dir))
         if HydraConfig.get().mode == hydra.types.RunMode.MULTIRUN:
             return None
         sys.exit(1)
@@ -64,6 +65,12 @@ def run(config: DictConfig, console: Console) -> Result:
             report.write(here, result)
     console.print(summary(result))
     return result
+
+
+def forget(folder: Path) -> None:
+    """Remove the folder of a run that was refused before it began."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def with_trials_settings(settings: Any) -> dict[str, Any]:

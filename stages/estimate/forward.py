@@ -53,6 +53,14 @@ class Case:
         high = motion.points[:, self.frame, before + 1]
         return low + share[None, :, None] * (high - low)
 
+    def until(self, share: float) -> Case:
+        """The first part of the trial: `share` of its time."""
+        last = self.times[0] + share * (self.times[-1] - self.times[0])
+        frames = int(np.searchsorted(self.times, last + 1e-9))
+        kept = self.frame < frames
+        parts = (self.frame[kept], self.s[kept], self.points[kept], self.sigma[kept])
+        return Case(self.name, self.string, self.hand, self.times[:frames], *parts)
+
     def rms(self, values: np.ndarray) -> float:
         """Root mean square distance of one candidate (P,) from the measured points [m]."""
         _, motion = next(self.simulate(values[None]))

@@ -1,8 +1,9 @@
 """Least squares on the centre-line, which also says how certain each parameter is.
 
 Gauss-Newton with Levenberg's damping in chi, from several starts side by side; the
-Jacobian is a finite difference whose candidates run in one batch. Outliers count less
-(Huber). Residuals of neighbouring points and frames are not independent, so the covariance
+Jacobian is a finite difference whose candidates run in one batch. A string that is swung
+forgets where it came from, so the whole trial has many local minima: its beginning is
+fitted first, and the horizon widens as the fit improves. Outliers count less (Huber). Residuals of neighbouring points and frames are not independent, so the covariance
 is the sandwich estimate over blocks of time (White 1980; Cameron and Miller 2015).
 """
 
@@ -13,6 +14,7 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.stats import t as student
 
 from data.artifacts import Estimate, Observation
 from stages.estimate.forward import Case
@@ -22,12 +24,13 @@ from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.string import String
 
-STEP = 2e-3  # of chi, for the finite difference
+STEP = 1e-4  # of chi, for the central difference
 HUBER = 2.0  # robust scales beyond which a residual counts less
 BLOCK = 0.05  # [s] of time taken as one independent piece
 WIDE = 0.3  # an interval this wide in chi determines nothing
+HORIZONS = (0.35, 0.5, 0.65, 0.8, 1.0, 1.0, 1.0, 1.0)  # shares of the time, fitted one after the other
 STUBBORN = 1e-9  # added to the normal matrix, so that flat directions stay put
-DAMPINGS = np.array([1e-4, 1e-2, 1.0, 100.0])
+DAMPINGS = np.array([1e-7, 1e-4, 1e-2, 1.0, 100.0])
 
 
 def estimate(
@@ -55,10 +58,11 @@ def estimate(
     before = start_chi(string.parameters, previous)
     drawn = np.random.default_rng([seed, manipulation]).uniform(0, 1, (screening, len(before)))
     screened = np.concatenate([before[None], drawn])
-    order = np.argsort(_costs(cases, screened))
+    order = np.argsort(_costs([ready.until(HORIZONS[0]) for ready in cases], screened))
     chi = screened[order[:starts]]
     for number in range(iterations):
-        chi = _improved(cases, chi)
+        share = HORIZONS[number * len(HORIZONS) // iterations]
+        chi = _improved([ready.until(share) for ready in cases], chi)
         progress((number + 1) / iterations)
     best = chi[int(np.argmin(_costs(cases, chi)))]
     tried = np.concatenate([screened, chi])
@@ -76,7 +80,8 @@ def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:
     spread = len(sums) / max(len(sums) - len(chi), 1) * sums.T @ sums
     inverse = np.linalg.pinv(normal + STUBBORN * np.eye(len(chi)) * np.trace(normal), hermitian=True)
     deviation = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0))
-    low, high = np.clip(chi - 1.96 * deviation, 0, 1), np.clip(chi + 1.96 * deviation, 0, 1)
+    reach = student.ppf(0.975, max(len(sums) - len(chi), 1)) * deviation
+    low, high = np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)
     flat = np.diag(normal) < 1e-9 * np.trace(normal)
     determined = (high - low < WIDE) & (chi > EDGE) & (chi < 1 - EDGE) & ~flat
     return Interval(low, high, determined, words(cases[0].string.parameters, determined))
@@ -103,11 +108,13 @@ def _improved(cases: Sequence[Case], chi: np.ndarray) -> np.ndarray:
 def _linear(cases: Sequence[Case], chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residuals (K, N) and their slopes with chi (K, N, P), all candidates in one batch."""
     count, size = chi.shape
-    sign = np.where(chi > 0.5, -1.0, 1.0)
-    moved = chi[:, None] + np.concatenate([np.zeros((1, size)), STEP * np.eye(size)])[None] * sign[:, None]
-    residual = _residuals(cases, moved.reshape(-1, size)).reshape(count, size + 1, -1)
-    slope = (residual[:, 1:] - residual[:, :1]) / (STEP * sign[:, :, None])
-    return residual[:, 0], np.nan_to_num(slope).transpose(0, 2, 1)
+    # Inside the range on both sides: a parameter on its bound is differenced a little within it.
+    middle = np.clip(chi, STEP, 1 - STEP)
+    steps = STEP * np.concatenate([np.eye(size), -np.eye(size)])
+    moved = np.concatenate([chi[:, None], middle[:, None] + steps], axis=1)
+    residual = _residuals(cases, moved.reshape(-1, size)).reshape(count, 2 * size + 1, -1)
+    slope = (residual[:, 1 : size + 1] - residual[:, size + 1 :]) / (2 * STEP)
+    return residual[:, 0], slope.transpose(0, 2, 1)
 
 
 def _residuals(cases: Sequence[Case], chi: np.ndarray) -> np.ndarray:

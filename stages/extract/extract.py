@@ -18,7 +18,6 @@ from stages.extract.isolate import background, excess, silhouette, threshold, un
 from stages.extract.score import rasterise
 from stages.model.camera import Camera
 
-
 WIDE = 3.0  # [px] half width from which brightness alone does not show where the middle is
 
 

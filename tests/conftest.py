@@ -1,0 +1,58 @@
+"""What several tests need: the default world, and trials filmed once."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from data.artifacts import JOINTS, SPEEDS, Motion
+from hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from stages.execute import execute
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def configured(kind, path):
+    block = yaml.safe_load((ROOT / "conf" / path).read_text())
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in block.items()})
+
+
+@pytest.fixture(scope="session")
+def arm() -> Arm:
+    return configured(Arm, "arm/paper.yaml")
+
+
+@pytest.fixture(scope="session")
+def camera() -> Camera:
+    return configured(Camera, "camera/highspeed.yaml")
+
+
+def specimen(name) -> Specimen:
+    return configured(Specimen, f"specimen/{name}.yaml")
+
+
+def swing(duration=0.5, start=(-0.9, 0.6, 0.4), speeds=(7.0, 5.0, -8.0)) -> Motion:
+    """A smooth movement of all joints, as a Motion artifact."""
+    t = np.arange(0, duration + 1e-9, 0.005)
+    w = np.stack([a * np.sin(np.pi * t / duration) ** 2 for a in speeds], axis=-1)
+    q = np.asarray(start) + np.concatenate([np.zeros((1, 3)), np.cumsum(w[:-1], axis=0) * 0.005])
+    columns = {"t": t} | dict(zip(JOINTS, q.T, strict=True)) | dict(zip(SPEEDS, w.T, strict=True))
+    nothing = pd.DataFrame()
+    return Motion(pd.DataFrame(columns), nothing, nothing, nothing, pd.DataFrame({"duration": [duration]}))
+
+
+@pytest.fixture(scope="session")
+def filmed(arm, camera):
+    """Perform and film a swing of a string: (trial, true string at the frames)."""
+
+    def film(name, **how):
+        bench = Bench(arm, replace(camera), specimen(name), seed=3)
+        trial = execute(swing(**how), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1)
+        return trial, bench.string_at(trial.frames["t"].to_numpy())
+
+    return film

@@ -1,0 +1,147 @@
+"""Matching rate and estimation: the equations to the letter, and known parameters recovered."""
+
+import numba
+import numpy as np
+import pandas as pd
+import pytest
+
+from data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
+from stages.estimate import cma_es, least_squares, random_search
+from stages.estimate.forward import case
+from stages.estimate.matching import Matching, match
+from stages.model.hand import hand_motion_from_grasp
+from stages.model.string import String, simulate
+
+MATCHING = Matching(20, 2, 3.0, 0.25)
+STRING = String(0.3)
+TRUTH = {
+    "axial_stiffness": 9e4,
+    "axial_damping": 30.0,
+    "bending_stiffness": 2.0,
+    "bending_damping": 0.02,
+    "linear_drag": 0.4,
+    "quadratic_drag": 0.2,
+    "grasp_stiffness": 1.0,
+    "grasp_damping": 5e-3,
+}
+
+
+def observed(seed, noise=7e-4, name="t01"):
+    """A swing of a known string, seen as points with noise."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 1.0, 0.005)
+    a, b, c = rng.uniform(0.5, 1.5, 3)
+    pose = np.stack(
+        [0.4 + 0.15 * np.sin(9 * a * t) ** 2, 0.4 + 0.15 * np.sin(7 * b * t) ** 2, -1 + 2 * np.sin(6 * c * t) ** 2], -1
+    )
+    true = simulate(STRING, hand_motion_from_grasp(t, pose), STRING.values(TRUTH)[None], t[::2]).points[0]
+    s = np.tile(STRING.arc_lengths(), len(t[::2]))
+    seen = true.reshape(-1, 2) + noise * rng.standard_normal((len(s), 2))
+    points = pd.DataFrame(
+        {"t": np.repeat(t[::2], 10), "s": s, "x": seen[:, 0], "y": seen[:, 1], "sigma": noise, "valid": True}
+    )
+    grasp = pd.DataFrame({"t": t, "x": pose[:, 0], "y": pose[:, 1], "theta": pose[:, 2]})
+    return Observation(name, points, READINGS.empty(), MASKS.empty(), grasp=grasp)
+
+
+def test_matching_rate_is_equations_5_and_6():
+    rng = np.random.default_rng(0)
+    maps = rng.integers(0, 8, (4, 30, 40)).astype(np.uint8)
+    pixels = rng.uniform(-5, 45, (3, 4, 6, 2))
+    tips = rng.uniform(0, 30, (4, 2))
+    weights = 1 + np.arange(6) * 0.25
+    literal = np.zeros((3, 4))
+    for c, f in np.ndindex(3, 4):
+        p = np.zeros(6)
+        for i in range(5):
+            u, v = np.floor(pixels[c, f, i] + 0.5).astype(int)
+            p[i] = maps[f, v, u] if 0 <= u < 40 and 0 <= v < 30 else 0
+        p[5] = max(7 - np.linalg.norm(pixels[c, f, 5] - tips[f]) // 3.0, 0)
+        literal[c, f] = (p * weights).sum() / (7 * weights.sum())
+    np.testing.assert_allclose(match(pixels, maps, tips, 3.0, 7.0, weights), literal, rtol=1e-12)
+
+
+def test_candidates_narrow_as_equation_4_says(arm, camera):
+    """Within chi_0 / M beta^m of the best so far, and reaching near that bound."""
+    settings = {"candidates": 400, "chi_0": 0.5, "beta": 0.99, "together": 1, "matching": MATCHING}
+    found = random_search.estimate(STRING, arm, camera, [observed(1)], None, seed=2, manipulation=2, **settings)
+    table = CANDIDATES.check(found.candidates)
+    chi = np.stack([p.chi(table[p.name].to_numpy()) for p in STRING.parameters], axis=-1)
+    best = chi[0]
+    shares = []
+    for m in range(1, len(table)):
+        reach = 0.5 / 2 * 0.99**m
+        change = np.abs(chi[m] - best)
+        assert change.max() <= reach * (1 + 1e-6) + 1e-9
+        shares.append(change.max() / reach)
+        best = chi[m] if table["accepted"][m] else best
+    assert 0.85 < np.mean(shares) < 1
+    assert table["matching_rate"].max() == pytest.approx(float(found.fit["after"].iloc[0]), abs=1e-12)
+
+
+def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
+    settings = {"candidates": 200, "chi_0": 0.6, "beta": 0.995, "together": 16, "matching": MATCHING}
+
+    def run():
+        return random_search.estimate(STRING, arm, camera, [observed(1)], None, seed=5, manipulation=1, **settings)
+
+    both = run()
+    numba.set_num_threads(1)
+    try:
+        one = run()
+    finally:
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    pd.testing.assert_frame_equal(both.candidates, one.candidates, check_exact=True)
+
+
+def test_cma_es_brings_the_string_to_the_points(arm, camera):
+    settings = {"candidates": 2000, "sigma": 0.3, "population": 32, "matching": MATCHING}
+    found = cma_es.estimate(STRING, arm, camera, [observed(1)], None, seed=0, manipulation=1, **settings)
+    before, after = found.fit["before"].iloc[0], found.fit["after"].iloc[0]
+    assert after - before > 0.8 * (1 - before)
+    assert found.fit["rms_after"].iloc[0] < 0.2 * found.fit["rms_before"].iloc[0]
+
+
+def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camera):
+    """Every fit reaches the noise floor, and intervals hold the truth (83 % measured over 12 seeds: a fit
+    that ends short of the minimum, by under 2 % of the residual, is what is missing to 95 %)."""
+    settings = {"starts": 8, "screening": 512, "iterations": 40, "matching": MATCHING}
+    inside, determined = [], []
+    for seed in range(6):
+        found = least_squares.estimate(
+            STRING, arm, camera, [observed(seed)], None, seed=seed, manipulation=1, **settings
+        )
+        table = PARAMETERS.check(found.parameters).set_index("name")
+        assert found.fit["rms_after"].iloc[0] == pytest.approx(7e-4 * np.sqrt(2), rel=0.05)
+        sure = table[table["determined"]]
+        determined.append(len(sure))
+        inside += [(row["low"] <= TRUTH[name] <= row["high"]) for name, row in sure.iterrows()]
+    assert np.mean(determined) >= 6
+    assert np.mean(inside) >= 0.75
+
+
+def test_what_the_data_cannot_determine_is_said(arm, camera):
+    """A string at rest says nothing of damping or air."""
+    still = observed(1)
+    start = still.grasp.iloc[:1]
+    rest = pd.concat([start] * 100, ignore_index=True).assign(t=np.arange(100) * 0.005)
+    true = simulate(
+        STRING,
+        hand_motion_from_grasp(rest["t"].to_numpy(), rest[["x", "y", "theta"]].to_numpy()),
+        STRING.values(TRUTH)[None],
+        np.arange(50) * 0.01,
+    ).points[0]
+    noise = 7e-4 * np.random.default_rng(0).standard_normal((500, 2))
+    points = pd.DataFrame({"t": np.repeat(np.arange(50) * 0.01, 10), "s": np.tile(STRING.arc_lengths(), 50)})
+    points[["x", "y"]] = true.reshape(-1, 2) + noise
+    lazy = Observation("rest", points.assign(sigma=7e-4), READINGS.empty(), MASKS.empty(), grasp=rest)
+    settings = {"starts": 4, "screening": 128, "iterations": 16, "matching": MATCHING}
+    found = least_squares.estimate(STRING, arm, camera, [lazy], None, seed=0, manipulation=1, **settings)
+    loose = set(found.parameters["symbol"][~found.parameters["determined"]])
+    assert {"c_s", "c_h", "C_c1", "C_c2", "c_ph"} <= loose
+    assert "c_ph" in found.fit["sentence"].iloc[0]
+
+
+def test_points_between_mass_points_are_interpolated(arm):
+    ready = case(STRING, arm, observed(1, noise=0.0))
+    assert ready.rms(STRING.values(TRUTH)) < 1e-9

@@ -1,0 +1,86 @@
+"""Motions: what the paper prescribes, what the arm allows, and that they hit."""
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+from data.schema import DataError
+from stages.generate import Box, MotionNotFoundError, generate
+from stages.generate.curves import Curves, first_curves, next_curves
+from stages.model.hand import hand_motion
+from stages.model.string import String, simulate
+
+STRING = String(0.3)
+SETTINGS = {
+    "attempts": 20000,
+    "together": 256,
+    "shortest": 0.2,
+    "longest": 1.5,
+    "alpha": 150.0,
+    "fraction": 0.25,
+    "hits": 1,
+}
+TARGET = Box(0.4, 0.7, 0.02, 0.04)
+
+
+def test_a_box_is_crossed_by_what_passes_through_it_only():
+    box = Box(0.0, 0.0, 2.0, 1.0)
+    a = np.array([[-3.0, 0.0], [-3.0, 2.0], [0.0, 0.0], [1.5, -3.0], [0.5, -3.0], [-3.0, 0.0], [0.9, 0.0]])
+    b = np.array([[3.0, 0.0], [3.0, 2.0], [0.1, 0.1], [1.5, 3.0], [0.5, 3.0], [-1.1, 0.0], [0.9, 0.0]])
+    assert box.crossed(a, b).tolist() == [True, False, True, False, True, False, True]
+
+
+def test_angles_are_the_integral_of_a_bezier_velocity():
+    control = np.random.default_rng(0).normal(size=(1, 3, 6))
+    control[..., [0, -1]] = 0
+    curve = Curves(np.array([[0.1, -0.2, 0.3]]), np.array([0.8]), control)
+    angles, speeds = curve.sampled(1e-4, 0.9)
+    t = np.arange(angles.shape[1]) * 1e-4
+    np.testing.assert_allclose(
+        angles[0] - [0.1, -0.2, 0.3], cumulative_trapezoid(speeds[0], t, axis=0, initial=0), atol=1e-6
+    )
+    assert np.all(speeds[0, t > 0.8001] == 0)
+    middle = control[0] @ np.array([1, 5, 10, 10, 5, 1]) / 32
+    np.testing.assert_allclose(speeds[0, 4000], middle, rtol=1e-9)
+
+
+def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
+    rng = np.random.default_rng(1)
+    first = first_curves(arm, rng, 500, (0.2, 1.5), 150.0)
+    assert np.all(first.control[..., [0, -1]] == 0)
+    bound = 150.0 * first.duration[:, None, None] / 5
+    assert np.all(np.abs(first.control[..., 1:-1]) <= bound)
+    assert np.abs(first.control[..., 1:-1] / bound).max() > 0.99
+    last = first.only(np.array([0]))
+    later = next_curves(arm, rng, 500, (0.2, 1.5), 150.0, last, 0.25)
+    assert np.all(later.start == last.start)
+    assert np.abs(later.duration - last.duration).max() <= 1.3 / 4 + arm.tick
+    reach = 0.25 * np.minimum(150.0 * later.duration / 5, 20.66)
+    assert np.all(np.abs(later.control - last.control) <= reach[:, None, None] + 1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_motion_hits_in_simulation_within_every_limit(arm, seed):
+    """Checked again from the commands alone, with another sampling."""
+    wall = Box(0.75, 0.2, 0.05, 0.3)
+    motion = generate(STRING, arm, TARGET, (wall,), None, {}, seed=seed, **SETTINGS)
+    commands = motion.commands
+    q, w = commands[["q1", "q2", "q3"]].to_numpy(), commands[["w1", "w2", "w3"]].to_numpy()
+    assert np.all((q >= arm.lowest) & (q <= arm.highest))
+    assert np.all(np.abs(w) <= np.array(arm.speed) * 1.01)
+    assert np.linalg.norm(arm.grasp_velocity(q, w)[:, :2], axis=1).max() <= arm.hand_speed * 1.01
+    joints = arm.joints(q)
+    assert not wall.crossed(joints[:, :-1], joints[:, 1:]).any()
+    times = np.arange(0, motion.duration, 0.0007)
+    hand = hand_motion(arm, commands["t"].to_numpy(), q)
+    points = simulate(STRING, hand, STRING.start()[None], times).points[0]
+    assert TARGET.crossed(points[:-1, -1], points[1:, -1]).any()
+    assert not wall.crossed(points[:, :-1], points[:, 1:]).any()
+    assert motion.attempts["count"].sum() == motion.outcome["tried"].iloc[0]
+
+
+def test_failures_say_why(arm):
+    with pytest.raises(DataError, match="out of reach"):
+        generate(STRING, arm, Box(2.0, 0.7, 0.02, 0.04), (), None, {}, seed=0, **SETTINGS)
+    with pytest.raises(MotionNotFoundError, match="misses the target"):
+        generate(STRING, arm, Box(0.9, 0.5, 1e-6, 1e-6), (), None, {}, seed=0, **SETTINGS | {"attempts": 64})

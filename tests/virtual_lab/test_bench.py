@@ -1,0 +1,59 @@
+"""The lab: what it reports and films is what happens in it."""
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import JOINTS, Trial
+from hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
+from hardware.virtual.render import Look, render, scenery
+from hardware.virtual.servo import Servo
+from stages.execute import execute
+
+
+def test_the_velocity_loop_has_the_bandwidth_it_states():
+    servo = Servo(bandwidth=40.0, repeatability=0.0, step=0.0001)
+    t = np.arange(0, 2, 0.0001)
+    gains = []
+    for frequency in (1.0, 40.0):
+        wave = np.sin(2 * np.pi * frequency * t)[:, None]
+        fine, turned = servo.follow(t, wave, np.random.default_rng(0))
+        speed = np.gradient(turned[:, 0], fine)
+        gains.append(np.ptp(speed[len(speed) // 2 :]) / 2)
+    assert abs(gains[0] - 1) < 0.01
+    assert abs(20 * np.log10(gains[1]) + 3) < 0.2
+
+
+def test_the_string_is_drawn_where_it_is(camera):
+    """The centroid of brightness along rows, for a slanted still string."""
+    look = Look(noise=0.0, texture=0.0, unevenness=0.0)
+    string = np.stack([np.linspace(0.1, 0.15, 30), np.linspace(0.5, 0.2, 30)], axis=-1)
+    wall = scenery(camera, look, 0)
+    frame = render(camera, look, np.full((1, 4, 2), 5.0), string[None], wall) - wall
+    pixels = camera.pixels(string)
+    for v in range(int(pixels[0, 1]) + 5, int(pixels[-1, 1]) - 5, 7):
+        u = (frame[v] * np.arange(camera.width)).sum() / frame[v].sum()
+        assert abs(u - np.interp(v, pixels[:, 1], pixels[:, 0])) < 0.3
+
+
+def test_trials_repeat_bit_for_bit_and_differ_by_their_number(arm, camera):
+    from conftest import specimen, swing
+
+    def film(trial):
+        bench = Bench(arm, camera, specimen("A"), seed=1, count=trial)
+        return execute(swing(duration=0.1), VirtualArm(bench), VirtualCamera(bench), before=0.02, after=0.02)
+
+    one, same, other = film(1), film(1), film(2)
+    pd.testing.assert_frame_equal(one.arm, same.arm, check_exact=True)
+    assert all(np.array_equal(a, b) for a, b in zip(one.images, same.images, strict=True))
+    assert not one.arm.equals(other.arm)
+    for name, table in Trial.TABLES.items():
+        table.check(getattr(one, name))
+
+
+def test_execute_films_rest_around_the_movement(filmed):
+    trial, true = filmed("A", duration=0.3)
+    t = trial.frames["t"].to_numpy()
+    assert t[0] == -0.1
+    assert abs(t[-1] - 0.4) < 1e-9
+    assert np.ptp(trial.arm[list(JOINTS)].to_numpy()[trial.arm["t"] < 0], axis=0).max() < 1e-3
+    assert np.isfinite(true).all()
