@@ -3,7 +3,9 @@
 Gauss-Newton with Levenberg's damping in chi, from several starts side by side; the
 Jacobian is a finite difference whose candidates run in one batch. A string that is swung
 forgets where it came from, so the whole trial has many local minima: its beginning is
-fitted first, and the horizon widens as the fit improves. Outliers count less (Huber). Residuals of neighbouring points and frames are not independent, so the covariance
+fitted first, and the horizon widens as the fit improves. Outliers count less (Huber).
+
+Residuals of neighbouring points and frames are not independent, so the covariance
 is the sandwich estimate over blocks of time (White 1980; Cameron and Miller 2015).
 """
 
