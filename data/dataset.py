@@ -22,6 +22,7 @@ from data.store import read_table, write_table, write_text
 
 FORMAT = 1
 TRIAL = Column("trial", "", "name of the trial", "text")
+BEYOND = 1.05  # times the string's length: points further along are another string's
 OVERLAP = 0.1  # [s] that arm and camera must have in common
 
 
@@ -41,9 +42,12 @@ class Dataset:
 
 
 def publish(
-    folder: Path, trials: Mapping[str, tuple[Trial, Points]], about: Mapping[str, Any], origin: Mapping[str, Any]
+    folder: Path, trials: Mapping[str, tuple[Trial, Points]], known: Mapping[str, Any], origin: Mapping[str, Any]
 ) -> None:
-    """Write trials of ours as a dataset; each file is replaced whole, `dataset.yaml` last."""
+    """Write trials of ours as a dataset; each file is replaced whole, `dataset.yaml` last.
+
+    known: what dataset.yaml says beside the format. origin: goes into every footer.
+    """
     tables = {
         ARM: {name: trial.arm for name, (trial, _) in trials.items()},
         POINTS: {name: points.points for name, (_, points) in trials.items()},
@@ -53,14 +57,14 @@ def publish(
     for table, parts in tables.items():
         whole = pd.concat([part.assign(trial=name) for name, part in parts.items()], ignore_index=True)
         write_table(with_trial(table), whole, folder / f"{table.name}.parquet", origin)
-    write_text(folder / "dataset.yaml", yaml.safe_dump({"format": FORMAT, **about}, sort_keys=False))
+    write_text(folder / "dataset.yaml", yaml.safe_dump({"format": FORMAT, **known}, sort_keys=False))
 
 
 def read(folder: Path) -> Dataset:
     """Read a dataset; raises DataError naming the file and the remedy. Damaged rows are left out."""
     if not folder.is_dir():
         raise DataError(f"trials={folder}: there is no such folder. Name a run's folder or one in the data format.")
-    about = _about(folder / "dataset.yaml")
+    known = about(folder)
     motion_table = ARM if _find(folder, "arm") else GRASP
     motion = _read(motion_table, folder)
     points = _read(POINTS, folder)
@@ -75,20 +79,21 @@ def read(folder: Path) -> Dataset:
         kept = [_of(extra[t.name], name) if t.name in extra else t.empty() for t in (READINGS, MASKS)]
         given = {"arm": parts[0]} if motion_table is ARM else {"grasp": parts[0]}
         trials[name] = Observation(name, parts[1], *kept, **given)
-    return Dataset(folder, trials, rejected, about)
+    return Dataset(folder, trials, rejected, known)
 
 
-def _about(path: Path) -> dict[str, Any]:
-    """dataset.yaml, or nothing where it is missing."""
+def about(folder: Path) -> dict[str, Any]:
+    """What dataset.yaml says, or nothing where it is missing; raises DataError where it is damaged."""
+    path = folder / "dataset.yaml"
     if not path.exists():
         return {}
     try:
-        about = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+        known = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
     except yaml.YAMLError as error:
         raise DataError(f"{path}: not valid YAML ({error}). Correct the line it names.") from error
-    if about.get("format", FORMAT) != FORMAT:
-        raise DataError(f"{path}: format is {about['format']!r}; this version reads {FORMAT}. Convert it.")
-    return about
+    if known.get("format", FORMAT) != FORMAT:
+        raise DataError(f"{path}: format is {known['format']!r}; this version reads {FORMAT}. Convert it.")
+    return known
 
 
 def _find(folder: Path, name: str) -> Path | None:
@@ -113,6 +118,17 @@ def _read(table: Table, folder: Path) -> pd.DataFrame:
 def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
     """The rows of one trial."""
     return frame[frame["trial"] == name].drop(columns="trial").reset_index(drop=True)
+
+
+def fits(data: Dataset, length: float) -> Dataset:
+    """Without the trials whose points lie further along than a string of `length` [m] is long."""
+    beyond = {name: float(o.points["s"].max()) for name, o in data.trials.items()}
+    long = {name: s for name, s in beyond.items() if s > BEYOND * length}
+    reasons = {
+        name: f"points up to s = {s:.3f} m on a string of {length:.3f} m (string.length)" for name, s in long.items()
+    }
+    kept = {name: o for name, o in data.trials.items() if name not in long}
+    return Dataset(data.folder, kept, {**data.rejected, **reasons}, data.about)
 
 
 def _unusable(motion: pd.DataFrame, points: pd.DataFrame) -> str:

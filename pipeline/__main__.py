@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
+from data import dataset
 from data.schema import DataError
 from pipeline import report
 from pipeline.run import Result, cast, estimate_again
@@ -32,6 +33,11 @@ from stages.roles import HardwareError
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
+FROM_DATASETS = {
+    "string": ("length",),
+    "arm": ("links", "base"),
+    "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion"),
+}
 FROM_TRIALS = ("arm", "camera", "string", "seed", "memory", "estimate")  # settings that stored trials bring along
 
 
@@ -74,15 +80,22 @@ def forget(folder: Path) -> None:
 
 
 def with_trials_settings(settings: Any) -> dict[str, Any]:
-    """Estimation from a run of ours takes that run's settings, except those given on the command line."""
+    """Stored trials bring settings along: a run of ours its own, others what dataset.yaml says. What is given
+    on the command line stands."""
     if settings["trials"] is None:
         return settings
-    stored = Path(settings["trials"]) / "config.json"
-    if not stored.exists():
-        return settings
-    known = json.loads(stored.read_text(encoding="utf-8"))
-    given = {override.split("=")[0].lstrip("+~").split(".")[0] for override in HydraConfig.get().overrides.task}
-    return settings | {name: known[name] for name in FROM_TRIALS if name not in given}
+    folder = Path(settings["trials"])
+    given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
+    stored = folder / "config.json"
+    if stored.exists():
+        known = json.loads(stored.read_text(encoding="utf-8"))
+        groups = {name.split(".")[0] for name in given}
+        return settings | {name: known[name] for name in FROM_TRIALS if name not in groups}
+    for group, values in dataset.about(folder).items():
+        if group in FROM_DATASETS:
+            known = {k: v for k, v in values.items() if k in FROM_DATASETS[group] and f"{group}.{k}" not in given}
+            settings[group] = settings[group] | known
+    return settings
 
 
 def where(block: str) -> str:

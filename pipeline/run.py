@@ -72,7 +72,7 @@ def cast(world: World, folder: Path, bar: Bar) -> Result:
 
 def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
     """Estimation alone, from stored trials: each in turn, beginning with the one before it."""
-    data = dataset.read(trials)
+    data = dataset.fits(dataset.read(trials), world.string.length)
     if not data.trials:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in data.rejected.items()) or "it holds no trial"
         raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 
@@ -21,7 +22,7 @@ class SweepTable(Callback):
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
         """Note a job's overrides and its run.json."""
-        if job_return.hydra_cfg is None:
+        if job_return.hydra_cfg is None or job_return.hydra_cfg.hydra.mode != RunMode.MULTIRUN:
             return
         hydra = job_return.hydra_cfg.hydra
         row: dict[str, Any] = dict(o.lstrip("+").split("=", 1) for o in job_return.overrides or [])

@@ -3,74 +3,102 @@
 from __future__ import annotations
 
 import base64
-import io
-import json
+import hashlib
 from pathlib import Path
+from typing import Any
 
 import jinja2
+
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
+from matplotlib import style
 
-from stages.report import figures
+from stages.report import words
+from stages.report.figures.joints import joints
+from stages.report.figures.matching import matching
+from stages.report.figures.overlay import overlay
+from stages.report.figures.parameters import history
+from stages.report.figures.paths import path, paths
+from stages.report.figures.residual import residual
+from stages.report.figures.strip import strip
+from stages.report.picture import ON_FRAMES, STYLE, THEME
 from stages.report.player import animation
 from stages.report.record import Cast, Record
+from stages.report.scene import View, whole_view
 
 HERE = Path(__file__).parent
 
 
 def report(record: Record) -> str:
-    """The page as text."""
-    loader = jinja2.FileSystemLoader(HERE)
-    page = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
-    return page.get_template("page.html.j2").render(
-        record=record,
-        casts=[_cast(record, number, cast) for number, cast in enumerate(record.casts, start=1)],
-        trajectory=_picture(figures.trajectory(record), "Way of the hand in each cast") if record.casts else "",
-        parameters=_picture(figures.parameters(record), "Parameters over the casts") if record.estimates else "",
-        table=_parameter_rows(record),
-        config=json.dumps(record.config, indent=2),
-        made_by=json.dumps(record.made_by, indent=2),
-        player=Markup((HERE / "player.js").read_text(encoding="utf-8")),
-        style=Markup((HERE / "page.css").read_text(encoding="utf-8")),
+    """The page as text; the same record gives the same page."""
+    script = (HERE / "player.js").read_text(encoding="utf-8")
+    with style.context(STYLE):
+        return _template().render(
+            record=record,
+            casts=_casts(record),
+            paths=paths(record),
+            best=_best(record),
+            parameters=_parameters(record),
+            matchings=[] if record.casts else [matching(estimate) for estimate in record.estimates],
+            theme=THEME,
+            on_frames=ON_FRAMES,
+            sheet=Markup((HERE / "page.css").read_text(encoding="utf-8")),
+            script=Markup(script),
+            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        )
+
+
+def _template() -> jinja2.Template:
+    """Everything from data is escaped; a name that is not there is an error."""
+    page = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
+    named = (words.mm, words.ms, words.rate, words.significant, words.symbol, words.unit, words.settings)
+    page.filters |= {function.__name__: function for function in named}
+    return page.get_template("page.html.j2")
 
 
-def _cast(record: Record, number: int, cast: Cast) -> dict[str, object]:
+def _casts(record: Record) -> list[dict[str, Any]]:
+    part = whole_view(record) if record.casts else None
+    return [_cast(record, number, cast, part) for number, cast in enumerate(record.casts, start=1) if part]
+
+
+def _cast(record: Record, number: int, cast: Cast, part: View) -> dict[str, Any]:
     """What the page shows of one manipulation."""
-    readings, link = cast.points.readings, cast.trial.link.iloc[0]
-    unread = readings[~readings["valid"].astype(bool)]
-    fit = None if cast.estimate is None else cast.estimate.fit.iloc[0]
-    pictures = {
-        "overlay": (figures.overlay(record, cast), "Camera and simulation at the closest approach"),
-        "strip": (figures.strip(record, cast), "Camera and simulation over the movement"),
-        "matching": (figures.matching(cast), "Matching rate over time"),
-        "residual": (figures.residual(record, cast), "Residual over arc length and time"),
-        "joints": (figures.joints(cast), "Joint angles"),
-    }
     return {
         "number": number,
         "verdict": cast.verdict,
-        "miss": f"{cast.verdict.distance * 1e3:.0f} mm" if np.isfinite(cast.verdict.distance) else "unknown",
-        "fit": fit,
-        "link": link,
-        "attempts": cast.motion.attempts.to_dict("records"),
-        "outcome": cast.motion.outcome.iloc[0],
-        "frames": len(readings),
-        "unread": unread["reason"].value_counts().to_dict(),
-        "animation": Markup(json.dumps(animation(record, cast))),
-        **{name: _picture(figure, words) for name, (figure, words) in pictures.items()},
+        "fit": None if cast.estimate is None else cast.estimate.fit.iloc[0],
+        "link": cast.trial.link.iloc[0],
+        "attempts": cast.motion.attempts.sort_values("count", ascending=False).to_dict("records"),
+        "plan": cast.motion.outcome.iloc[0],
+        "frames": len(cast.points.readings),
+        "unread": words.unread(cast.points.readings),
+        "finite": {"before": np.isfinite(cast.before).all(), "after": np.isfinite(cast.after).all()},
+        "animation": animation(record, cast, part),
+        "overlay": overlay(record, cast),
+        "strip": strip(record, cast, part),
+        "matching": matching(cast.estimate, cast),
+        "residual": residual(record, cast),
+        "joints": joints(cast),
+        "path": path(record, cast),
     }
 
 
-def _parameter_rows(record: Record) -> list[dict[str, object]]:
-    """The last estimate, for reading."""
-    return record.estimates[-1].parameters.to_dict("records") if record.estimates else []
+def _best(record: Record) -> Cast | None:
+    """The cast that came closest; None where no tip was ever read."""
+    known = [cast for cast in record.casts if np.isfinite(cast.verdict.distance)]
+    return min(known, key=lambda cast: (not cast.verdict.hit, cast.verdict.distance), default=None)
 
 
-def _picture(figure: Figure, words: str) -> Markup:
-    """An inline PNG with its alternative text, at twice the size for sharp screens."""
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=150)
-    text = base64.b64encode(data.getvalue()).decode()
-    return Markup('<img alt="{}" src="data:image/png;base64,{}">').format(words, text)
+def _parameters(record: Record) -> list[dict[str, Any]]:
+    """Each parameter of the last estimate, with its history."""
+    if not record.estimates:
+        return []
+    last = record.estimates[-1].parameters.set_index("name", drop=False)
+    known = [parameter for parameter in record.string.parameters if parameter.name in last.index]
+    return [{"row": last.loc[p.name], "meaning": p.meaning, "history": history(p, record.estimates)} for p in known]

@@ -1,28 +1,62 @@
+"use strict";
+// Plays the frames of each .player, with the strings drawn over them as its boxes are ticked.
 for (const box of document.querySelectorAll(".player")) {
   const data = JSON.parse(box.querySelector("script").textContent);
-  const canvas = box.querySelector("canvas"), slider = box.querySelector("input");
-  const button = box.querySelector("button"), clock = box.querySelector("output");
-  const pen = canvas.getContext("2d");
-  const images = data.frames.map((text) => Object.assign(new Image(), { src: "data:image/jpeg;base64," + text }));
-  canvas.width = data.width; canvas.height = data.height; slider.max = images.length - 1;
-  let playing = null;
-  const line = (points, colour) => {
-    pen.strokeStyle = colour; pen.lineWidth = 2; pen.beginPath();
-    points.forEach(([u, v], i) => (i ? pen.lineTo(u, v) : pen.moveTo(u, v))); pen.stroke();
+  const find = (name) => box.querySelector(name);
+  const canvas = find("canvas"), slider = find("input[type=range]"), button = find("button");
+  const speed = find("select"), clock = find("output"), pen = canvas.getContext("2d");
+  const layers = [...box.querySelectorAll("input[type=checkbox]")];
+  const images = data.frames.map((source) => Object.assign(new Image(), { src: source }));
+  canvas.width = data.width;
+  canvas.height = data.height;
+  slider.max = images.length - 1;
+  slider.value = data.start;
+
+  const trace = (points, colour, closed) => {
+    pen.strokeStyle = colour;
+    pen.lineWidth = 2;
+    pen.lineJoin = "round";
+    pen.beginPath();
+    points.forEach(([u, v]) => pen.lineTo(u, v));
+    if (closed) pen.closePath();
+    pen.stroke();
   };
   const draw = () => {
-    const i = Number(slider.value), [[u0, v0], [u1, v1]] = data.target;
-    pen.drawImage(images[i], 0, 0, data.width, data.height);
-    line(data.before[i], "#D55E00"); line(data.after[i], "#4FA8E0");
-    pen.strokeStyle = "#E58CC0"; pen.strokeRect(u0, v0, u1 - u0, v1 - v0);
-    clock.textContent = data.t[i] + " ms";
+    const i = Number(slider.value);
+    if (images[i].complete) pen.drawImage(images[i], 0, 0, data.width, data.height);
+    data.obstacles.forEach((corners) => trace(corners, "#9fabbd", true));
+    trace(data.target, "#e79cc6", true);
+    for (const layer of layers) if (layer.checked) trace(data.strings[layer.value][i], layer.dataset.colour, false);
+    clock.textContent = Math.round(data.t[i]) + " ms";
+    slider.setAttribute("aria-valuetext", clock.textContent);
   };
-  const stop = () => { clearInterval(playing); playing = null; button.textContent = "Play"; };
+
+  let playing = null;
+  const stop = () => {
+    clearTimeout(playing);
+    playing = null;
+    button.textContent = "Play";
+  };
+  const step = () => {
+    const i = Number(slider.value), next = (i + 1) % images.length;
+    const wait = next ? (data.t[next] - data.t[i]) * Number(speed.value) : 800;
+    playing = setTimeout(() => {
+      slider.value = next;
+      draw();
+      step();
+    }, wait);
+  };
   button.onclick = () => {
-    if (playing) return stop();
+    if (playing !== null) return stop();
     button.textContent = "Pause";
-    playing = setInterval(() => { slider.value = (Number(slider.value) + 1) % images.length; draw(); }, 80);
+    if (Number(slider.value) === images.length - 1) slider.value = 0;
+    step();
   };
-  slider.oninput = draw;
-  Promise.all(images.map((image) => image.decode())).then(draw);
+  slider.oninput = () => {
+    stop();
+    draw();
+  };
+  layers.forEach((layer) => (layer.onchange = draw));
+  images.forEach((image, i) => (image.onload = () => i === Number(slider.value) && draw()));
+  draw();
 }

@@ -1,46 +1,66 @@
-"""The animation: small frames and the simulated strings, as data for the page's player."""
+"""The animation: small frames and the strings, as data for the page's player."""
 
 from __future__ import annotations
 
-import base64
+from typing import Any
 
 import cv2
 import numpy as np
 
+from stages.report.picture import data_uri
 from stages.report.record import Cast, Record
+from stages.report.scene import View, corners, levels
 
-FRAMES = 60  # at most, spread over the trial
-SIZE = 420  # [px] of the longer side
+FRAMES = 240  # at most in one page, shared among its casts
+FEWEST = 24  # of one cast
+SIZE = 480  # [px] of the longer side
+QUALITY = 55  # of WebP
+REST = 0.03  # [s] shown before and after the movement
 
 
-def animation(record: Record, cast: Cast) -> dict[str, object]:
-    """Everything the player draws, JSON-able; coordinates in its own pixels."""
-    camera = record.camera
-    scale = min(SIZE / max(camera.width, camera.height), 1.0)
-    chosen = np.unique(np.linspace(0, len(cast.trial.images) - 1, FRAMES).astype(int))
-    target = record.target
-    half = np.array([target.w, -target.h]) / 2
-    corners = np.array([target.x, target.y]) + np.array([[-1], [1]]) * half
+def animation(record: Record, cast: Cast, part: View) -> dict[str, Any] | None:
+    """Everything the player draws, JSON-able; coordinates in its own pixels, times in ms. None without frames."""
+    if not len(cast.trial.images):
+        return None
+    scale = SIZE / float(part.size.max())
+    width, height = np.round(part.size * scale).astype(int).tolist()
+    chosen = choose(cast, max(FRAMES // len(record.casts), FEWEST))
+    measured = [cast.measured.get(f, np.zeros((0, 3)))[:, :2] for f in chosen]
+    drawn = {"before": cast.before[chosen], "after": cast.after[chosen], "measured": measured}
     return {
-        "width": round(camera.width * scale),
-        "height": round(camera.height * scale),
-        "t": [round(float(cast.trial.frames["t"].iloc[i]) * 1e3) for i in chosen],
-        "frames": [_jpeg(cast.trial.images[int(i)], scale) for i in chosen],
-        "before": [_pixels(record, cast.before[i], scale) for i in chosen],
-        "after": [_pixels(record, cast.after[i], scale) for i in chosen],
-        "target": _pixels(record, corners, scale),
+        "width": width,
+        "height": height,
+        "t": [round(float(cast.t[f]) * 1e3, 1) for f in chosen],
+        "start": chosen.index(cast.nearest) if cast.nearest in chosen else 0,
+        "frames": [_small(part.crop(cast.trial.images[f]), levels(cast), (width, height)) for f in chosen],
+        "target": _pixels(record, corners(record.target), part, scale),
+        "obstacles": [_pixels(record, corners(box), part, scale) for box in record.obstacles],
+        "strings": {name: [_pixels(record, line, part, scale) for line in lines] for name, lines in drawn.items()},
     }
 
 
-def _jpeg(image: np.ndarray, scale: float) -> str:
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    good, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 60])
+def choose(cast: Cast, most: int) -> list[int]:
+    """At most `most` frames, evenly over the movement, the closest approach among them."""
+    first, last = cast.frame(-REST), cast.frame(cast.motion.duration + REST)
+    even = np.linspace(first, last, min(most, last - first + 1)).round().astype(int)
+    if np.isfinite(cast.verdict.t):
+        even[np.argmin(np.abs(even - cast.nearest))] = cast.nearest
+    return sorted(set(even.tolist()))
+
+
+def _small(image: np.ndarray, black_white: tuple[float, float], size: tuple[int, int]) -> str:
+    low, high = black_white
+    clear = np.clip((image.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    good, data = cv2.imencode(".webp", cv2.resize(clear, size, interpolation=cv2.INTER_AREA), _QUALITY)
     assert good
-    return base64.b64encode(data.tobytes()).decode()
+    return data_uri("webp", data.tobytes())
 
 
-def _pixels(record: Record, points: np.ndarray, scale: float) -> list[list[float]]:
-    """Pixels of the small picture; empty where the simulation was rejected."""
-    if not np.isfinite(points).all():
+_QUALITY = [cv2.IMWRITE_WEBP_QUALITY, QUALITY]
+
+
+def _pixels(record: Record, world: np.ndarray, part: View, scale: float) -> list[list[float]]:
+    """Pixels of the small picture (corner of the first at 0); empty where the simulation did not stay finite."""
+    if not np.isfinite(world).all():
         return []
-    return np.round((record.camera.pixels(points) + 0.5) * scale, 1).tolist()
+    return np.round((record.camera.pixels(world) - (part.left, part.top) + 0.5) * scale, 1).tolist()

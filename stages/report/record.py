@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from data.artifacts import JOINTS, Estimate, Motion, Observation, Points, Trial
 from stages.estimate.forward import hand
@@ -20,7 +22,7 @@ from stages.model.string import String, simulate
 @dataclass(frozen=True)
 class Cast:
     """One manipulation. before, after: (F, n, 2) strings simulated at the frame times [m] with the
-    parameters before and after estimation."""
+    parameters before and after estimation; NaN where the simulation did not stay finite."""
 
     motion: Motion
     trial: Trial
@@ -30,21 +32,40 @@ class Cast:
     before: np.ndarray = field(repr=False)
     after: np.ndarray = field(repr=False)
 
+    @cached_property
+    def t(self) -> np.ndarray:
+        """(F,) times of the frames [s]."""
+        return self.trial.frames["t"].to_numpy()
+
     @property
     def nearest(self) -> int:
         """The frame of the closest approach, the middle one where no tip was read."""
-        t = self.trial.frames["t"].to_numpy()
-        return int(np.argmin(np.abs(t - self.verdict.t))) if np.isfinite(self.verdict.t) else len(t) // 2
+        return self.frame(self.verdict.t) if np.isfinite(self.verdict.t) else len(self.t) // 2
 
-    def measured(self, frame: int) -> np.ndarray:
-        """The centre-line read in a frame, (K, 2) [m]; empty where it could not be read."""
-        t = self.trial.frames["t"].iloc[frame]
+    def frame(self, t: float) -> int:
+        """The frame nearest to a time [s]."""
+        return int(np.argmin(np.abs(self.t - t)))
+
+    @cached_property
+    def measured(self) -> dict[int, np.ndarray]:
+        """The centre-lines that were read, by frame: (K, 3) of x, y and arc length [m]."""
         points = self.points.points
-        return points.loc[np.abs(points["t"] - t) < 1e-9, ["x", "y"]].to_numpy()
+        if "valid" in points:
+            points = points[points["valid"].astype(bool)]
+        times = points.groupby("t", sort=True)[["x", "y", "s"]]
+        return {self.frame(t): rows.to_numpy() for t, rows in times}
 
-    def hand(self, arm: Arm) -> np.ndarray:
-        """The hand's way as measured, (K, 2) [m]."""
-        return arm.grasp(self.trial.arm[list(JOINTS)].to_numpy())[:, :2]
+    def tip(self, t: np.ndarray) -> np.ndarray:
+        """The tip's way as it is judged, a cubic through the readings. t: (K,) [s]. Returns (K, 2) [m];
+        NaN outside the readings."""
+        good = self.points.readings[self.points.readings["valid"].astype(bool)]
+        if len(good) < 2:
+            return np.full((len(t), 2), np.nan)
+        return CubicSpline(good["t"], good[["tip_x", "tip_y"]], extrapolate=False)(t)
+
+    def joints(self, arm: Arm) -> np.ndarray:
+        """Base, joints and hand as measured, (K, J + 1, 2) [m]."""
+        return arm.joints(self.trial.arm[list(JOINTS)].to_numpy())
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,128 @@
+"""A camera frame with everything that is known of it drawn on top, in the camera's own pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stages.generate import Box
+from stages.report.picture import MM, ON_FRAMES
+from stages.report.record import Cast, Record
+
+GRID = 0.1  # [m]
+SHADOW = [patheffects.withStroke(linewidth=2.4, foreground="#000000a0")]
+
+
+@dataclass(frozen=True)
+class View:
+    """Part of the camera's image [px]: columns left to right - 1, rows top to bottom - 1."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    def crop(self, image: np.ndarray) -> np.ndarray:
+        """This part of an image, grey."""
+        part = image[self.top : self.bottom, self.left : self.right]
+        return part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Width and height [px]."""
+        return np.array([self.right - self.left, self.bottom - self.top])
+
+
+def view(record: Record, world: np.ndarray, margin: float = 0.05) -> View:
+    """The part of the image that shows world points. world: (N, 2), margin [m]; NaN is passed over."""
+    camera = record.camera
+    seen = camera.pixels(world[np.isfinite(world).all(axis=1)])
+    border = margin * camera.px_per_m
+    whole = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(seen.min(axis=0) - border), 0, whole - 16).astype(int)
+    high = np.clip(np.ceil(seen.max(axis=0) + border), low + 16, whole).astype(int)
+    return View(*low.tolist(), *high.tolist())
+
+
+def whole_view(record: Record) -> View:
+    """All that happened in a run, the same part for each of its casts."""
+    places = [np.array([record.arm.base]), corners(record.target), *map(corners, record.obstacles)]
+    for cast in record.casts:
+        places += [cast.joints(record.arm).reshape(-1, 2), *(line[:, :2] for line in cast.measured.values())]
+    return view(record, np.concatenate(places))
+
+
+def corners(box: Box) -> np.ndarray:
+    """(4, 2) corners of a box, in turn [m]."""
+    around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
+    return np.array([box.x, box.y]) + around * [box.w, box.h]
+
+
+def levels(cast: Cast) -> tuple[float, float]:
+    """Black and white of a cast's frames, the same for all, from the frame of the closest approach."""
+    low, high = np.percentile(cast.trial.images[cast.nearest], [1.0, 99.8])
+    return float(low), float(max(high, low + 1))
+
+
+def frame_figure(part: View, width: float) -> tuple[Figure, Axes]:
+    """An empty figure that is nothing but the picture. width [inches]."""
+    columns, rows = part.size
+    figure = Figure(figsize=(width, width * rows / columns), layout="none")
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.set(xlim=(part.left - 0.5, part.right - 0.5), ylim=(part.bottom - 0.5, part.top - 0.5))
+    return figure, axes
+
+
+def draw(axes: Axes, record: Record, cast: Cast, frame: int, part: View) -> None:
+    """The frame, target and obstacles, and the strings: measured, simulated before and after."""
+    low, high = levels(cast)
+    extent = (part.left - 0.5, part.right - 0.5, part.bottom - 0.5, part.top - 0.5)
+    image = part.crop(cast.trial.images[frame])
+    axes.imshow(image, cmap="gray", vmin=low, vmax=high, extent=extent, aspect="auto", zorder=0)
+    for obstacle in record.obstacles:
+        axes.fill(*record.camera.pixels(corners(obstacle)).T, facecolor=ON_FRAMES["wall"], alpha=0.55)
+    axes.fill(*record.camera.pixels(corners(record.target)).T, fill=False, edgecolor=ON_FRAMES["target"], lw=1.6)
+    line(axes, record, cast.before[frame], color=ON_FRAMES["before"])
+    line(axes, record, cast.after[frame], color=ON_FRAMES["after"])
+    if frame in cast.measured:
+        line(axes, record, cast.measured[frame][:, :2], color=ON_FRAMES["measured"], ls="", marker=".", ms=2.5)
+
+
+def line(axes: Axes, record: Record, world: np.ndarray, **style: Any) -> None:
+    """A line through world points (K, 2) [m]; nothing where any is not finite."""
+    if np.isfinite(world).all():
+        axes.plot(*record.camera.pixels(world).T, **{"lw": 1.5, **style})
+
+
+def millimetres(axes: Axes, record: Record, part: View) -> None:
+    """A grid every 100 mm with its coordinates; bent as the lens bends it."""
+    box = np.array([[part.left, part.bottom], [part.right, part.bottom], [part.right, part.top], [part.left, part.top]])
+    seen = record.camera.world(box)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    for axis in (0, 1):
+        for at in np.arange(np.ceil(low[axis] / GRID), np.floor(high[axis] / GRID) + 1) * GRID:
+            way = np.linspace(low, high, 40)
+            way[:, axis] = at
+            line(axes, record, way, color="white", alpha=0.14, lw=0.7)
+            _label(axes, record.camera.pixels(way), axis, f"{at * MM:.0f}", part)
+    axes.annotate("mm", (1, 0), (-6, 5), "axes fraction", "offset points", ha="right", color="white", fontsize=8)
+
+
+def _label(axes: Axes, way: np.ndarray, axis: int, text: str, part: View) -> None:
+    """A coordinate where its grid line meets the lower or left edge, unless in the corner."""
+    edge = np.array([part.left, part.bottom])[1 - axis]
+    u, v = way[np.argmin(np.abs(way[:, 1 - axis] - edge))]
+    room = 0.08 * part.size
+    place = (u, part.bottom) if axis == 0 else (part.left, v)
+    if part.left + room[0] < u < part.right - room[0] if axis == 0 else part.top + 12 < v < part.bottom - room[1]:
+        shift, align = ((0, 5), "center") if axis == 0 else ((5, -3), "left")
+        axes.annotate(
+            text, place, shift, textcoords="offset points", ha=align, color="white", fontsize=8, path_effects=SHADOW
+        )
