@@ -14,6 +14,7 @@ from stages.model.parameter import Parameter
 
 NEAR = 0.01  # candidates within this much of the best E are as good as it
 BROAD = 0.5  # an undetermined parameter's good values spread over this share of its range
+POOR = 0.6  # E below which the model does not explain the data, whatever its parameters
 EDGE = 0.01  # of the range: a value this close to an end sits on it
 
 
@@ -67,7 +68,7 @@ def estimate_of(
         "rms_before": rms[0],
         "rms_after": rms[1],
         "rejected": int(np.isnan(search.matching_rate).sum()),
-        "sentence": interval.sentence,
+        "sentence": interval.sentence if matching["after"].mean() >= POOR else poor(matching["after"].mean()),
     }
     return Estimate(
         PARAMETERS.check(_parameters(parameters, pair[1], after, interval)),
@@ -93,6 +94,11 @@ def words(parameters: Sequence[Parameter], determined: np.ndarray) -> str:
         return "This data determines every parameter."
     why = "other values fit as well, or the best lies at the end of the range"
     return f"This data cannot determine {', '.join(loose)}: {why}."
+
+
+def poor(rate: float) -> str:
+    """What to say of parameters of a model that does not fit."""
+    return f"The model does not explain this data (E = {rate:.2f}): its parameters mean little."
 
 
 def _matching(goal: Target, pair: np.ndarray) -> pd.DataFrame:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-
 import numpy as np
 from markupsafe import Markup
 from matplotlib import style
@@ -19,6 +18,7 @@ from stages.report.figures.matching import matching
 from stages.report.figures.overlay import overlay
 from stages.report.figures.parameters import history
 from stages.report.figures.paths import path, paths
+from stages.report.figures.progress import progress
 from stages.report.figures.residual import residual
 from stages.report.figures.strip import strip
 from stages.report.picture import ON_FRAMES, STYLE, THEME
@@ -37,6 +37,7 @@ def report(record: Record) -> str:
             record=record,
             casts=_casts(record),
             paths=paths(record),
+            progress=progress(record),
             best=_best(record),
             parameters=_parameters(record),
             matchings=[] if record.casts else [matching(estimate) for estimate in record.estimates],

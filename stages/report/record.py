@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from data.artifacts import JOINTS, Estimate, Motion, Observation, Points, Trial
 from stages.estimate.forward import hand
 from stages.generate import Box
-from stages.judge import Verdict
+from stages.judge import LONGEST_GAP, Verdict
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.string import String, simulate
@@ -57,11 +57,14 @@ class Cast:
 
     def tip(self, t: np.ndarray) -> np.ndarray:
         """The tip's way as it is judged, a cubic through the readings. t: (K,) [s]. Returns (K, 2) [m];
-        NaN outside the readings."""
+        NaN outside the readings and in gaps that are too long to guess."""
         good = self.points.readings[self.points.readings["valid"].astype(bool)]
         if len(good) < 2:
             return np.full((len(t), 2), np.nan)
-        return CubicSpline(good["t"], good[["tip_x", "tip_y"]], extrapolate=False)(t)
+        read = good["t"].to_numpy()
+        gap = np.diff(read)[np.clip(np.searchsorted(read, t, side="right") - 1, 0, len(read) - 2)]
+        way = CubicSpline(read, good[["tip_x", "tip_y"]], extrapolate=False)(t)
+        return np.where((gap <= LONGEST_GAP)[:, None], way, np.nan)
 
     def joints(self, arm: Arm) -> np.ndarray:
         """Base, joints and hand as measured, (K, J + 1, 2) [m]."""

@@ -80,25 +80,23 @@ def frame_figure(part: View, width: float) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def draw(axes: Axes, record: Record, cast: Cast, frame: int, part: View) -> None:
-    """The frame, target and obstacles, and the strings: measured, simulated before and after."""
+def draw(axes: Axes, record: Record, cast: Cast, frame: int, part: View, lw: float = 1.5) -> None:
+    """The frame, target and obstacles, and the strings simulated before and after. lw: width of lines [pt]."""
     low, high = levels(cast)
     extent = (part.left - 0.5, part.right - 0.5, part.bottom - 0.5, part.top - 0.5)
     image = part.crop(cast.trial.images[frame])
     axes.imshow(image, cmap="gray", vmin=low, vmax=high, extent=extent, aspect="auto", zorder=0)
     for obstacle in record.obstacles:
         axes.fill(*record.camera.pixels(corners(obstacle)).T, facecolor=ON_FRAMES["wall"], alpha=0.55)
-    axes.fill(*record.camera.pixels(corners(record.target)).T, fill=False, edgecolor=ON_FRAMES["target"], lw=1.6)
-    line(axes, record, cast.before[frame], color=ON_FRAMES["before"])
-    line(axes, record, cast.after[frame], color=ON_FRAMES["after"])
-    if frame in cast.measured:
-        line(axes, record, cast.measured[frame][:, :2], color=ON_FRAMES["measured"], ls="", marker=".", ms=2.5)
+    axes.fill(*record.camera.pixels(corners(record.target)).T, fill=False, edgecolor=ON_FRAMES["target"], lw=lw)
+    line(axes, record, cast.before[frame], color=ON_FRAMES["before"], lw=lw)
+    line(axes, record, cast.after[frame], color=ON_FRAMES["after"], lw=lw)
 
 
 def line(axes: Axes, record: Record, world: np.ndarray, **style: Any) -> None:
     """A line through world points (K, 2) [m]; nothing where any is not finite."""
     if np.isfinite(world).all():
-        axes.plot(*record.camera.pixels(world).T, **{"lw": 1.5, **style})
+        axes.plot(*record.camera.pixels(world).T, **style)
 
 
 def millimetres(axes: Axes, record: Record, part: View) -> None:
@@ -120,7 +118,7 @@ def _label(axes: Axes, way: np.ndarray, axis: int, text: str, part: View) -> Non
     edge = np.array([part.left, part.bottom])[1 - axis]
     u, v = way[np.argmin(np.abs(way[:, 1 - axis] - edge))]
     room = 0.08 * part.size
-    place = (u, part.bottom) if axis == 0 else (part.left, v)
+    place = (u, part.bottom - 0.5) if axis == 0 else (part.left - 0.5, v)
     if part.left + room[0] < u < part.right - room[0] if axis == 0 else part.top + 12 < v < part.bottom - room[1]:
         shift, align = ((0, 5), "center") if axis == 0 else ((5, -3), "left")
         axes.annotate(

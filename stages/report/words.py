@@ -35,10 +35,10 @@ def significant(value: float) -> str:
     """Three significant figures, with a power of ten where that is shorter."""
     if not np.isfinite(value):
         return UNKNOWN
-    if value == 0 or 1e-3 <= abs(value) < 1e5:
-        return f"{value:.3g}" if abs(value) < 1000 else f"{value:,.0f}".replace(",", " ")
+    if value == 0 or 1e-3 <= abs(value) < 1e4:
+        return f"{value:.3g}" if abs(value) < 1000 else f"{float(f'{value:.3g}'):.0f}"
     figures, power = f"{value:.2e}".split("e")
-    return f"{figures} × 10{superscript(power)}"
+    return f"{float(figures):g} × 10{superscript(power)}"
 
 
 def symbol(name: str) -> Markup:

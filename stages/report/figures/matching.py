@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.artifacts import Estimate
-from stages.report.figures.timeline import mark_movement
+from stages.report.figures.timeline import broken, mark_movement
 from stages.report.picture import LIGHT, MM, Picture, vector
 from stages.report.record import Cast
 from stages.report.words import rate
@@ -20,8 +20,9 @@ def matching(estimate: Estimate | None, cast: Cast | None = None) -> Picture | N
     table = table[table["trial"] == table["trial"].iloc[-1]].sort_values("t")
     figure = Figure(figsize=(5.4, 2.7))
     axes = figure.subplots()
+    t = table["t"].to_numpy()
     for name in ("before", "after"):
-        axes.plot(table["t"] * MM, table[name], color=LIGHT[name], label=f"{name} estimation")
+        axes.plot(t * MM, broken(t, table[name].to_numpy()), color=LIGHT[name], label=f"{name} estimation")
     if cast is not None:
         mark_movement(axes, cast)
     axes.set(xlabel="time [ms]", ylabel="matching rate E_f [1]", ylim=(0, 1.02))

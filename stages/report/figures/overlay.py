@@ -22,6 +22,8 @@ def overlay(record: Record, cast: Cast) -> Picture | None:
     part = view(record, np.concatenate(shown))
     figure, axes = frame_figure(part, 5.4)
     draw(axes, record, cast, frame, part)
+    if frame in cast.measured:
+        line(axes, record, cast.measured[frame][:, :2], color=ON_FRAMES["measured"], ls="", marker=".", ms=2.5)
     way = cast.tip(cast.verdict.t + np.linspace(-AROUND, AROUND, 121))
     line(axes, record, way[np.isfinite(way).all(axis=1)], color=ON_FRAMES["measured"], lw=0.9, ls=(0, (2, 2)))
     line(axes, record, cast.tip(np.array([cast.verdict.t])), color=ON_FRAMES["ink"], marker="o", ms=8, mfc="none")

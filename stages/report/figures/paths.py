@@ -50,6 +50,7 @@ def _plane(record: Record) -> tuple[Figure, Axes]:
     """Target and obstacles, to scale."""
     figure = Figure(figsize=SIZE)
     axes = figure.subplots()
+    axes.margins(0.08)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     axes.add_patch(_box(record.target, fill=False, edgecolor=LIGHT["target"], lw=1.8, label="target"))
     for obstacle in record.obstacles:
@@ -65,7 +66,7 @@ def _box(box: Box, **style: object) -> Rectangle:
 def _legend(figure: Figure, axes: Axes) -> None:
     """Above the axes, every label once."""
     once = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.legend(once.values(), once.keys(), loc="outside upper left", ncols=6)
+    figure.legend(once.values(), once.keys(), loc="outside upper left", ncols=4)
 
 
 def _row(cast: Cast) -> int:

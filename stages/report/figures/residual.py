@@ -22,7 +22,7 @@ def residual(record: Record, cast: Cast) -> Picture | None:
     before, after = (residuals(record, cast, simulated) for simulated in (cast.before, cast.after))
     figure = Figure(figsize=(5.4, 3.7))
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
-    _map(top, record, cast, after)
+    _map((top, bottom), record, cast, after)
     for name, table in (("before", before), ("after", after)):
         bottom.plot(cast.t * MM, _rms(table, cast) * MM, color=LIGHT[name], label=f"{name} estimation")
     mark_movement(bottom, cast)
@@ -45,8 +45,9 @@ def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame
     return pd.DataFrame({"frame": frame, "s": s, "away": np.hypot(*(there - np.stack([x, y], axis=-1)).T)})
 
 
-def _map(axes: Axes, record: Record, cast: Cast, table: pd.DataFrame) -> None:
-    """Mean distance in cells of arc length and frame; frames not read stay empty."""
+def _map(panels: tuple[Axes, Axes], record: Record, cast: Cast, table: pd.DataFrame) -> None:
+    """Mean distance in cells of arc length and frame, in the upper panel; frames not read stay empty."""
+    axes = panels[0]
     half = np.median(np.diff(cast.t)) / 2 if len(cast.t) > 1 else cast.motion.duration
     moments = np.append(cast.t - half, cast.t[-1] + half)
     edges = np.linspace(0, max(record.string.length, table["s"].max()), CELLS + 1)
@@ -58,7 +59,7 @@ def _map(axes: Axes, record: Record, cast: Cast, table: pd.DataFrame) -> None:
     axes.grid(visible=False)
     axes.set_ylabel("arc length [mm]")
     assert axes.figure is not None
-    axes.figure.colorbar(drawn, ax=axes, label="distance [mm]", pad=0.02)
+    axes.figure.colorbar(drawn, ax=panels, aspect=30, label="distance [mm]", pad=0.02)
 
 
 def _rms(table: pd.DataFrame, cast: Cast) -> np.ndarray:

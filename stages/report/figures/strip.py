@@ -22,5 +22,7 @@ def strip(record: Record, cast: Cast, part: View) -> list[tuple[str, Picture]]:
 
 def _still(record: Record, cast: Cast, frame: int, part: View) -> Picture:
     figure, axes = frame_figure(part, 1.9)
-    draw(axes, record, cast, frame, part)
-    return raster(figure, f"Camera frame at {ms(cast.t[frame])} with the measured and the simulated strings.")
+    draw(axes, record, cast, frame, part, lw=1.0)
+    return raster(
+        figure, f"Camera frame at {ms(cast.t[frame])} with the string as simulated before and after estimation."
+    )

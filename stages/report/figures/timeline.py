@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
+from stages.judge import LONGEST_GAP
 from stages.report.picture import LIGHT, MM
 from stages.report.record import Cast
+
+
+def broken(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values over times [s], NaN after each gap too long to draw a line across."""
+    return np.where(np.diff(t, prepend=t[:1]) > LONGEST_GAP, np.nan, values)
 
 
 def mark_movement(axes: Axes, cast: Cast) -> None:
