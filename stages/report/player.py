@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -26,7 +27,11 @@ def animation(record: Record, cast: Cast, part: View) -> dict[str, Any] | None:
     width, height = np.round(part.size * scale).astype(int).tolist()
     chosen = choose(cast, max(FRAMES // len(record.casts), FEWEST))
     measured = [cast.measured.get(f, np.zeros((0, 3)))[:, :2] for f in chosen]
-    drawn = {"before": cast.before[chosen], "after": cast.after[chosen], "measured": measured}
+    drawn: dict[str, Sequence[np.ndarray]] = {
+        "before": list(cast.before[chosen]),
+        "after": list(cast.after[chosen]),
+        "measured": measured,
+    }
     return {
         "width": width,
         "height": height,
@@ -51,12 +56,9 @@ def choose(cast: Cast, most: int) -> list[int]:
 def _small(image: np.ndarray, black_white: tuple[float, float], size: tuple[int, int]) -> str:
     low, high = black_white
     clear = np.clip((image.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-    good, data = cv2.imencode(".webp", cv2.resize(clear, size, interpolation=cv2.INTER_AREA), _QUALITY)
-    assert good
+    small = cv2.resize(clear, size, interpolation=cv2.INTER_AREA)
+    _, data = cv2.imencode(".webp", small, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     return data_uri("webp", data.tobytes())
-
-
-_QUALITY = [cv2.IMWRITE_WEBP_QUALITY, QUALITY]
 
 
 def _pixels(record: Record, world: np.ndarray, part: View, scale: float) -> list[list[float]]:

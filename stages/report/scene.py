@@ -73,7 +73,8 @@ def levels(cast: Cast) -> tuple[float, float]:
 def frame_figure(part: View, width: float) -> tuple[Figure, Axes]:
     """An empty figure that is nothing but the picture. width [inches]."""
     columns, rows = part.size
-    figure = Figure(figsize=(width, width * rows / columns), layout="none")
+    figure = Figure(figsize=(width, width * rows / columns))
+    figure.set_layout_engine("none")
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
     axes.set(xlim=(part.left - 0.5, part.right - 0.5), ylim=(part.bottom - 0.5, part.top - 0.5))

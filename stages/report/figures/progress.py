@@ -21,8 +21,7 @@ def progress(record: Record) -> Picture | None:
     _rates(bottom, record)
     bottom.set_xticks(range(1, len(record.casts) + 1))
     bottom.set_xlim(0.6, len(record.casts) + 0.4)
-    handles = [axes.get_legend_handles_labels() for axes in (top, bottom)]
-    figure.legend(*(sum(parts, []) for parts in zip(*handles, strict=True)), loc="outside upper left", ncols=4)
+    figure.legend(loc="outside upper left", ncols=4)
     closest = ", ".join(mm(cast.verdict.distance) for cast in record.casts)
     return vector(figure, f"Closest approach of the tip to the target's centre, cast by cast: {closest}.")
 
