@@ -94,7 +94,7 @@ def content_hash(path: Path) -> str:
 
 
 def write_images(images: Sequence[np.ndarray], folder: Path) -> None:
-    """Write frames as 000000.png ...; each is checked by its size on disk."""
+    """Write frames as 000000.png, 000001.png, ... into a new folder."""
     folder.mkdir()
     for number, image in enumerate(images):
         good, png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
@@ -141,9 +141,9 @@ def _write_parquet(table: Table, frame: pd.DataFrame, path: Path, origin: Mappin
 @contextmanager
 def _aside(path: Path) -> Iterator[Path]:
     """A name beside `path` to write to; on success it is synced and becomes `path`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield aside
         _each_file(aside, _sync)
         _replace(aside, path)

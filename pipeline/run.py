@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from data import dataset, store
-from data.artifacts import Estimate, Motion, Observation, Points, Trial
+from data.artifacts import Motion, Observation, Points, Trial
 from data.schema import DataError
 from pipeline.origin import origin
 from pipeline.steps import STEPS, Past, Progress, step_seed
@@ -176,8 +176,3 @@ def _ended(folder: Path, iterations: list[Iteration], sentence: str) -> Result:
         folder / "run.json", json.dumps({"hit": result.hit, "sentence": sentence, "iterations": rows}, indent=2)
     )
     return result
-
-
-def estimates(result: Result) -> list[Estimate]:
-    """The estimates of a run, in order."""
-    return [i.done["estimate"] for i in result.iterations if "estimate" in i.done]

@@ -14,11 +14,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Integrator:
-    """passes: evaluations of the forces in a step. nodes: when in the step each one is, in
-    steps. order: of convergence. update: source text, a line a string."""
+    """nodes: when in a step the forces are evaluated, in steps, one for each pass. order: of
+    convergence. update: source text, a line a string."""
 
     name: str
-    passes: int
     nodes: tuple[float, ...]
     order: int
     update: tuple[str, ...]
@@ -37,7 +36,6 @@ class SemiImplicitEuler(Integrator):
     """v' = v + dt a(x, v), x' = x + dt v'. Keeps the energy of undamped strings bounded."""
 
     name: str = "semi_implicit_euler"
-    passes: int = 1
     nodes: tuple[float, ...] = (0.0,)
     order: int = 1
     update: tuple[str, ...] = ("qx += dt * ax", "qy += dt * ay", "px += dt * qx", "py += dt * qy")
@@ -56,7 +54,6 @@ class ExplicitEuler(Integrator):
     """
 
     name: str = "explicit_euler"
-    passes: int = 1
     nodes: tuple[float, ...] = (0.0,)
     order: int = 1
     update: tuple[str, ...] = ("px += dt * qx", "py += dt * qy", "qx += dt * ax", "qy += dt * ay")
@@ -72,7 +69,6 @@ class RungeKutta4(Integrator):
     """The classical fourth-order method, for reference solutions and the virtual lab."""
 
     name: str = "runge_kutta_4"
-    passes: int = 4
     nodes: tuple[float, ...] = (0.0, 0.5, 0.5, 1.0)
     order: int = 4
     update: tuple[str, ...] = (
