@@ -139,7 +139,7 @@ LINK = Table(
 class Trial:
     """One execution: what `execute` brings back from the arm and the camera.
 
-    `images` is a sequence of uint8 arrays (height, width) or (height, width, 3), in the
+    `images` is a sequence of grey uint8 arrays (height, width), in the
     order of `frames`; from disk it is read image by image.
     """
 

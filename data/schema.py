@@ -78,6 +78,8 @@ class Table:
 
     def _typed(self, series: pd.Series, column: Column, source: str) -> pd.Series:
         try:
+            if column.kind == "bool" and pd.api.types.infer_dtype(series, skipna=True) == "string":
+                raise ValueError("give true or false")  # else any text counts as true
             return series.astype(PANDAS_TYPES[column.kind])
         except (ValueError, TypeError) as error:
             bad = next((v for v in series if not isinstance(v, (int, float, bool, np.number))), series.iloc[0])

@@ -1,56 +1,79 @@
 """Writes and reads artifacts, so that nothing half-written is ever read as whole.
 
-An artifact is a folder with one Parquet file for each of its tables, and `images/` for a
-trial. It is written into a neighbouring folder, every file closed, read back and synced,
-and only then given its name; the name appears whole or not at all. What made a file (its
-origin) is in the Parquet footer.
+An artifact is a folder with one Parquet file for each of its tables, and the frames of a
+trial under the names in its table `frames`. It is written beside its place, every file
+closed, read back and synced, and only then given its name, which appears whole or not at
+all. What made a file (its origin) is in the Parquet footer.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
-import os
-import shutil
+import re
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-import cv2
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from data import disk
+from data.images import ImageFiles, png
 from data.schema import DataError, Table
 
 Artifact = TypeVar("Artifact")
-IMAGES = "images"
+UNREADABLE = (pa.ArrowException, OSError, ValueError)
+REMEDIES = {
+    errno.ENOSPC: "Free space on the disk, or choose another folder",
+    errno.EDQUOT: "Free space within your quota, or choose another folder",
+    errno.EACCES: "Choose a folder that you may write to",
+    errno.EPERM: "Choose a folder that you may write to",
+    errno.EROFS: "Choose a folder that you may write to",
+}
 
 
 def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
-    """Write an artifact as `folder`, replacing one that is there. origin: JSON-able, goes into every footer."""
+    """Write an artifact as `folder`, replacing one that is there.
+
+    origin: what made it, JSON-able; goes into every footer. Raises DataError where it cannot
+    be written; what was there before is then still there. Only a kill between the two renames
+    of a replacement leaves neither.
+    """
     with _aside(folder) as aside:
-        aside.mkdir()
+        disk.make_folder(aside)
         for name, table in artifact.TABLES.items():
             _write_parquet(table, getattr(artifact, name), aside / f"{name}.parquet", origin)
-        if hasattr(artifact, IMAGES):
-            write_images(artifact.images, aside / IMAGES)
+        if hasattr(artifact, "images"):
+            _write_images(artifact, aside)
+        disk.sync_folder(aside)
 
 
 def load(kind: type[Artifact], folder: Path) -> Artifact:
-    """Read an artifact of `kind`; raises DataError naming the file and the remedy."""
+    """Read an artifact of `kind`; raises DataError naming the file and the remedy. Images are read when asked for."""
     if not folder.is_dir():
         raise DataError(f"{folder}: there is no {kind.__name__.lower()} here. Name a run folder that holds one.")
     tables: dict[str, Any] = {}
     for name, table in kind.TABLES.items():  # type: ignore[attr-defined]
         tables[name] = read_table(table, folder / f"{name}.parquet")
-    if IMAGES in kind.__dataclass_fields__:  # type: ignore[attr-defined]
-        tables[IMAGES] = ImageFolder(folder / IMAGES, len(tables["frames"]))
+    if "images" in kind.__dataclass_fields__:  # type: ignore[attr-defined]
+        tables["images"] = images(folder, tables["frames"])
     return kind(**tables)
+
+
+def images(folder: Path, frames: pd.DataFrame) -> ImageFiles:
+    """The images of a table `frames`, whose paths are relative to `folder`; raises DataError where one is missing."""
+    lost = [file for file in frames["file"] if not (folder / file).is_file()]
+    if lost:
+        raise DataError(
+            f"{folder / lost[0]}: the frame is missing{f' ({len(lost)} are)' if len(lost) > 1 else ''}. "
+            "Restore it, or leave the trial out."
+        )
+    return ImageFiles(folder, tuple(frames["file"]))
 
 
 def write_table(table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]) -> None:
@@ -60,20 +83,24 @@ def write_table(table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[s
 
 
 def read_table(table: Table, path: Path) -> pd.DataFrame:
-    """Read and check one table."""
+    """Read and check one table; raises DataError naming the file, the column and the remedy."""
     try:
-        frame = pq.ParquetFile(path).read().to_pandas()
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            name = (file.schema_arrow.metadata or {}).get(b"table", table.name.encode()).decode()
+            frame = file.read().to_pandas()
     except FileNotFoundError as error:
         raise DataError(f"{path}: the file is missing. Restore it, or run the step that makes it again.") from error
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except UNREADABLE as error:
         raise DataError(
             f"{path}: not a whole Parquet file ({error}). Restore it or delete it and run again."
         ) from error
+    if name != table.name:
+        raise DataError(f"{path}: holds the table '{name}', not '{table.name}'. Put the right file there.")
     return table.check(frame, str(path))
 
 
 def origin_of(path: Path) -> dict[str, Any]:
-    """What made a Parquet file of ours."""
+    """What made a Parquet file; empty for one that is not ours."""
     metadata = pq.read_schema(path).metadata or {}
     return json.loads(metadata.get(b"origin", b"{}"))
 
@@ -81,108 +108,96 @@ def origin_of(path: Path) -> dict[str, Any]:
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with _aside(path) as aside:
-        aside.write_text(text, encoding="utf-8")
+        disk.write(aside, text.encode())
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of a file, or of a folder's files and their names."""
+    """SHA-256 of a file's content, or of a folder's files and their names.
+
+    Of a Parquet file its columns count, with their types and units, not the origin in its
+    footer: the same numbers have the same hash, whichever run they come from.
+    """
     digest = hashlib.sha256()
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
     for file in files:
-        digest.update(str(file.relative_to(path)).encode() + b"\0" + file.read_bytes())
+        content = _columns(file) if file.suffix == ".parquet" else file.read_bytes()
+        digest.update(f"{file.relative_to(path).as_posix()}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()
 
 
-def write_images(images: Sequence[np.ndarray], folder: Path) -> None:
-    """Write frames as 000000.png, 000001.png, ... into a new folder."""
-    folder.mkdir()
-    for number, image in enumerate(images):
-        good, png = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-        if not good:
-            raise DataError(f"{folder}: frame {number} of shape {image.shape} cannot be written as PNG.")
-        (folder / f"{number:06d}.png").write_bytes(png.tobytes())
+def _columns(path: Path) -> bytes:
+    """A Parquet file without what its footer says beside the columns.
 
-
-@dataclass(frozen=True)
-class ImageFolder(Sequence[np.ndarray]):
-    """The frames of a folder, read one by one."""
-
-    folder: Path
-    frames: int
-
-    def __len__(self) -> int:
-        """Number of frames."""
-        return self.frames
-
-    def __getitem__(self, index: Any) -> Any:
-        """One frame (height, width), or a list of them for a slice."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(self.frames))]
-        if not -self.frames <= index < self.frames:
-            raise IndexError(index)
-        path = self.folder / f"{index % self.frames:06d}.png"
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise DataError(f"{path}: the frame is missing or damaged. Restore it or leave the trial out.")
-        return image
+    The file ends with the footer, the footer's length (4 bytes) and "PAR1"; all before it is the columns' pages.
+    """
+    content = path.read_bytes()
+    footer = int.from_bytes(content[-8:-4], "little") + 8
+    return pq.read_schema(path).remove_metadata().serialize().to_pybytes() + content[:-footer]
 
 
 def _write_parquet(table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]) -> None:
-    """Write and read back; the caller gives the file its name."""
+    """Write and read back; the caller gives the file its name. The same content gives the same bytes."""
     checked = table.check(frame, path.name)
     schema = table.arrow(checked)
-    metadata = {**(schema.metadata or {}), b"origin": json.dumps(origin, sort_keys=True, default=str).encode()}
+    metadata = {**(schema.metadata or {}), b"origin": json.dumps(origin, sort_keys=True).encode()}
     content = pa.Table.from_pandas(checked, schema=schema, preserve_index=False).replace_schema_metadata(metadata)
-    pq.write_table(content, path)
+    buffer = pa.BufferOutputStream()
+    pq.write_table(content, buffer, write_page_checksum=True)
+    disk.write(path, buffer.getvalue().to_pybytes())
     if pq.read_metadata(path).num_rows != len(checked):
-        raise DataError(f"{path}: the file read back differs from what was written. Is the disk sound?")
+        raise OSError(errno.EIO, "it reads back differently")
+
+
+def _write_images(artifact: Any, folder: Path) -> None:
+    """Write a trial's images under the names in its table `frames`."""
+    for file, image in zip(artifact.frames["file"], artifact.images, strict=True):
+        disk.make_folder((folder / file).parent)
+        disk.write(folder / file, png(image))
+    for inside in {(folder / file).parent for file in artifact.frames["file"]}:
+        disk.sync_folder(inside)
 
 
 @contextmanager
 def _aside(path: Path) -> Iterator[Path]:
-    """A name beside `path` to write to; on success it is synced and becomes `path`."""
-    aside = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    """A name beside `path` to write to; on success it becomes `path`, else it goes, and what was there stays."""
+    aside = _beside(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        disk.make_folder(path.parent)
         yield aside
-        _each_file(aside, _sync)
         _replace(aside, path)
-        _sync(path.parent)
-    except OSError as error:
-        raise DataError(
-            f"{path}: cannot be written ({error.strerror or error}). Free space or choose a folder."
-        ) from error
+        disk.sync_folder(path.parent)
+    except (OSError, pa.ArrowException) as error:
+        why = getattr(error, "strerror", None) or error
+        remedy = REMEDIES.get(getattr(error, "errno", None) or 0, "Choose another folder, or look at the disk")
+        raise DataError(f"{path}: cannot be written ({why}). {remedy}; nothing half-written is left.") from error
     finally:
-        _remove(aside)
+        _tidy(path)
+
+
+def _beside(path: Path, role: str = "part") -> Path:
+    """A new name in the same folder, and so on the same disk."""
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.{role}")
+
+
+def _tidy(path: Path) -> None:
+    """Remove what was left beside `path`, by us or by one that was killed; never the only whole copy."""
+    ours = re.compile(re.escape(f".{path.name}.") + r"[0-9a-f]{8}\.(part|replaced)")
+    with suppress(OSError):
+        for left in path.parent.iterdir():
+            match = ours.fullmatch(left.name)
+            if match and (match[1] == "part" or path.exists()):
+                disk.remove(left)
 
 
 def _replace(aside: Path, path: Path) -> None:
-    """Give `aside` its name; an old folder of that name is moved out of the way first."""
+    """Give `aside` its name. A folder of that name steps aside first, for no system replaces a full one."""
     if not path.is_dir():
-        os.replace(aside, path)
+        disk.rename(aside, path)
         return
-    old = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.old")
-    os.replace(path, old)
-    os.replace(aside, path)
-    _remove(old)
-
-
-def _each_file(path: Path, action: Callable[[Path], None]) -> None:
-    for file in [*path.rglob("*"), path] if path.is_dir() else [path]:
-        action(file)
-
-
-def _sync(path: Path) -> None:
-    """Put a file or folder on the disk."""
-    handle = os.open(path, os.O_RDONLY)
+    old = _beside(path, "replaced")
+    disk.rename(path, old)
     try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    elif path.exists():
-        path.unlink(missing_ok=True)
+        disk.rename(aside, path)
+    except BaseException:
+        disk.rename(old, path)
+        raise

@@ -1,122 +1,236 @@
 """Nothing half-written is ever read as whole, wherever it stops."""
 
-import os
-import shutil
+import errno
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from data import store
-from data.artifacts import Points
+from data import disk, store
+from data.artifacts import Points, Trial
 from data.schema import DataError
+
+ROOT = Path(__file__).resolve().parents[2]
+OPERATIONS = ("make_folder", "write", "sync_folder", "rename")
+
+
+class Killed(BaseException):
+    """Stands for a kill: nobody catches it, and nothing is tidied after it."""
 
 
 def points(value):
+    """An artifact of three tables, each of which holds `value`."""
     return Points(
+        pd.DataFrame({"t": [0.0, 0.1], "s": 0.1, "x": value, "y": 0.0, "sigma": 1e-3, "valid": True}),
         pd.DataFrame(
-            {"t": [0.0, 0.1], "s": [0.1, 0.1], "x": [value, value], "y": [0.0, 0.0], "sigma": 1e-3, "valid": True}
+            {"frame": [0], "t": 0.0, "valid": True, "reason": "", "tip_x": value, "tip_y": 0.0, "tip_sigma": 1e-3}
+            | {"length": 0.3}
         ),
-        pd.DataFrame(
-            {
-                "frame": [0],
-                "t": [0.0],
-                "valid": [True],
-                "reason": [""],
-                "tip_x": [value],
-                "tip_y": [0.0],
-                "tip_sigma": [1e-3],
-                "length": [0.3],
-            }
-        ),
-        pd.DataFrame({"frame": [0], "t": [0.0], "png": [b"\x89PNG"]}),
+        pd.DataFrame({"frame": [0], "t": [0.0], "png": [repr(value).encode()]}),
     )
 
 
-def test_what_is_saved_comes_back_with_units_and_origin(tmp_path):
-    store.save(points(1.5), tmp_path / "p", {"seed": 3, "config": {"a": 1}})
-    back = store.load(Points, tmp_path / "p")
-    pd.testing.assert_frame_equal(back.points, points(1.5).points, check_exact=True)
-    assert back.masks["png"][0] == b"\x89PNG"
-    assert store.origin_of(tmp_path / "p" / "points.parquet")["seed"] == 3
-    import pyarrow.parquet as pq
-
-    field = pq.read_schema(tmp_path / "p" / "points.parquet").field("x")
-    assert field.metadata[b"unit"] == b"m"
-    assert field.metadata[b"meaning"]
+def value_of(folder):
+    """The one value of a stored artifact; fails where its tables disagree."""
+    back = store.load(Points, folder)
+    (value,) = {*back.points["x"], *back.readings["tip_x"], *(float(png) for png in back.masks["png"])}
+    return value
 
 
-@pytest.mark.parametrize("operation", ["open", "fsync", "replace"])
-def test_a_fault_at_every_operation_leaves_the_old_or_the_new(tmp_path, monkeypatch, operation):
-    """Fail the n-th call for every n, until a save needs fewer calls than that."""
-    real = getattr(os, operation)
-    for n in range(200):
-        folder = tmp_path / f"{operation}{n}" / "p"
-        store.save(points(1.0), folder, {})
-        count = iter(range(10**6))
+def trial(frames=3):
+    """A trial with images of noise."""
+    images = [np.random.default_rng(i).integers(0, 255, (8, 9)).astype(np.uint8) for i in range(frames)]
+    files = [f"images/{i:06d}.png" for i in range(frames)]
+    link = {"valid": True, "reason": "", "ticks": 1, "missed": 0}
+    return Trial(
+        pd.DataFrame({"t": [0.0, 0.1], "q1": 0.0, "q2": 0.1, "q3": 0.2}),
+        pd.DataFrame(columns=[c.name for c in Trial.TABLES["ticks"].columns]),
+        pd.DataFrame({"frame": range(frames), "t": np.arange(frames) / 10, "file": files}),
+        pd.DataFrame([link | dict.fromkeys(("jitter_p50", "jitter_p99", "jitter_max"), 0.0)]),
+        images,
+    )
 
-        def failing(*args, n=n, count=count, **kwargs):
-            if next(count) == n:
-                raise OSError(28, "No space left on device")
-            return real(*args, **kwargs)
 
+def fail_at(patch, n, error):
+    """Let the n-th file operation fail, every second write halfway; after a kill none works. Returns those done."""
+    done = []
+
+    def wrapped(name, real):
+        def operation(path, *rest):
+            done.append(name)
+            dead = isinstance(error, Killed) and len(done) - 1 > n
+            if len(done) - 1 != n and not dead:
+                return real(path, *rest)
+            if name == "write" and n % 2 and not dead:
+                path.write_bytes(rest[0][: len(rest[0]) // 2])
+            raise error
+
+        return operation
+
+    for name in OPERATIONS:
+        patch.setattr(disk, name, wrapped(name, getattr(disk, name)))
+    if isinstance(error, Killed):
+        patch.setattr(disk, "remove", lambda path: None)
+    return done
+
+
+def faults(monkeypatch, error, write):
+    """Call write(n) with the n-th operation failing, for every n until none fails; yields n, that operation, what was raised."""
+    for n in range(40):
+        stopped = None
         with monkeypatch.context() as patch:
-            patch.setattr(os, operation, failing)
+            done = fail_at(patch, n, error)
             try:
-                store.save(points(2.0), folder, {})
-                failed = False
-            except DataError as error:
-                failed = True
-                assert "No space left" in str(error)
-        if folder.exists():
-            back = store.load(Points, folder)
-            assert back.points["x"].nunique() == 1
-            assert {back.points["x"][0], back.readings["tip_x"][0]} in ({1.0}, {2.0})
-        else:
-            assert operation == "replace"  # killed between two renames: redone, never half
-        assert not list(folder.parent.glob(".*.part"))
-        if not failed:
-            assert n > 0
+                write(n)
+            except (DataError, Killed) as raised:
+                stopped = raised
+        if stopped is None:
+            assert n > 3, "the fault was never reached"
             return
+        yield n, done[n], stopped
     pytest.fail("the fault was never reached past")
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
-def test_truncated_and_missing_files_are_named(tmp_path, share):
-    store.save(points(1.0), tmp_path / "p", {})
+def test_a_full_disk_at_any_operation_leaves_the_old_or_the_new_and_no_litter(tmp_path, monkeypatch):
+    for n in range(40):
+        store.save(points(1.0), tmp_path / str(n) / "p", {})
+    full = OSError(errno.ENOSPC, "No space left on device")
+    for n, _, stopped in faults(monkeypatch, full, lambda n: store.save(points(2.0), tmp_path / str(n) / "p", {})):
+        assert "No space left" in str(stopped)
+        assert "Free space" in str(stopped)
+        assert value_of(tmp_path / str(n) / "p") in (1.0, 2.0)
+        assert [f.name for f in (tmp_path / str(n)).iterdir()] == ["p"]
+
+
+def test_a_kill_at_any_operation_leaves_whole_artifacts_and_the_next_save_tidies(tmp_path, monkeypatch):
+    for n in range(40):
+        store.save(points(1.0), tmp_path / str(n) / "p", {})
+    for n, operation, _ in faults(
+        monkeypatch, Killed(), lambda n: store.save(points(2.0), tmp_path / str(n) / "p", {})
+    ):
+        place = tmp_path / str(n) / "p"
+        if place.exists():
+            assert value_of(place) in (1.0, 2.0)
+        else:
+            assert operation == "rename"  # between the two renames of a replacement: the old one stands beside, whole
+            assert value_of(next(place.parent.glob(".p.*.replaced"))) == 1.0
+        store.save(points(3.0), place, {})
+        assert value_of(place) == 3.0
+        assert [f.name for f in place.parent.iterdir()] == ["p"]
+
+
+def test_a_first_save_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    fault = OSError(errno.EIO, "Input/output error")
+    for n, operation, _ in faults(monkeypatch, fault, lambda n: store.save(trial(), tmp_path / str(n) / "t", {})):
+        left = [f.name for f in (tmp_path / str(n)).iterdir()] if (tmp_path / str(n)).exists() else []
+        assert left == [] or (
+            operation == "sync_folder" and len(store.load(Trial, tmp_path / str(n) / "t").images) == 3
+        )
+
+
+def test_a_table_or_text_in_place_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
+    store.write_text(tmp_path / "run.json", "old")
+    for _, _, _ in faults(monkeypatch, Killed(), lambda n: store.write_text(tmp_path / "run.json", "new")):
+        assert (tmp_path / "run.json").read_text() in ("old", "new")
+
+
+WRITER = """
+import sys; sys.path[:0] = [{root!r}, {tests!r}]
+from itertools import count
+from test_store_faults import points, store
+from pathlib import Path
+for number in count(1):
+    store.save(points(float(number)), Path({folder!r}) / str(number % 3), {{}})
+    print(number, flush=True)
+"""
+
+
+def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(tmp_path):
+    moments = np.random.default_rng(5).uniform(0.0, 0.05, 4)
+    code = WRITER.format(root=str(ROOT), tests=str(Path(__file__).parent), folder=str(tmp_path))
+    for moment in moments:
+        writer = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+        assert writer.stdout.readline() == "1\n"  # it has begun
+        time.sleep(moment)
+        writer.send_signal(signal.SIGKILL)
+        finished = int((["1", *writer.stdout.read().split()])[-1])
+        writer.wait()
+        for number in range(max(finished - 1, 1), finished + 1):  # the one after them may have replaced the third
+            assert value_of(tmp_path / str(number % 3)) >= number
+
+
+def test_a_file_cut_short_anywhere_is_named(tmp_path):
+    store.save(points(1.0), tmp_path / "p", {"made": "by a test"})
     file = tmp_path / "p" / "points.parquet"
     whole = file.read_bytes()
-    file.write_bytes(whole[: int(len(whole) * share)])
-    with pytest.raises(DataError, match=r"points\.parquet.*not a whole Parquet file"):
+    for length in {*range(0, len(whole), 97), *range(len(whole) - 12, len(whole))}:
+        file.write_bytes(whole[:length])
+        with pytest.raises(DataError, match=r"points\.parquet.*not a whole Parquet file"):
+            store.load(Points, tmp_path / "p")
+
+
+def test_a_flipped_bit_in_the_numbers_is_noticed(tmp_path):
+    values = np.random.default_rng(1).normal(size=500)
+    store.write_table(Points.TABLES["points"], pd.DataFrame(dict.fromkeys("tsxy", values)), tmp_path / "f", {})
+    whole = bytearray((tmp_path / "f").read_bytes())
+    for place in range(200, 4000, 371):
+        (tmp_path / "f").write_bytes(bytes(b ^ (i == place) for i, b in enumerate(whole)))
+        with pytest.raises(DataError, match="not a whole Parquet file"):
+            store.read_table(Points.TABLES["points"], tmp_path / "f")
+
+
+def test_missing_and_foreign_files_are_named(tmp_path):
+    store.save(points(1.0), tmp_path / "p", {})
+    file = tmp_path / "p" / "points.parquet"
+    file.write_bytes((tmp_path / "p" / "masks.parquet").read_bytes())
+    with pytest.raises(DataError, match="holds the table 'masks', not 'points'"):
+        store.load(Points, tmp_path / "p")
+    pd.DataFrame({"speed": [1.0]}).to_parquet(file)
+    with pytest.raises(DataError, match="has no column 't', 's', 'x', 'y'; it has speed"):
         store.load(Points, tmp_path / "p")
     file.unlink()
-    with pytest.raises(DataError, match="missing"):
+    with pytest.raises(DataError, match="the file is missing"):
         store.load(Points, tmp_path / "p")
-    shutil.rmtree(tmp_path / "p")
-    with pytest.raises(DataError, match="there is no points"):
-        store.load(Points, tmp_path / "p")
+    with pytest.raises(DataError, match="there is no points here"):
+        store.load(Points, tmp_path / "elsewhere")
 
 
-def test_a_column_of_the_wrong_kind_is_named(tmp_path):
+def test_missing_and_damaged_images_are_named(tmp_path):
+    store.save(trial(), tmp_path / "t", {})
+    file = tmp_path / "t" / "images" / "000001.png"
+    file.write_bytes(file.read_bytes()[:-20])
+    back = store.load(Trial, tmp_path / "t")
+    assert np.array_equal(back.images[0], trial().images[0])
+    with pytest.raises(DataError, match=r"000001\.png: the frame is missing or damaged"):
+        back.images[1]
+    file.unlink()
+    with pytest.raises(DataError, match=r"000001\.png: the frame is missing"):
+        store.load(Trial, tmp_path / "t")
+
+
+@pytest.mark.parametrize(
+    ("column", "wrong", "words"),
+    [
+        ("x", ["left", "right"], r"column 'x' must be float \[m\].*'left'"),
+        ("valid", ["yes", "no"], r"column 'valid' must be bool.*'yes'"),
+    ],
+)
+def test_a_column_of_the_wrong_kind_is_named_and_nothing_written(tmp_path, column, wrong, words):
     bad = points(1.0)
-    bad.points["x"] = ["left", "right"]
-    with pytest.raises(DataError, match=r"column 'x' must be float \[m\].*'left'"):
+    bad.points[column] = wrong
+    with pytest.raises(DataError, match=words):
         store.save(bad, tmp_path / "p", {})
-    assert not (tmp_path / "p").exists()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match="cannot be written"):
-        store.write_text(tmp_path / "file" / "x", "1")
-    with pytest.raises(DataError, match="cannot be written"):
+    with pytest.raises(DataError, match=r"file/p: cannot be written \(.*\)\. Choose another folder"):
         store.save(points(1.0), tmp_path / "file" / "p", {})
-
-
-def test_images_are_kept_to_the_bit_and_missing_ones_are_named(tmp_path):
-    images = [np.random.default_rng(i).integers(0, 255, (8, 9)).astype(np.uint8) for i in range(3)]
-    store.write_images(images, tmp_path / "images")
-    back = store.ImageFolder(tmp_path / "images", 4)
-    assert all(np.array_equal(a, back[i]) for i, a in enumerate(images))
-    with pytest.raises(DataError, match=r"000003\.png"):
-        back[3]
+    with pytest.raises(DataError, match="cannot be written"):
+        store.save(points(1.0), Path("/proc/nowhere/p"), {})

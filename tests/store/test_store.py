@@ -1,0 +1,82 @@
+"""What is stored comes back to the bit, with units, origin and a hash of its content."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from data import store
+from data.artifacts import Points, Trial
+
+AWKWARD = [0.1, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1 / 3, np.nextafter(1.0, 2.0)]
+
+
+@pytest.fixture
+def points():
+    return Points(
+        pd.DataFrame({"t": AWKWARD, "s": 0.1, "x": AWKWARD[::-1], "y": 0.0, "valid": [True, False] * 4, "held": 3}),
+        pd.DataFrame(
+            {"frame": [2**53 + 1], "t": 0.0, "valid": False, "reason": "Δ, 'quoted'", "tip_x": np.nan, "tip_y": 0.0}
+            | {"tip_sigma": 1e-3, "length": 0.3}
+        ),
+        pd.DataFrame({"frame": [0], "t": [0.0], "png": [b"\x89PNG\0\xff"]}),
+    )
+
+
+def test_every_bit_comes_back(points, tmp_path):
+    store.save(points, tmp_path / "p", {})
+    back = store.load(Points, tmp_path / "p")
+    for name in Points.TABLES:
+        pd.testing.assert_frame_equal(getattr(back, name), Points.TABLES[name].check(getattr(points, name)))
+    assert np.array_equal(np.signbit(back.points["t"]), np.signbit(points.points["t"]))
+    assert back.readings["frame"][0] == 2**53 + 1  # no detour through floating point
+    assert list(back.points["held"]) == [3] * 8  # columns we do not know stay
+
+
+def test_unit_meaning_and_origin_are_in_the_file(points, tmp_path):
+    made = {"seed": 3, "config": {"a": [1.5, None]}}
+    store.save(points, tmp_path / "p", made)
+    assert store.origin_of(tmp_path / "p" / "points.parquet") == made
+    for name, table in Points.TABLES.items():
+        schema = pq.read_schema(tmp_path / "p" / f"{name}.parquet")
+        for column in table.columns:
+            if column.name in schema.names:
+                assert schema.field(column.name).metadata[b"unit"].decode() == column.unit
+                assert schema.field(column.name).metadata[b"meaning"]
+
+
+def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(points, tmp_path):
+    for name in "ab":
+        store.save(points, tmp_path / name, {"seed": 1})
+    assert (tmp_path / "a/points.parquet").read_bytes() == (tmp_path / "b/points.parquet").read_bytes()
+    store.save(points, tmp_path / "c", {"seed": 2})
+    hashes = {name: store.content_hash(tmp_path / name) for name in "abc"}
+    assert len(set(hashes.values())) == 1, "a hash of the content must not depend on who made it"
+    points.points.loc[6, "x"] = np.nextafter(points.points["x"][6], 1)
+    store.save(points, tmp_path / "a", {"seed": 1})
+    assert store.content_hash(tmp_path / "a") != hashes["b"]
+    renamed = replace(points, points=points.points.rename(columns={"held": "kept"}))
+    store.save(renamed, tmp_path / "c", {"seed": 1})
+    assert store.content_hash(tmp_path / "c") != store.content_hash(tmp_path / "a")
+
+
+def test_saving_again_replaces_the_whole_folder(points, tmp_path):
+    store.save(points, tmp_path / "p", {})
+    (tmp_path / "p" / "stray.txt").write_text("of the old one")
+    store.save(points, tmp_path / "p", {})
+    assert sorted(f.name for f in (tmp_path / "p").iterdir()) == ["masks.parquet", "points.parquet", "readings.parquet"]
+
+
+def test_images_are_read_one_by_one_in_the_order_of_their_table(tmp_path):
+    images = [np.full((4, 5), level, np.uint8) for level in (10, 20, 30)]
+    frames = pd.DataFrame({"frame": [0, 1, 2], "t": [0.0, 0.1, 0.2], "file": ["i/b.png", "i/a.png", "i/c.png"]})
+    empty = {name: table.empty() for name, table in Trial.TABLES.items()}
+    store.save(Trial(**(empty | {"frames": frames, "images": images})), tmp_path / "t", {})
+    back = store.load(Trial, tmp_path / "t").images
+    assert [int(image[0, 0]) for image in back] == [10, 20, 30]
+    assert int(back[-1][0, 0]) == 30
+    assert [int(image[0, 0]) for image in back[::2]] == [10, 30]
+    with pytest.raises(IndexError):
+        back[3]
