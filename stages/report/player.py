@@ -10,12 +10,13 @@ import numpy as np
 
 from stages.report.picture import data_uri
 from stages.report.record import Cast, Record
-from stages.report.scene import View, corners, levels
+from stages.report.scene import View, corners
 
 FRAMES = 240  # at most in one page, shared among its casts
 FEWEST = 24  # of one cast
 SIZE = 480  # [px] of the longer side
-QUALITY = 55  # of WebP
+QUALITIES = (60, 35, 15)  # of WebP, lowered where noise makes a frame larger than
+LARGEST = 12_000  # [bytes]
 REST = 0.03  # [s] shown before and after the movement
 
 
@@ -37,7 +38,7 @@ def animation(record: Record, cast: Cast, part: View) -> dict[str, Any] | None:
         "height": height,
         "t": [round(float(cast.t[f]) * 1e3, 1) for f in chosen],
         "start": chosen.index(cast.nearest) if cast.nearest in chosen else 0,
-        "frames": [_small(part.crop(cast.trial.images[f]), levels(cast), (width, height)) for f in chosen],
+        "frames": [_small(part.crop(cast.trial.images[f]), cast.levels, scale) for f in chosen],
         "target": _pixels(record, corners(record.target), part, scale),
         "obstacles": [_pixels(record, corners(box), part, scale) for box in record.obstacles],
         "strings": {name: [_pixels(record, line, part, scale) for line in lines] for name, lines in drawn.items()},
@@ -53,11 +54,16 @@ def choose(cast: Cast, most: int) -> list[int]:
     return sorted(set(even.tolist()))
 
 
-def _small(image: np.ndarray, black_white: tuple[float, float], size: tuple[int, int]) -> str:
+def _small(image: np.ndarray, black_white: tuple[float, float], scale: float) -> str:
+    """A frame with its levels spread, never larger than it was filmed: the player enlarges it."""
     low, high = black_white
     clear = np.clip((image.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-    small = cv2.resize(clear, size, interpolation=cv2.INTER_AREA)
-    _, data = cv2.imencode(".webp", small, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    if scale < 1:
+        clear = cv2.resize(clear, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    for quality in QUALITIES:
+        data = cv2.imencode(".webp", clear, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
+        if len(data) <= LARGEST:
+            break
     return data_uri("webp", data.tobytes())
 
 

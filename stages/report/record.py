@@ -47,6 +47,13 @@ class Cast:
         return int(np.argmin(np.abs(self.t - t)))
 
     @cached_property
+    def levels(self) -> tuple[float, float]:
+        """Black and white of the frames, the same for all: the extremes of the frame of the closest approach,
+        for a thin string is a smaller part of a frame than any percentile."""
+        image = self.trial.images[self.nearest]
+        return float(image.min()), float(max(image.max(), image.min() + 1))
+
+    @cached_property
     def measured(self) -> dict[int, np.ndarray]:
         """The centre-lines that were read, by frame: (K, 3) of x, y and arc length [m]."""
         points = self.points.points

@@ -64,12 +64,6 @@ def corners(box: Box) -> np.ndarray:
     return np.array([box.x, box.y]) + around * [box.w, box.h]
 
 
-def levels(cast: Cast) -> tuple[float, float]:
-    """Black and white of a cast's frames, the same for all, from the frame of the closest approach."""
-    low, high = np.percentile(cast.trial.images[cast.nearest], [1.0, 99.8])
-    return float(low), float(max(high, low + 1))
-
-
 def frame_figure(part: View, width: float) -> tuple[Figure, Axes]:
     """An empty figure that is nothing but the picture. width [inches]."""
     columns, rows = part.size
@@ -83,7 +77,7 @@ def frame_figure(part: View, width: float) -> tuple[Figure, Axes]:
 
 def draw(axes: Axes, record: Record, cast: Cast, frame: int, part: View, lw: float = 1.5) -> None:
     """The frame, target and obstacles, and the strings simulated before and after. lw: width of lines [pt]."""
-    low, high = levels(cast)
+    low, high = cast.levels
     extent = (part.left - 0.5, part.right - 0.5, part.bottom - 0.5, part.top - 0.5)
     image = part.crop(cast.trial.images[frame])
     axes.imshow(image, cmap="gray", vmin=low, vmax=high, extent=extent, aspect="auto", zorder=0)

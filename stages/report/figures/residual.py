@@ -39,8 +39,9 @@ def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame
     at the same arc length."""
     frame = np.repeat(list(cast.measured), [len(line) for line in cast.measured.values()])
     x, y, s = np.concatenate(list(cast.measured.values())).T
-    place = np.clip(s / record.string.segment, 0, record.string.points - 1 - 1e-9)
-    first, share = place.astype(int), (place % 1)[:, None]
+    place = np.clip(s / record.string.segment, 0, record.string.points - 1)
+    first = np.minimum(place.astype(int), record.string.points - 2)
+    share = (place - first)[:, None]
     there = (1 - share) * simulated[frame, first] + share * simulated[frame, first + 1]
     return pd.DataFrame({"frame": frame, "s": s, "away": np.hypot(*(there - np.stack([x, y], axis=-1)).T)})
 

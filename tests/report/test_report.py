@@ -1,0 +1,401 @@
+"""The page: whole in itself, drawn where things really are, and honest about what is missing."""
+
+import base64
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from data.artifacts import JOINTS, Estimate, Motion, Points, Trial
+from stages.generate import Box
+from stages.judge import LONGEST_GAP, Verdict
+from stages.model.string import String
+from stages.report import Cast, Record, report
+from stages.report.figures.residual import residuals
+from stages.report.picture import THEME
+from stages.report.player import FEWEST, FRAMES, animation, choose
+from stages.report.scene import draw, frame_figure, whole_view
+
+VOID = {"meta", "img", "input", "br", "link"}
+STRING = String(0.3)
+DURATION = 0.4
+TARGET = Box(0.5, 0.75, 0.02, 0.04)
+
+
+# --- a plausible run, without an engine ---------------------------------------------------
+def swing(t, lag):
+    """(F, n, 2) a string trailing the hand by an angle that grows with s, (F, 3) the joint angles."""
+    q = np.array([0.9, 0.5, 0.3]) + np.outer(np.sin(np.clip(t, 0, DURATION) * 5), [0.5, 0.4, -0.6])
+    return q, q.sum(axis=1)[:, None] - np.pi / 2 - lag * STRING.arc_lengths() / STRING.length
+
+
+def strings(arm, t, lag):
+    q, angle = swing(t, lag)
+    steps = STRING.segment * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, :-1]
+    return arm.joints(q)[:, -1:] + np.concatenate([np.zeros((len(t), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
+
+
+def film(camera, lines, rng, noise=6.0):
+    images = rng.normal(40, noise, (len(lines), camera.height, camera.width)).clip(0, 90).astype(np.uint8)
+    for image, line in zip(images, lines, strict=True):
+        cv2.polylines(image, [np.round(camera.pixels(line) * 16).astype(np.int32)], False, 255, 2, cv2.LINE_AA, 4)
+    return list(images)
+
+
+def estimated(rng, t, symbols=STRING.parameters):
+    rows = [
+        (p.name, p.symbol, p.unit, p.value(0.4), p.value(0.3), p.value(0.5), p.low, p.high, 0.4, False, i != 2)
+        for i, p in enumerate(symbols)
+    ]
+    columns = [c.name for c in Estimate.TABLES["parameters"].columns]
+    fit = {"method": "test", "before": 0.4, "after": 0.9, "rms_before": 0.0456, "rms_after": 0.0123, "rejected": 3}
+    matching = pd.DataFrame({"trial": "t01", "t": t, "before": 0.4 + 0 * t, "after": 0.9 + rng.normal(0, 0.02, len(t))})
+    sentence = "This data cannot determine k_h: other values fit as well."
+    table = pd.DataFrame(rows, columns=columns)
+    return Estimate(table, pd.DataFrame(), matching, pd.DataFrame([fit | {"sentence": sentence}]))
+
+
+def manipulation(arm, camera, number=1, hit=False, noise=6.0):
+    """A cast whose simulation after estimation is exactly what was filmed."""
+    rng = np.random.default_rng(number)
+    t = np.arange(-0.1, DURATION + 0.1, 0.01)
+    true, before = strings(arm, t, 0.9), strings(arm, t, 0.4 / number)
+    ticks = np.arange(-0.1, DURATION + 0.1, 0.005)
+    joints = dict(zip(JOINTS, swing(ticks, 0)[0].T, strict=True))
+    read = np.arange(len(t)) % 17 != 5
+    s = np.linspace(0, STRING.length, 24)
+    along = [np.stack([np.interp(s, STRING.arc_lengths(), line[:, i]) for i in (0, 1)], axis=-1) for line in true]
+    points = pd.concat(
+        pd.DataFrame({"t": t[f], "s": s, "x": along[f][:, 0], "y": along[f][:, 1], "sigma": 1e-3, "valid": True})
+        for f in np.flatnonzero(read)
+    )
+    tips = np.where(read[:, None], true[:, -1], np.nan)
+    readings = pd.DataFrame({"frame": range(len(t)), "t": t, "valid": read, "tip_x": tips[:, 0], "tip_y": tips[:, 1]})
+    readings["reason"] = np.where(read, "", "the string is hidden behind the arm")
+    plan = {"duration": DURATION, "t_hit": 0.25, "tried": 4321}
+    attempts = pd.DataFrame({"outcome": ["a joint leaves its range", "hit"], "count": [4320, 1]})
+    moving = pd.DataFrame({"t": ticks, **joints}).query("0 <= t <= @DURATION")
+    empty = pd.DataFrame()
+    link = {"valid": True, "reason": "", "ticks": len(ticks), "missed": 2}
+    link |= {"jitter_p50": 2e-5, "jitter_p99": 9e-5, "jitter_max": 1e-3}
+    images = film(camera, true, rng, noise)
+    trial = Trial(pd.DataFrame({"t": ticks, **joints}), empty, readings[["frame", "t"]], pd.DataFrame([link]), images)
+    verdict = Verdict(hit, 0.252, 0.0042 if hit else 0.0237 / number)
+    motion = Motion(moving, empty, empty, attempts, pd.DataFrame([plan]))
+    return Cast(motion, trial, Points(points, readings, empty), estimated(rng, t), verdict, before, true)
+
+
+@pytest.fixture(scope="module")
+def small(camera):
+    """The default camera at a quarter of its size, with a lens that bends."""
+    u, v = camera.origin_px
+    sizes = {"width": camera.width // 4, "height": camera.height // 4, "px_per_m": camera.px_per_m / 4}
+    return replace(camera, **sizes, origin_px=(u / 4, v / 4), distortion=-0.06)
+
+
+def record_of(arm, camera, casts, **other):
+    hit = bool(casts) and casts[-1].verdict.hit
+    facts = {
+        "name": "stringT",
+        "sentence": f"The tip {'reached' if hit else 'did not reach'} the target in {len(casts)} manipulations.",
+        "hit": hit,
+        "obstacles": (Box(0.9, 0.3, 0.05, 0.3),),
+        "estimates": tuple(c.estimate for c in casts if c.estimate is not None),
+        "config": {"estimate": {"beta": 0.995}, "trials": None},
+        "made_by": {"seed": 7, "code": {"commit": "0123456789abcdef", "source": "ff"}, "packages": {"numpy": "2"}},
+    }
+    return Record(arm=arm, camera=camera, string=STRING, target=TARGET, casts=tuple(casts), **facts | other)
+
+
+@pytest.fixture(scope="module")
+def record(arm, small):
+    return record_of(arm, small, [manipulation(arm, small, 1), manipulation(arm, small, 2, hit=True)])
+
+
+# --- reading the page ---------------------------------------------------------------------
+class Page(HTMLParser):
+    """Elements, text a person sees, scripts; raises where tags do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.elements, self.words, self.scripts, self.styles = [], [], [], [], []
+        self.feed(text)
+        assert self.open == [], f"never closed: {self.open}"
+        self.text = re.sub(r"\s+", " ", " ".join(self.words))
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        inside = self.open[-1] if self.open else ""
+        {"script": self.scripts, "style": self.styles}.get(inside, self.words).append(data)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    def animations(self):
+        """As strict as JSON.parse, which refuses NaN."""
+        return [json.loads(text, parse_constant=pytest.fail) for text in self.scripts[:-1]]
+
+
+def decoded(source):
+    return base64.b64decode(source.partition("base64,")[2])
+
+
+@pytest.fixture(scope="module")
+def page(record):
+    return Page(report(record))
+
+
+# --- whole in itself ----------------------------------------------------------------------
+def test_nothing_is_loaded_from_elsewhere(page):
+    for tag, attributes in page.elements:
+        for name in ("src", "href", "srcset", "poster", "action", "data"):
+            where = attributes.get(name) or "#"
+            assert where.startswith(("data:image/", "#")), f"<{tag} {name}={where[:60]}>"
+    assert not re.search(r"url\(|@import", " ".join(page.styles))
+    assert not re.search(r"fetch|import|XMLHttp|https?:", page.scripts[-1])
+    for image in page.all("img"):
+        if "svg+xml" in image["src"]:
+            assert not re.search(r'href="(?!#|data:)|url\((?!#)|<!DOCTYPE|<script', decoded(image["src"]).decode())
+
+
+def test_the_policy_admits_the_player_and_no_other_script(page):
+    """A wrong hash would silently leave the animation dead."""
+    policy = next(m["content"] for m in page.all("meta") if "http-equiv" in m)
+    digest = base64.b64encode(hashlib.sha256(page.scripts[-1].encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in policy
+    assert "default-src 'none'" in policy
+
+
+def test_every_picture_has_words_and_a_size(page, record):
+    images = page.all("img")
+    casts = len(record.casts)
+    assert len(images) == len(STRING.parameters) + 2 + casts * (5 + 6)
+    for image in images:
+        assert len(image["alt"]) > 30
+        assert "nan" not in image["alt"]
+        assert int(image["width"]) > 0
+        assert int(image["height"]) > 0
+        if "webp" in image["src"]:
+            assert cv2.imdecode(np.frombuffer(decoded(image["src"]), np.uint8), cv2.IMREAD_COLOR) is not None
+
+
+def test_every_colour_of_a_figure_has_a_dark_side(page):
+    for image in page.all("img"):
+        if "svg+xml" in image["src"]:
+            drawn = re.sub(r"<style>.*?</style>|<image[^>]*>", "", decoded(image["src"]).decode(), flags=re.DOTALL)
+            assert "var(--ink)" in drawn or "var(--soft)" in drawn
+            left = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", drawn))
+            assert left <= {"#ffffff"}, f"{image['alt']}: {left} does not follow the theme"
+    assert len({light for light, _ in THEME.values()}) == len(THEME)
+
+
+def test_the_same_record_gives_the_same_page(record):
+    one = replace(record, casts=record.casts[:1])
+    assert report(one) == report(one)
+
+
+def test_what_data_say_cannot_become_code(arm, small):
+    evil = "</script><img src=x onerror=alert(1)>"
+    cast = manipulation(arm, small)
+    cast.points.readings.loc[5, "reason"] = evil
+    text = report(record_of(arm, small, [cast], name=evil, sentence=evil, config={evil: evil}))
+    assert not [a for _, a in Page(text).elements if "onerror" in a]
+    assert evil in Page(text).text
+
+
+# --- things are where they really are -------------------------------------------------------
+def shown(data):
+    """The player's frames as a browser shows them."""
+    for source in data["frames"]:
+        image = cv2.imdecode(np.frombuffer(decoded(source), np.uint8), cv2.IMREAD_GRAYSCALE)
+        yield cv2.resize(image, (data["width"], data["height"]), interpolation=cv2.INTER_LINEAR)
+
+
+def brightness(images, lines, shift=0.0):
+    """Mean along the strings of the player, moved by `shift` of its pixels."""
+    places = [(np.array(line)[None, 1:] + shift - 0.5).astype(np.float32) for line in lines]
+    return np.mean([cv2.remap(i, p, None, cv2.INTER_LINEAR).mean() for i, p in zip(images, places, strict=True)])
+
+
+def test_the_player_draws_the_simulation_on_the_filmed_string(record):
+    """The strings after estimation are the filmed ones: moved to any side, the film under them is darker."""
+    data = animation(record, record.casts[0], whole_view(record))
+    assert len(data["frames"]) == len(data["t"]) == len(data["strings"]["after"]) == len(data["strings"]["measured"])
+    assert np.all(np.diff(data["t"]) > 0)
+    assert abs(data["t"][data["start"]] - 252) <= 5
+    images, after = list(shown(data)), data["strings"]["after"]
+    shifts = np.stack(np.meshgrid(*[np.arange(-9, 10, 3)] * 2), axis=-1).reshape(-1, 2)
+    bright = np.array([brightness(images, after, shift) for shift in shifts])
+    beside = shifts[bright > 0.95 * bright.max()].mean(axis=0)
+    camera_pixel = data["width"] / whole_view(record).size[0]
+    assert np.abs(beside).max() < camera_pixel / 4, f"the strings lie {beside / camera_pixel} pixels beside the film"
+    assert brightness(images, data["strings"]["before"]) < 0.8 * brightness(images, after)
+
+
+def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
+    cast, part = record.casts[0], whole_view(record)
+    place = cast.after[20, -1]
+    image = np.zeros((small.height, small.width), np.uint8)
+    u, v = np.round(small.pixels(place)).astype(int)
+    image[v, u] = 255
+    blank = np.full_like(cast.after, np.nan)
+    there = replace(cast, trial=replace(cast.trial, images=[image] * len(cast.t)), before=blank, after=blank)
+    nothing = replace(record, obstacles=(), target=Box(-5, -5, 1, 1))
+    figure, axes = frame_figure(part, 5.0)
+    draw(axes, nothing, there, 20, part)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    bright = np.asarray(canvas.buffer_rgba())[..., 0].astype(float)
+    rows, columns = np.nonzero(bright > bright.max() / 2)
+    seen = np.array([columns.mean(), bright.shape[0] - 1 - rows.mean()])
+    drawn = axes.transData.transform([u, v])
+    assert np.abs(seen - drawn).max() < 1.0, "the frame and the lines over it do not share their pixels"
+
+
+def test_residuals_are_distances_at_equal_arc_length(record):
+    cast = record.casts[0]
+    exact = residuals(record, cast, cast.after)
+    shifted = residuals(record, cast, cast.after + [0.003, -0.004])
+    assert exact["away"].max() < 1e-12
+    np.testing.assert_allclose(shifted["away"], 0.005, rtol=1e-9)
+    read = np.flatnonzero(cast.points.readings["valid"])
+    assert set(shifted["frame"]) == set(read.tolist())
+
+
+def test_the_tips_way_is_not_guessed_across_long_gaps(record):
+    cast = record.casts[0]
+    readings = cast.points.readings.copy()
+    gap = (readings["t"] > 0.1) & (readings["t"] < 0.1 + 2 * LONGEST_GAP)
+    readings.loc[gap, "valid"] = False
+    holed = replace(cast, points=replace(cast.points, readings=readings))
+    assert np.isnan(holed.tip(np.array([0.1 + LONGEST_GAP]))).all()
+    np.testing.assert_allclose(holed.tip(np.array([0.2])), cast.after[cast.frame(0.2), -1][None], atol=1e-9)
+
+
+def test_numbers_are_those_of_the_run(page):
+    for words in (
+        *("24 mm", "4 mm from the target", "0.400 → 0.900", "45.6 mm → 12.3 mm", "252.0 ms"),
+        *("a joint leaves its range", "4320", "the string is hidden behind the arm", "300 mm", "20 × 40 mm"),
+        *("cannot determine k_h", "estimate.beta", "0.995", "seed 7", "0123456789", "1.00 ms", "(500, 750) mm"),
+    ):
+        assert re.sub(r"\s+", " ", words) in page.text
+    assert page.text.count("✓ hit") == 3
+    assert page.text.count("✗ missed") == 3
+
+
+# --- what is missing --------------------------------------------------------------------------
+def nothing_read(cast):
+    readings = cast.points.readings.assign(valid=False, tip_x=np.nan, tip_y=np.nan, reason="too dark")
+    points = Points(cast.points.points.iloc[:0], readings, cast.points.masks)
+    return replace(cast, points=points, estimate=None, verdict=Verdict(False, np.nan, np.nan))
+
+
+def nothing_filmed(cast):
+    bare = nothing_read(cast)
+    trial = replace(cast.trial, images=[], frames=cast.trial.frames.iloc[:0])
+    points = replace(bare.points, readings=bare.points.readings.iloc[:0])
+    return replace(bare, trial=trial, points=points, before=cast.before[:0], after=cast.after[:0])
+
+
+def no_masks(cast):
+    fit = cast.estimate.fit.assign(before=np.nan, after=np.nan)
+    return replace(cast, estimate=replace(cast.estimate, matching=cast.estimate.matching.iloc[:0], fit=fit))
+
+
+def rejected(cast):
+    return replace(cast, before=np.full_like(cast.before, np.nan))
+
+
+def unreported(cast):
+    motion = replace(cast.motion, attempts=cast.motion.attempts.iloc[:0])
+    link = cast.trial.link.assign(valid=False, reason="12 commands were lost", jitter_p50=np.nan, jitter_max=np.nan)
+    return replace(cast, motion=motion, trial=replace(cast.trial, link=link, arm=cast.trial.arm.iloc[:0]))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (
+            nothing_read,
+            ["The tip was not read in this cast", "No tip was read in any frame", "too dark", "not estimated"],
+        ),
+        (nothing_filmed, ["This cast has no camera frames", "there are no frames", "0 of 0"]),
+        (no_masks, ["There is no matching rate: no masks were compared", "not known → not known"]),
+        (rejected, ["before estimation did not stay finite; it is not drawn"]),
+        (unreported, ["not valid: 12 commands were lost", "It was not recorded how many", "reported no joint angles"]),
+    ],
+)
+def test_what_is_missing_is_said(arm, small, spoil, words):
+    page = Page(report(record_of(arm, small, [spoil(manipulation(arm, small))])))
+    for word in words:
+        assert word in re.sub(r"\s+([.:,])", r"\1", page.text)
+    assert not re.search(r"\b(nan|inf|None)\b", page.text.replace("null", ""))
+    assert len(page.animations()) == len(page.all("canvas"))
+
+
+def test_estimation_alone_has_a_page(arm, small):
+    cast = manipulation(arm, small)
+    page = Page(report(record_of(arm, small, [], estimates=(cast.estimate,), sentence="Estimated from 1 trial.")))
+    assert "Estimated from 1 trial." in page.text
+    assert len(page.all("img")) == len(STRING.parameters) + 1
+    assert "Cast 1" not in page.text
+
+
+# --- from one cast to ten ---------------------------------------------------------------------
+def test_ten_casts_share_the_frames_of_the_animation(arm, small):
+    """One and two casts are those of the tests above."""
+    page = Page(report(record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])))
+    assert len(page.animations()) == len(page.all("canvas")) == 10
+    assert sum(len(data["frames"]) for data in page.animations()) <= max(FRAMES, 10 * FEWEST)
+
+
+def test_a_page_of_ten_noisy_casts_stays_small(arm, camera):
+    """Frames make the page's size: those of the default camera, at its worst noise."""
+    cast = manipulation(arm, camera, noise=25.0)
+    record = record_of(arm, camera, [cast] * 10)
+    one = len(json.dumps(animation(record, cast, whole_view(record))))
+    assert 10 * one < 5e6
+
+
+def test_the_closest_frame_is_always_among_the_chosen(record):
+    cast = record.casts[0]
+    for most in (2, 7, 24, 500):
+        chosen = choose(cast, most)
+        assert cast.nearest in chosen
+        assert len(chosen) <= most
+        assert chosen == sorted(set(chosen))
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_a_browser_runs_the_player(record, tmp_path):
+    """The clock under the animation is written by the player, so it ran, under the page's own policy."""
+    (tmp_path / "report.html").write_text(report(record))
+    quiet = "--disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync"
+    command = [
+        "chromium",
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        *quiet.split(),
+        f"--user-data-dir={tmp_path}/p",
+    ]
+    command += ["--virtual-time-budget=3000", "--dump-dom", f"file://{tmp_path}/report.html"]
+    dom = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True).stdout
+    assert re.findall(r"<output>(\d+) ms</output>", dom) == ["250", "250"]
