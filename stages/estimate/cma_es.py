@@ -35,15 +35,21 @@ def estimate(
     matching: Matching,
     progress: Callable[[float], object] = lambda share: None,
 ) -> Estimate:
-    """Parameters with the highest E. sigma: first step in chi, divided by `manipulation`."""
+    """Parameters with the highest E. sigma: first step in chi, divided by `manipulation`.
+
+    A search that has come to rest begins again somewhere else, until `candidates` are spent.
+    """
     goals = targets(string, arm, camera, observations, matching)
     before = start_chi(string.parameters, previous)
     middle = np.clip(before, 0.05, 0.95) if previous is not None else np.full(len(before), 0.5)
     bounds = np.tile([0.0, 1.0], (len(before), 1))
-    search = CMA(mean=middle, sigma=sigma / manipulation, bounds=bounds, seed=seed, population_size=population)
+    settings = {"sigma": sigma / manipulation, "bounds": bounds, "population_size": population}
+    search, rng = CMA(mean=middle, seed=seed, **settings), np.random.default_rng(seed)
     tried, rates = [before[None]], [matching_rate(goals, values_of(string.parameters, before[None]))]
     rounds = max((candidates - 1) // population, 1)
     for number in range(rounds):
+        if search.should_stop():
+            search = CMA(mean=rng.uniform(0, 1, len(before)), seed=int(rng.integers(2**31)), **settings)
         chi = np.stack([search.ask() for _ in range(population)])
         rate = matching_rate(goals, values_of(string.parameters, chi))
         search.tell([(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)])
@@ -51,4 +57,4 @@ def estimate(
         rates.append(rate)
         progress((number + 1) / rounds)
     found = Search("CMA-ES", np.concatenate(tried), np.concatenate(rates))
-    return estimate_of(goals, before, found.chi[found.best], found, spread(string.parameters, found))
+    return estimate_of(goals, before, found.chi[found.best], found, spread(goals, found))

@@ -72,7 +72,7 @@ def case(string: String, arm: Arm, observation: Observation) -> Case:
     points = observation.points
     if "valid" in points:
         points = points[points["valid"].astype(bool)]
-    points = points[np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)]
+    points = points[np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)].sort_values(["t", "s"], kind="stable")
     if points.empty:
         raise DataError(f"trial {observation.trial}: no valid point of the string. Look at its readings' reasons.")
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)

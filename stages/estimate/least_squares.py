@@ -3,10 +3,14 @@
 Gauss-Newton with Levenberg's damping in chi, from several starts side by side; the
 Jacobian is a finite difference whose candidates run in one batch. A string that is swung
 forgets where it came from, so the whole trial has many local minima: its beginning is
-fitted first, and the horizon widens as the fit improves. Outliers count less (Huber).
+fitted first, and the horizon widens as the fit improves. The best start is then brought to
+its minimum by scipy's trust region. Outliers count less (Huber), in every step and in what
+it is judged by.
 
-Residuals of neighbouring points and frames are not independent, so the covariance
-is the sandwich estimate over blocks of time (White 1980; Cameron and Miller 2015).
+Residuals of neighbouring points and frames are not independent, so the covariance is the
+sandwich estimate over blocks of time (White 1980; Cameron and Miller 2015). Before the data
+speak, every value in the range counts as equally likely: that keeps an interval about what
+no data touches, alone or in combination, as wide as the range.
 """
 
 from __future__ import annotations
@@ -16,12 +20,13 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.optimize import least_squares as trust_region
 from scipy.stats import t as student
 
 from data.artifacts import Estimate, Observation
 from stages.estimate.forward import Case
 from stages.estimate.matching import Matching, matching_rate, targets
-from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, values_of, words
+from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.string import String
@@ -32,6 +37,8 @@ BLOCK = 0.05  # [s] of time taken as one independent piece
 WIDE = 0.3  # an interval this wide in chi determines nothing
 HORIZONS = (0.35, 0.5, 0.65, 0.8, 1.0, 1.0, 1.0, 1.0)  # shares of the time, fitted one after the other
 STUBBORN = 1e-9  # added to the normal matrix, so that flat directions stay put
+PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
+POLISH = 100  # steps of the trust region at most; it mostly takes fewer than 20
 DAMPINGS = np.array([1e-7, 1e-4, 1e-2, 1.0, 100.0])
 
 
@@ -60,51 +67,80 @@ def estimate(
     before = start_chi(string.parameters, previous)
     drawn = np.random.default_rng([seed, manipulation]).uniform(0, 1, (screening, len(before)))
     screened = np.concatenate([before[None], drawn])
-    order = np.argsort(_costs([ready.until(HORIZONS[0]) for ready in cases], screened))
+    order = np.argsort(_costs([ready.until(HORIZONS[0]) for ready in cases], screened, np.inf))
     chi = screened[order[:starts]]
     for number in range(iterations):
         share = HORIZONS[number * len(HORIZONS) // iterations]
         chi = _improved([ready.until(share) for ready in cases], chi)
         progress((number + 1) / iterations)
-    best = chi[int(np.argmin(_costs(cases, chi)))]
-    tried = np.concatenate([screened, chi])
+    limit = _limit(_residuals(cases, chi)).min()
+    best = _polished(cases, chi[int(np.argmin(_costs(cases, chi, limit)))])
+    tried = np.concatenate([screened, chi, best[None]])
     search = Search("least squares", tried, matching_rate(goals, values_of(string.parameters, tried)))
     return estimate_of(goals, before, best, search, interval(cases, best))
 
 
 def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:
     """95 % intervals about the solution chi (P,), and what the data cannot determine."""
-    residual, jacobian = _linear(cases, chi[None])
-    weight = _huber(residual[0])
-    normal = np.einsum("np,n,nq->pq", jacobian[0], weight, jacobian[0])
-    gradient = jacobian[0] * (weight * residual[0])[:, None]
-    sums = np.stack([gradient[block].sum(axis=0) for block in _blocks(cases)])
-    spread = len(sums) / max(len(sums) - len(chi), 1) * sums.T @ sums
-    inverse = np.linalg.pinv(normal + STUBBORN * np.eye(len(chi)) * np.trace(normal), hermitian=True)
-    deviation = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0))
-    reach = student.ppf(0.975, max(len(sums) - len(chi), 1)) * deviation
+    parameters = cases[0].string.parameters
+    covariance, blocks = _covariance(cases, chi)
+    deviation = np.sqrt(np.diag(covariance))
+    reach = student.ppf(0.975, max(blocks - len(chi), 1)) * deviation
     low, high = np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)
-    flat = np.diag(normal) < 1e-9 * np.trace(normal)
-    determined = (high - low < WIDE) & (chi > EDGE) & (chi < 1 - EDGE) & ~flat
-    return Interval(low, high, determined, words(cases[0].string.parameters, determined))
+    determined = (high - low < WIDE) & (chi > EDGE) & (chi < 1 - EDGE)
+    sentence = words(parameters, determined, "This data determines every parameter.")
+    together = tied(parameters, determined, covariance / np.outer(deviation, deviation))
+    return Interval(low, high, determined, sentence + together)
+
+
+def _covariance(cases: Sequence[Case], chi: np.ndarray) -> tuple[np.ndarray, int]:
+    """Sandwich covariance of the solution chi (P,), (P, P), and the number of blocks it rests on."""
+    residual, jacobian = (each[0] for each in _linear(cases, chi[None]))
+    limit = _limit(residual)
+    weight, scale = _huber(residual, limit), limit / HUBER
+    prior = PRIOR * np.eye(len(chi))
+    bread = np.linalg.inv(jacobian.T @ (weight[:, None] * jacobian) / scale**2 + prior)
+    gradient = jacobian * (weight * residual)[:, None] / scale**2
+    sums = np.stack([gradient[block].sum(axis=0) for block in _blocks(cases)])
+    few = len(sums) / max(len(sums) - len(chi), 1)
+    return bread @ (few * sums.T @ sums + prior) @ bread, len(sums)
 
 
 def _improved(cases: Sequence[Case], chi: np.ndarray) -> np.ndarray:
     """One damped Gauss-Newton step of every start (K, P): the best of several dampings, or none."""
     residual, jacobian = _linear(cases, chi)
-    trials = [chi]
-    for damping in DAMPINGS:
-        step = np.zeros_like(chi)
-        for k in range(len(chi)):
-            weight = _huber(residual[k])
-            normal = np.einsum("np,n,nq->pq", jacobian[k], weight, jacobian[k])
-            right = jacobian[k].T @ (weight * residual[k])
-            level = damping * np.diag(normal) + STUBBORN * np.trace(normal)
-            step[k] = -np.linalg.solve(normal + np.diag(level), right)
-        trials.append(np.clip(chi + np.clip(step, -0.2, 0.2), 0, 1))
-    stacked = np.stack(trials)
-    costs = _costs(cases, stacked.reshape(-1, chi.shape[1])).reshape(len(trials), -1)
-    return stacked[np.argmin(costs, axis=0), np.arange(len(chi))]
+    limit = _limit(residual)
+    weight = _huber(residual, limit)
+    gradient = np.einsum("knp,kn,kn->kp", jacobian, weight, residual)
+    held = ((chi <= 0) & (gradient > 0)) | ((chi >= 1) & (gradient < 0))  # at a bound and pushed against it
+    jacobian, gradient = np.where(held[:, None], 0.0, jacobian), np.where(held, 0.0, gradient)
+    normal = np.einsum("knp,kn,knq->kpq", jacobian, weight, jacobian)
+    trials = np.stack([chi, *(np.clip(chi + _step(normal, gradient, damping), 0, 1) for damping in DAMPINGS)])
+    costs = _costs(cases, trials.reshape(-1, chi.shape[1]), np.tile(limit, len(trials))).reshape(len(trials), -1)
+    return trials[np.argmin(costs, axis=0), np.arange(len(chi))]
+
+
+def _step(normal: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+    """Levenberg's step of each start (K, P), a fifth of the range at most. normal: (K, P, P)."""
+    diagonal = np.diagonal(normal, axis1=1, axis2=2)
+    level = damping * diagonal + STUBBORN * diagonal.sum(axis=1, keepdims=True) + np.finfo(float).tiny
+    damped = normal + level[:, :, None] * np.eye(gradient.shape[1])
+    return np.clip(-np.linalg.solve(damped, gradient[..., None])[..., 0], -0.2, 0.2)
+
+
+def _polished(cases: Sequence[Case], chi: np.ndarray) -> np.ndarray:
+    """The minimum near chi (P,) within the range."""
+    found = trust_region(
+        lambda x: _residuals(cases, x[None])[0],
+        np.clip(chi, STEP, 1 - STEP),
+        jac=lambda x: _linear(cases, x[None])[1][0],
+        bounds=(0, 1),
+        x_scale="jac",
+        loss="huber",
+        f_scale=float(_limit(_residuals(cases, chi[None])[0])),
+        max_nfev=POLISH,
+    )
+    return found.x
 
 
 def _linear(cases: Sequence[Case], chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -132,16 +168,25 @@ def _residuals(cases: Sequence[Case], chi: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.concatenate(parts, axis=1), nan=1e6)
 
 
-def _costs(cases: Sequence[Case], chi: np.ndarray) -> np.ndarray:
-    """Root mean square residual of each candidate, chunk by chunk, (C,)."""
-    chunks = np.array_split(chi, max(len(chi) // 64, 1))
-    return np.concatenate([np.sqrt(np.mean(_residuals(cases, some) ** 2, axis=1)) for some in chunks])
+def _costs(cases: Sequence[Case], chi: np.ndarray, limit: np.ndarray | float) -> np.ndarray:
+    """Huber's mean squared residual of each candidate, chunk by chunk, (C,). limit: (C,) or one for all."""
+    limits = np.broadcast_to(limit, len(chi))
+    costs = []
+    for some in np.array_split(np.arange(len(chi)), max(len(chi) // 64, 1)):
+        size = np.abs(_residuals(cases, chi[some]))
+        within = np.minimum(size, limits[some, None])
+        costs.append(np.mean(within * (2 * size - within), axis=1))
+    return np.concatenate(costs)
 
 
-def _huber(residual: np.ndarray) -> np.ndarray:
-    """Weights of residuals (N,): 1 within HUBER robust scales, less beyond."""
-    scale = 1.4826 * np.median(np.abs(residual)) + 1e-12
-    return np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-300))
+def _limit(residual: np.ndarray) -> np.ndarray:
+    """HUBER robust standard deviations of residuals (..., N), (...)."""
+    return HUBER * 1.4826 * np.median(np.abs(residual), axis=-1) + 1e-12
+
+
+def _huber(residual: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Weights of residuals (..., N): 1 within limit (...), less beyond."""
+    return np.minimum(1.0, limit[..., None] / np.maximum(np.abs(residual), 1e-300))
 
 
 def _blocks(cases: Sequence[Case]) -> list[np.ndarray]:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+import pandas as pd
 from numba import njit, prange
 from pydantic import Field
 
@@ -34,23 +35,23 @@ class Matching:
 
 @dataclass(frozen=True)
 class Target:
-    """One trial's images as score maps (F, height, width) uint8, and its tips (F, 2) [px]."""
+    """One trial's images as score maps (F, height, width) uint8, its tips (F, 2) [px], and weights (F, n)."""
 
     case: Case
     camera: Camera
     matching: Matching
     maps: np.ndarray
     tips: np.ndarray
+    weights: np.ndarray
 
     def per_frame(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """E_f of each candidate and frame, (C, F), NaN where a run was rejected, and who stayed finite (C,)."""
-        weights = 1 + np.arange(self.case.string.points) * self.matching.delta_w
         scores = np.full((len(values), len(self.maps)), np.nan)
         finite = np.zeros(len(values), dtype=bool)
         for some, motion in self.case.simulate(values):
             pixels = self.camera.pixels(motion.points)
             args = (pixels, self.maps, self.tips, self.matching.tip_step_px, float(self.matching.dilations))
-            scores[some] = np.where(motion.finite[:, None], match(*args, weights), np.nan)
+            scores[some] = np.where(motion.finite[:, None], match(*args, self.weights), np.nan)
             finite[some] = motion.finite
         return scores, finite
 
@@ -74,7 +75,7 @@ def match(
     """E_f = sum p_i w_i / (p_max sum w_i) of candidates (C, F, n, 2) [px], (C, F) (Eq. 5).
 
     A point scores the map's value at its pixel, 0 outside the picture; the tip scores p_max
-    less one for each `tip_step` pixels from the real tip.
+    less one for each `tip_step` pixels from the real tip. weights: w_i in each frame, (F, n).
     """
     count, frames, n, _ = pixels.shape
     result = np.empty((count, frames))
@@ -85,10 +86,10 @@ def match(
                 u = np.floor(pixels[c, f, i, 0] + 0.5)
                 v = np.floor(pixels[c, f, i, 1] + 0.5)
                 if 0 <= u < maps.shape[2] and 0 <= v < maps.shape[1]:
-                    total += maps[f, int(v), int(u)] * weights[i]
+                    total += maps[f, int(v), int(u)] * weights[f, i]
             away = np.hypot(pixels[c, f, n - 1, 0] - tips[f, 0], pixels[c, f, n - 1, 1] - tips[f, 1])
-            total += max(most - np.floor(away / tip_step), 0.0) * weights[n - 1]
-            result[c, f] = total / (most * weights.sum())
+            total += max(most - np.floor(away / tip_step), 0.0) * weights[f, n - 1]
+            result[c, f] = total / (most * weights[f].sum())
     return result
 
 
@@ -101,7 +102,19 @@ def _target(ready: Case, camera: Camera, observation: Observation, matching: Mat
         mask = _decode(images[t]) if t in images else rasterise(line, (camera.height, camera.width), 3)
         maps.append(score_map(mask, matching.dilations, matching.step_px))
         tips.append(line[np.argmax(ready.s[ready.frame == number])])
-    return Target(ready, camera, matching, np.stack(maps), np.array(tips))
+    return Target(ready, camera, matching, np.stack(maps), np.array(tips), _weights(ready, matching.delta_w))
+
+
+def _weights(ready: Case, delta_w: float) -> np.ndarray:
+    """w_i = 1 + (i - 1) delta_w (Eq. 6) of the mass points that a frame shows, (F, n).
+
+    0 for those it does not: where the tip is hidden, or only a marker was measured, nothing
+    is known of the rest. The extract stage reads a string whole or not at all.
+    """
+    s, half = ready.string.arc_lengths(), ready.string.segment / 2
+    measured = pd.Series(np.clip(ready.s, 0, ready.string.length)).groupby(ready.frame)
+    first, last = measured.min().to_numpy()[:, None], measured.max().to_numpy()[:, None]
+    return np.where((s >= first - half) & (s <= last + half), 1 + np.arange(len(s)) * delta_w, 0.0)
 
 
 def _decode(png: bytes) -> np.ndarray:

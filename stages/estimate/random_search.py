@@ -38,7 +38,8 @@ def estimate(
     parameter with a random number of its own; M is `manipulation`, from 1. chi_best begins
     with the previous manipulation's estimate and is then the best so far: the narrowing by
     beta^m would make no sense around a point that stays. Candidates are drawn `together` at a
-    time from the same chi_best (1 is the paper's one by one), so that they fill the machine.
+    time from the same chi_best, so that they fill the machine: 1 is one by one, and as many as
+    `candidates` is Eq. 4 to the letter, where chi_best is the previous manipulation's estimate.
     """
     goals = targets(string, arm, camera, observations, matching)
     before = start_chi(string.parameters, previous)
@@ -55,4 +56,4 @@ def estimate(
         if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):
             best, best_rate = drawn[int(np.nanargmax(scores))], np.nanmax(scores)
     search = Search("random search", chi, rate)
-    return estimate_of(goals, before, best, search, spread(string.parameters, search))
+    return estimate_of(goals, before, best, search, spread(goals, search))

@@ -9,11 +9,14 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import CANDIDATES, FIT, MATCHING, PARAMETERS, Estimate
-from stages.estimate.matching import Target
+from data.schema import DataError
+from stages.estimate.matching import Target, matching_rate
 from stages.model.parameter import Parameter
 
 NEAR = 0.01  # candidates within this much of the best E are as good as it
 BROAD = 0.5  # an undetermined parameter's good values spread over this share of its range
+SCAN = np.linspace(0, 1, 21)  # chi at which a parameter is tried for that
+TIED = 0.95  # correlation beyond which two parameters are known only together
 POOR = 0.6  # E below which the model does not explain the data, whatever its parameters
 EDGE = 0.01  # of the range: a value this close to an end sits on it
 
@@ -25,6 +28,14 @@ class Search:
     method: str
     chi: np.ndarray
     matching_rate: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Refuse a search without a single string in it."""
+        if np.isnan(self.matching_rate).all():
+            raise DataError(
+                f"{self.method}: none of {len(self.chi)} candidates stayed finite. Narrow string.ranges, "
+                "or look for jumps in the arm's joint angles."
+            )
 
     @property
     def best(self) -> int:
@@ -78,22 +89,44 @@ def estimate_of(
     )
 
 
-def spread(parameters: Sequence[Parameter], search: Search) -> Interval:
-    """What the candidates nearly as good as the best say about each parameter."""
-    near = search.matching_rate >= search.matching_rate[search.best] - NEAR
-    low, high = np.percentile(search.chi[near], [2.5, 97.5], axis=0)
+def spread(goals: Sequence[Target], search: Search) -> Interval:
+    """Which parameters E singles out: their values as good as the best cover less than BROAD of the range.
+
+    A search narrows by itself, so where its candidates lie says little. Each parameter is also
+    moved through its range with the others held; a trade-off between two can still go unseen.
+    """
+    parameters = goals[0].case.string.parameters
     best = search.chi[search.best]
-    determined = (high - low < BROAD) & (best > EDGE) & (best < 1 - EDGE)
-    return Interval(np.full(len(best), np.nan), np.full(len(best), np.nan), determined, words(parameters, determined))
+    scan = np.tile(best, (len(best), len(SCAN), 1))
+    scan[np.arange(len(best)), :, np.arange(len(best))] = SCAN
+    moved = scan.reshape(-1, len(best))
+    chi = np.concatenate([search.chi, moved])
+    rate = np.concatenate([search.matching_rate, matching_rate(goals, values_of(parameters, moved))])
+    width = np.ptp(chi[rate >= search.matching_rate[search.best] - NEAR], axis=0)
+    determined = (width < BROAD) & (best > EDGE) & (best < 1 - EDGE)
+    unknown = np.full(len(best), np.nan)
+    clear = "Near the best string found, E depends on every parameter."
+    return Interval(unknown, unknown, determined, words(parameters, determined, clear))
 
 
-def words(parameters: Sequence[Parameter], determined: np.ndarray) -> str:
-    """Which parameters the data cannot determine, in a sentence."""
+def words(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -> str:
+    """Which parameters the data cannot determine, in a sentence; `clear` if there are none."""
     loose = [p.symbol or p.name for p, good in zip(parameters, determined, strict=True) if not good]
     if not loose:
-        return "This data determines every parameter."
+        return clear
     why = "other values fit as well, or the best lies at the end of the range"
     return f"This data cannot determine {', '.join(loose)}: {why}."
+
+
+def tied(parameters: Sequence[Parameter], determined: np.ndarray, correlation: np.ndarray) -> str:
+    """Which parameters, not all determined, the data knows only together. correlation: (P, P)."""
+    names = [p.symbol or p.name for p in parameters]
+    pairs = [
+        f"{names[i]} and {names[j]} (correlation {correlation[i, j]:+.2f})"
+        for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
+        if abs(correlation[i, j]) > TIED and not (determined[i] and determined[j])
+    ]
+    return f" It knows only together: {', '.join(pairs)}." if pairs else ""
 
 
 def poor(rate: float) -> str:

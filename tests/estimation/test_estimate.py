@@ -49,7 +49,8 @@ def test_matching_rate_is_equations_5_and_6():
     maps = rng.integers(0, 8, (4, 30, 40)).astype(np.uint8)
     pixels = rng.uniform(-5, 45, (3, 4, 6, 2))
     tips = rng.uniform(0, 30, (4, 2))
-    weights = 1 + np.arange(6) * 0.25
+    weights = (1 + np.arange(6) * 0.25) * np.ones((4, 1))
+    weights[3, :2] = 0  # what a frame does not show
     literal = np.zeros((3, 4))
     for c, f in np.ndindex(3, 4):
         p = np.zeros(6)
@@ -57,7 +58,7 @@ def test_matching_rate_is_equations_5_and_6():
             u, v = np.floor(pixels[c, f, i] + 0.5).astype(int)
             p[i] = maps[f, v, u] if 0 <= u < 40 and 0 <= v < 30 else 0
         p[5] = max(7 - np.linalg.norm(pixels[c, f, 5] - tips[f]) // 3.0, 0)
-        literal[c, f] = (p * weights).sum() / (7 * weights.sum())
+        literal[c, f] = (p * weights[f]).sum() / (7 * weights[f].sum())
     np.testing.assert_allclose(match(pixels, maps, tips, 3.0, 7.0, weights), literal, rtol=1e-12)
 
 
