@@ -151,6 +151,25 @@ class Trial:
 
     TABLES: ClassVar[dict[str, Table]] = {"arm": ARM, "ticks": TICKS, "frames": FRAMES, "link": LINK}
 
+    @property
+    def film(self) -> Film:
+        """What the camera saw, and where the arm was."""
+        return Film(self.frames["t"].to_numpy(), self.images, arm=self.arm)
+
+
+@dataclass(frozen=True)
+class Film:
+    """What a camera saw of one trial, ours or anybody's, and where the hand was.
+
+    t: (F,) times of the frames [s]. images: F uint8 arrays (height, width). Exactly one of
+    `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is given.
+    """
+
+    t: np.ndarray
+    images: Sequence[np.ndarray] = field(repr=False)
+    arm: pd.DataFrame | None = None
+    grasp: pd.DataFrame | None = None
+
 
 # --- points -----------------------------------------------------------------------------
 POINTS = Table(
@@ -219,7 +238,8 @@ class Observation:
     """One trial as estimation and diagnosis see it, ours or anybody's.
 
     Exactly one of `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is given.
-    `masks` is empty where only points were measured.
+    `masks` is empty where only points were measured, `points` where they are yet to be read
+    from frames.
     """
 
     trial: str

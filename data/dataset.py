@@ -1,14 +1,15 @@
 """Folders of measured data: a run of ours, or anybody's (shared format, version 1).
 
-A dataset is one folder: `arm` or `grasp`, `points`, each as Parquet or CSV with the leading
-column `trial`, and `dataset.yaml`. A run of ours also keeps `readings` and `masks`, so that
-estimation from disk sees exactly what it saw in the run.
+A dataset is one folder: `arm` or `grasp`, and `points`, each as Parquet or CSV with the
+leading column `trial`, and `dataset.yaml`. Where points are yet to be made there are frames
+instead, listed in `frames`, or a video for each trial. A run of ours also keeps `readings`
+and `masks`, so that estimation from disk sees exactly what it saw in the run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from data.artifacts import ARM, GRASP, MASKS, POINTS, READINGS, Observation, Points, Trial
+from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
+from data.films import Shots, filmed, listed, videos
 from data.schema import Column, DataError, Table
-from data.store import read_table, write_table, write_text
+from data.store import content_hash, read_table, write_table, write_text
 
 FORMAT = 1
 TRIAL = Column("trial", "", "name of the trial", "text")
@@ -33,23 +35,32 @@ def with_trial(table: Table) -> Table:
 
 @dataclass(frozen=True)
 class Dataset:
-    """trials: what can be used, by name. rejected: why the others cannot. about: dataset.yaml."""
+    """trials: what can be used, by name. films: their frames, where there are any. rejected: why the others
+    cannot. about: dataset.yaml. hashes: of every file that was read, by name."""
 
     folder: Path
     trials: Mapping[str, Observation]
+    films: Mapping[str, Film]
     rejected: Mapping[str, str]
     about: Mapping[str, Any]
+    hashes: Mapping[str, str]
 
 
 def publish(
-    folder: Path, trials: Mapping[str, tuple[Trial, Points]], known: Mapping[str, Any], origin: Mapping[str, Any]
+    folder: Path,
+    trials: Mapping[str, tuple[Trial, Points]],
+    places: Mapping[str, Path],
+    known: Mapping[str, Any],
+    origin: Mapping[str, Any],
 ) -> None:
     """Write trials of ours as a dataset; each file is replaced whole, `dataset.yaml` last.
 
-    known: what dataset.yaml says beside the format. origin: goes into every footer.
+    places: the folder of each trial's frames, relative to `folder`. known: what dataset.yaml
+    says beside the format. origin: goes into every footer.
     """
     tables = {
         ARM: {name: trial.arm for name, (trial, _) in trials.items()},
+        FRAMES: {name: _placed(trial.frames, places[name]) for name, (trial, _) in trials.items()},
         POINTS: {name: points.points for name, (_, points) in trials.items()},
         READINGS: {name: points.readings for name, (_, points) in trials.items()},
         MASKS: {name: points.masks for name, (_, points) in trials.items()},
@@ -60,26 +71,59 @@ def publish(
     write_text(folder / "dataset.yaml", yaml.safe_dump({"format": FORMAT, **known}, sort_keys=False))
 
 
+def _placed(frames: pd.DataFrame, place: Path) -> pd.DataFrame:
+    return frames.assign(file=[(place / file).as_posix() for file in frames["file"]])
+
+
 def read(folder: Path) -> Dataset:
     """Read a dataset; raises DataError naming the file and the remedy. Damaged rows are left out."""
     if not folder.is_dir():
         raise DataError(f"trials={folder}: there is no such folder. Name a run's folder or one in the data format.")
     known = about(folder)
+    shots = _shots(folder, known)
     motion_table = ARM if _find(folder, "arm") else GRASP
     motion = _read(motion_table, folder)
-    points = _read(POINTS, folder)
-    extra = {t.name: _read(t, folder) for t in (READINGS, MASKS) if _find(folder, t.name)}
-    trials, rejected = {}, {}
-    for name in sorted(set(motion["trial"]) | set(points["trial"])):
-        parts = [_of(frame, name) for frame in (motion, points)]
-        reason = _unusable(*parts)
+    wanted = [t for t in (READINGS, MASKS) if _find(folder, t.name)]
+    wanted += [POINTS] if _find(folder, POINTS.name) or not shots else []
+    seen = {table.name: _read(table, folder) for table in wanted}
+    names = {*motion["trial"], *shots, *(seen["points"]["trial"] if "points" in seen else ())}
+    trials, films, rejected = {}, {}, {}
+    for name in sorted(names):
+        moved = {motion_table.name: _of(motion, name)}
+        parts = [_of(seen[t.name], name) if t.name in seen else t.empty() for t in (POINTS, READINGS, MASKS)]
+        times = shots[name][0] if parts[0].empty and name in shots else parts[0]["t"].to_numpy()
+        reason = _unusable(moved[motion_table.name]["t"].to_numpy(), times)
         if reason:
             rejected[name] = reason
             continue
-        kept = [_of(extra[t.name], name) if t.name in extra else t.empty() for t in (READINGS, MASKS)]
-        given = {"arm": parts[0]} if motion_table is ARM else {"grasp": parts[0]}
-        trials[name] = Observation(name, parts[1], *kept, **given)
-    return Dataset(folder, trials, rejected, known)
+        trials[name] = Observation(name, *parts, **moved)
+        if name in shots:
+            films[name] = Film(*shots[name], **moved)
+    return Dataset(folder, trials, films, rejected, known, _hashes(folder))
+
+
+def _shots(folder: Path, known: Mapping[str, Any]) -> dict[str, Shots]:
+    """Times and images of each trial that has any; raises DataError where points must be made of them and cannot."""
+    camera = known.get("camera") or {}
+    found = videos(folder)
+    needed = ["px_per_m", "origin_px"] + (["fps"] if found else [])
+    missing = [f"camera.{key}" for key in needed if key not in camera]
+    if missing and (found or _find(folder, FRAMES.name)) and not _find(folder, POINTS.name):
+        raise DataError(
+            f"{folder / 'dataset.yaml'}: {', '.join(missing)} must be there to make points of frames. Add what the "
+            "camera had: fps as filmed (a video may be played slower), px_per_m, and the pixel of the origin."
+        )
+    if _find(folder, FRAMES.name):
+        return listed(folder, _read(FRAMES, folder))
+    return filmed(folder, float(camera["fps"])) if found and "fps" in camera else {}
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of the content of what a dataset is made of, by file."""
+    tables = (ARM, GRASP, POINTS, READINGS, MASKS, FRAMES)
+    found = [path for table in tables if (path := _find(folder, table.name))]
+    films = [folder / "frames"] if (folder / "frames").is_dir() else videos(folder)
+    return {path.name: content_hash(path) for path in (*found, *films)}
 
 
 def about(folder: Path) -> dict[str, Any]:
@@ -104,11 +148,14 @@ def _read(table: Table, folder: Path) -> pd.DataFrame:
     """One table, without rows that cannot be used and without duplicates, in time order."""
     path = _find(folder, table.name)
     if path is None:
-        raise DataError(f"{folder}: neither {table.name}.parquet nor {table.name}.csv. Add it, with column 'trial'.")
+        instead = ", nor frames or videos" if table is POINTS else ""
+        raise DataError(
+            f"{folder}: neither {table.name}.parquet nor {table.name}.csv{instead}. Add it, with column 'trial'."
+        )
     whole = with_trial(table)
     frame = whole.check(pd.read_csv(path), str(path)) if path.suffix == ".csv" else read_table(whole, path)
     numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional and c.unit]
-    if table in (ARM, GRASP, POINTS):
+    if table in (ARM, GRASP, POINTS):  # of the others NaN is a value
         frame = frame[np.isfinite(frame[numbers]).all(axis=1)]
         keys = ["trial", "t", "s"] if table is POINTS else ["trial", "t"]
         frame = frame.drop_duplicates(keys)
@@ -122,20 +169,20 @@ def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 def fits(data: Dataset, length: float) -> Dataset:
     """Without the trials whose points lie further along than a string of `length` [m] is long."""
-    beyond = {name: float(o.points["s"].max()) for name, o in data.trials.items()}
+    beyond = {name: float(o.points["s"].max()) for name, o in data.trials.items() if len(o.points)}
     long = {name: s for name, s in beyond.items() if s > BEYOND * length}
     reasons = {
         name: f"points up to s = {s:.3f} m on a string of {length:.3f} m (string.length)" for name, s in long.items()
     }
     kept = {name: o for name, o in data.trials.items() if name not in long}
-    return Dataset(data.folder, kept, {**data.rejected, **reasons}, data.about)
+    return replace(data, trials=kept, rejected={**data.rejected, **reasons})
 
 
-def _unusable(motion: pd.DataFrame, points: pd.DataFrame) -> str:
-    """Why a trial cannot be used; empty if it can."""
-    if motion.empty:
+def _unusable(moved: np.ndarray, seen: np.ndarray) -> str:
+    """Why a trial with these times of the hand and of what was seen [s] cannot be used; empty if it can."""
+    if not len(moved):
         return "no motion of the hand"
-    if points.empty:
-        return "no measured point"
-    common = min(motion["t"].max(), points["t"].max()) - max(motion["t"].min(), points["t"].min())
+    if not len(seen):
+        return "no measured point and no frame"
+    common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
     return f"arm and camera overlap for {max(common, 0):.2f} s only" if common < OVERLAP else ""

@@ -59,7 +59,7 @@ def main(config: DictConfig) -> float | None:
 
 def run(config: DictConfig, console: Console) -> Result:
     """Check, run, report."""
-    settings = with_trials_settings(OmegaConf.to_container(config, resolve=True))
+    settings = with_trials_settings(config)
     here = world(settings, where)
     folder = Path(HydraConfig.get().runtime.output_dir)
     with bars(console) as bar:
@@ -79,23 +79,27 @@ def forget(folder: Path) -> None:
         folder.rmdir()
 
 
-def with_trials_settings(settings: Any) -> dict[str, Any]:
-    """Stored trials bring settings along: a run of ours its own, others what dataset.yaml says. What is given
-    on the command line stands."""
-    if settings["trials"] is None:
-        return settings
-    folder = Path(settings["trials"])
+def with_trials_settings(config: DictConfig) -> Any:
+    """All settings. Stored trials bring some along; what is given on the command line stands."""
+    whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
+    if config.trials is not None:
+        for name, value in brought_along(Path(config.trials)).items():
+            OmegaConf.update(whole, name, value, merge=False)
+    return OmegaConf.to_container(whole, resolve=True)
+
+
+def brought_along(folder: Path) -> dict[str, Any]:
+    """Settings of stored trials, by name: those of a run of ours, or what another's dataset.yaml says."""
     given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
     stored = folder / "config.json"
     if stored.exists():
         known = json.loads(stored.read_text(encoding="utf-8"))
         groups = {name.split(".")[0] for name in given}
-        return settings | {name: known[name] for name in FROM_TRIALS if name not in groups}
-    for group, values in dataset.about(folder).items():
-        if group in FROM_DATASETS:
-            known = {k: v for k, v in values.items() if k in FROM_DATASETS[group] and f"{group}.{k}" not in given}
-            settings[group] = settings[group] | known
-    return settings
+        return {name: known[name] for name in FROM_TRIALS if name not in groups}
+    about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
+    flat = {f"{group}.{key}": value for group, values in about.items() for key, value in values.items()}
+    wanted = {f"{group}.{key}" for group, keys in FROM_DATASETS.items() for key in keys}
+    return {name: value for name, value in flat.items() if name in wanted - given}
 
 
 def where(block: str) -> str:

@@ -8,9 +8,9 @@ the same result, for every step's seed is its own.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,22 +71,43 @@ def cast(world: World, folder: Path, bar: Bar) -> Result:
 
 
 def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
-    """Estimation alone, from stored trials: each in turn, beginning with the one before it."""
+    """Estimation alone, from stored trials: each in turn, beginning with the one before it.
+
+    Points are made from a trial's frames where it has no points, or where `steps` asks for it.
+    """
     data = dataset.fits(dataset.read(trials), world.string.length)
     if not data.trials:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in data.rejected.items()) or "it holds no trial"
+        reasons = _reasons(data.rejected) or "it holds no trial"
         raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")
     begin(world, folder)
     iterations: list[Iteration] = []
     observations: list[Observation] = []
-    for number, observation in enumerate(data.trials.values(), start=1):
-        observations.append(observation)
+    for number, stored in enumerate(data.trials.values(), start=1):
         last = iterations[-1].done["estimate"] if iterations else None
-        past = Past(number, {}, None, last, tuple(observations[-world.config["memory"] :]))
-        iterations.append(Iteration(number, {"estimate": _step(world, folder, "estimate", past, bar)}))
+        past = Past(number, {}, None, last, tuple(observations), data.films.get(stored.trial), data.hashes)
+        done, observation = _read_again(world, folder, stored, past, bar)
+        observations.append(observation)
+        past = replace(past, done=done, observations=tuple(observations[-world.config["memory"] :]))
+        iterations.append(Iteration(number, done | {"estimate": _step(world, folder, "estimate", past, bar)}))
     rates = [float(i.done["estimate"].fit["after"].iloc[0]) for i in iterations]
     sentence = f"Estimated from {len(iterations)} trial(s) of {trials}; the matching rate E is {rates[-1]:.3f}."
-    return _ended(folder, iterations, sentence)
+    left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
+    return _ended(folder, iterations, sentence + left)
+
+
+def _reasons(rejected: Mapping[str, str]) -> str:
+    return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
+
+
+def _read_again(
+    world: World, folder: Path, stored: Observation, past: Past, bar: Bar
+) -> tuple[dict[str, Any], Observation]:
+    """What was extracted, if anything was, and the observation with its points."""
+    asked = "extract" in world.config["steps"]
+    if past.film is None or not (stored.points.empty or asked):
+        return {}, stored
+    points = _step(world, folder, "extract", past, bar)
+    return {"extract": points}, replace(stored, points=points.points, readings=points.readings, masks=points.masks)
 
 
 def begin(world: World, folder: Path) -> None:
@@ -122,15 +143,20 @@ def _iterate(world: World, folder: Path, before: list[Iteration], bar: Bar) -> I
 def _step(world: World, folder: Path, name: str, past: Past, bar: Bar) -> Any:
     """Read a step's artifact if it is there, else make and store it."""
     step = STEPS[name]
-    place = folder / "iterations" / f"{past.number:02d}" / FOLDERS[name]
+    place = folder / _place(past.number, name)
     if place.is_dir():
         return store.load(step.kind, place)
     with bar(f"{past.number}. {name}") as progress:
         seed = step_seed(world.seed, past.number, name)
         made = step.make(world, past, seed, progress)
-        inputs = {n: store.content_hash(place.parent / FOLDERS[n]) for n in past.done}
+        inputs = {n: store.content_hash(place.parent / FOLDERS[n]) for n in past.done} | dict(past.hashes)
         store.save(made, place, origin(world.config, name, seed, inputs))
     return store.load(step.kind, place)
+
+
+def _place(number: int, step: str) -> Path:
+    """The folder of a step's artifact, relative to the run's."""
+    return Path("iterations") / f"{number:02d}" / FOLDERS[step]
 
 
 def _publish(world: World, folder: Path, iterations: list[Iteration]) -> None:
@@ -143,7 +169,8 @@ def _publish(world: World, folder: Path, iterations: list[Iteration]) -> None:
         "arm": {"links": list(world.arm.links), "base": list(world.arm.base)},
         "camera": camera,
     }
-    dataset.publish(folder, trials, about, origin(world.config, "dataset", world.seed, {}))
+    places = {i.name: _place(i.number, "execute") for i in iterations}
+    dataset.publish(folder, trials, places, about, origin(world.config, "dataset", world.seed, {}))
 
 
 def _hit(iteration: Iteration) -> bool:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
-from data.artifacts import Estimate, Motion, Observation, Points, Trial
+from data.artifacts import Estimate, Film, Motion, Observation, Points, Trial
 from pipeline.world import World
 from stages.extract import footage_of
 
@@ -16,13 +16,18 @@ Progress = Callable[[float], object]
 
 @dataclass(frozen=True)
 class Past:
-    """What a step may look at: earlier iterations and earlier steps of this one."""
+    """What a step may look at: earlier iterations, earlier steps of this one, and what was stored elsewhere.
+
+    film: the trial's frames there. hashes: of the files there.
+    """
 
     number: int
     done: Mapping[str, Any]
     motion: Motion | None
     estimate: Estimate | None
     observations: tuple[Observation, ...]
+    film: Film | None = None
+    hashes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,8 @@ def _execute(world: World, past: Past, seed: int, progress: Progress) -> Trial:
 
 
 def _extract(world: World, past: Past, seed: int, progress: Progress) -> Points:
-    return world.stages["extract"](footage_of(past.done["execute"], world.arm), world.camera, progress=progress)
+    film = past.done["execute"].film if past.film is None else past.film
+    return world.stages["extract"](footage_of(film, world.arm), world.camera, progress=progress)
 
 
 def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estimate:

@@ -12,6 +12,7 @@ import pandas as pd
 from pydantic import Field
 
 from data.artifacts import MASKS, POINTS, READINGS, Points
+from data.schema import DataError
 from stages.extract.centreline import Line, UnreadableError, half_width, refine, trace
 from stages.extract.footage import Footage
 from stages.extract.isolate import background, excess, silhouette, threshold, uncovered
@@ -51,6 +52,7 @@ def extract(
     grasp that may be out of sight [m]. shorter, longer: by how much of the string's length the
     line may differ before the frame is refused (a swung string stretches).
     """
+    _check_size(footage, camera)
     grasps = camera.pixels(footage.grasp[:, :2])
     scene = uncovered(background(footage.images), grasps, string_length * camera.px_per_m)
     readings: list[Reading | str] = []
@@ -62,6 +64,16 @@ def extract(
             readings.append(str(reason))
         progress((number + 1) / len(footage.t))
     return _tables(footage.t, readings, np.linspace(0, string_length, points))
+
+
+def _check_size(footage: Footage, camera: Camera) -> None:
+    """The frames must be the camera's."""
+    rows, columns = footage.images[0].shape
+    if (columns, rows) != (camera.width, camera.height):
+        raise DataError(
+            f"camera.width x camera.height is {camera.width} x {camera.height}, the frames are {columns} x {rows} px. "
+            "Say so in the dataset's dataset.yaml, or in conf/camera."
+        )
 
 
 def _line(

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 
-from data.artifacts import JOINTS, Trial
+from data.artifacts import JOINTS, Film
 from stages.model.arm import Arm
 
 
@@ -25,8 +26,16 @@ class Footage:
     body: np.ndarray | None = None
 
 
-def footage_of(trial: Trial, arm: Arm) -> Footage:
-    """A trial of ours: grasp and arm follow from the measured joint angles."""
-    t = trial.frames["t"].to_numpy()
-    angles = np.stack([np.interp(t, trial.arm["t"], trial.arm[joint]) for joint in JOINTS], axis=-1)
-    return Footage(t, trial.images, arm.grasp(angles), arm.joints(angles))
+def footage_of(film: Film, arm: Arm) -> Footage:
+    """Grasp and arm as joint angles say; where only poses of the grasp were measured, no arm is known."""
+    if film.arm is not None:
+        angles = _at(film.t, film.arm, JOINTS)
+        return Footage(film.t, film.images, arm.grasp(angles), arm.joints(angles))
+    assert film.grasp is not None
+    grasp = film.grasp.assign(theta=np.unwrap(film.grasp["theta"]))
+    return Footage(film.t, film.images, _at(film.t, grasp, ("x", "y", "theta")))
+
+
+def _at(t: np.ndarray, table: pd.DataFrame, columns: Sequence[str]) -> np.ndarray:
+    """Columns of a table at other times, (F, len(columns))."""
+    return np.stack([np.interp(t, table["t"], table[column]) for column in columns], axis=-1)

@@ -11,6 +11,7 @@ SAMPLES = 120  # frames from which the background is learnt
 LEVEL = 3  # percentile over time: a pixel shows the background when the string has left it at least this often
 STATIC = 0.35  # of the string's length: how far from a resting grasp the string may never leave its pixels
 STILL = 5.0  # [px] a resting grasp moves less
+WIDEST = 350  # [px] of the median that fills it in; OpenCV does none that is wider than 361
 
 
 def background(images: Sequence[np.ndarray]) -> np.ndarray:
@@ -29,7 +30,8 @@ def uncovered(scene: np.ndarray, grasp: np.ndarray, length: float) -> np.ndarray
     """
     if np.ptp(grasp, axis=0).max() > STILL:
         return scene
-    around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), int(length) // 2 * 2 + 1).astype(np.float32)
+    width = min(int(length), WIDEST) // 2 * 2 + 1
+    around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), width).astype(np.float32)
     v, u = np.indices(scene.shape)
     near = np.hypot(u - grasp[0, 0], v - grasp[0, 1]) < STATIC * length
     return np.where(near, np.minimum(scene, around), scene)

@@ -34,7 +34,7 @@ def misses(points, trial, true, camera):
 def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
     """Within 1 px RMS and 3 px at the tip on at least 98 % of all frames, readable or not."""
     trial, true = filmed(name)
-    found = extract(footage_of(trial, arm), camera, string_length=0.3, **SETTINGS)
+    found = extract(footage_of(trial.film, arm), camera, string_length=0.3, **SETTINGS)
     across, tips = misses(found, trial, true, camera)
     total = len(trial.frames)
     assert sum(a < 1 for a in across.values()) >= 0.98 * total
@@ -44,7 +44,7 @@ def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
 
 def test_what_cannot_be_read_is_refused_with_the_reason(filmed, arm, camera):
     trial, _ = filmed("A", duration=0.2)
-    footage = footage_of(trial, arm)
+    footage = footage_of(trial.film, arm)
     images = list(footage.images)
     images[10] = np.zeros_like(images[10])
     cut = images[20].copy()

@@ -74,6 +74,23 @@ def test_estimation_again_from_stored_trials_is_bit_identical(quick, tmp_path):
             same(tables(first), tables(tmp_path / "again" / "iterations" / number / "estimate"))
 
 
+def test_points_are_made_of_frames_where_only_frames_were_stored(quick, tmp_path):
+    """Somebody's dataset of pictures and joint angles: the same pictures give the same points."""
+    theirs = tmp_path / "theirs"
+    for file in ("arm.parquet", "frames.parquet", "dataset.yaml"):
+        theirs.mkdir(exist_ok=True)
+        shutil.copy(quick / file, theirs)
+    shutil.copytree(quick / "iterations/01/trial", theirs / "iterations/01/trial")
+    done = pipeline("+experiment=estimate", f"trials={theirs}", "estimate.candidates=40", folder=tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    same(tables(quick / "iterations/01/points"), tables(tmp_path / "run/iterations/01/points"))
+    about = theirs / "dataset.yaml"
+    about.write_text(about.read_text().replace("px_per_m", "per_m"))
+    refused = pipeline("+experiment=estimate", f"trials={theirs}", folder=tmp_path / "other")
+    assert refused.returncode == 1
+    assert "camera.px_per_m must be there" in refused.stderr.replace("\n", " ")
+
+
 def test_a_sweep_runs_every_job(tmp_path):
     swept = pipeline(
         "--multirun", "+experiment=quick", "seed=0,1", "estimate.candidates=40", f"hydra.sweep.dir={tmp_path}"
