@@ -8,7 +8,7 @@ here touches a disk.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -258,6 +258,7 @@ PARAMETERS = Table(
         Column("name", "", "parameter", "text"),
         Column("symbol", "", "its symbol in the paper; empty if it has none", "text"),
         Column("unit", "", "its unit", "text"),
+        Column("meaning", "", "what it is", "text"),
         Column("value", "", "best value, in `unit`"),
         Column("low", "", "lower end of the 95 % interval, in `unit`; NaN if the method gives none"),
         Column("high", "", "upper end of the 95 % interval, in `unit`; NaN if the method gives none"),
@@ -318,6 +319,12 @@ class Estimate:
         "matching": MATCHING,
         "fit": FIT,
     }
+
+    def tables(self) -> dict[str, Table]:
+        """TABLES, with the columns that `candidates` has for the parameters."""
+        rows = self.parameters[["name", "unit", "meaning"]].itertuples(index=False)
+        own = tuple(Column(name, unit, meaning) for name, unit, meaning in rows)
+        return self.TABLES | {"candidates": replace(CANDIDATES, columns=(*CANDIDATES.columns, *own))}
 
     def values(self) -> dict[str, float]:
         """Best value of each parameter, by name."""

@@ -8,7 +8,8 @@ and `masks`, so that estimation from disk sees exactly what it saw in the run.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from data.schema import Column, DataError, Table
 from data.store import content_hash, read_table, write_table, write_text
 
 FORMAT = 1
+BLOCKS = ("string", "noise", "arm", "camera", "trials")  # of dataset.yaml
 TRIAL = Column("trial", "", "name of the trial", "text")
 BEYOND = 1.05  # times the string's length: points further along are another string's
 OVERLAP = 0.1  # [s] that arm and camera must have in common
@@ -87,6 +89,8 @@ def read(folder: Path) -> Dataset:
     wanted += [POINTS] if _find(folder, POINTS.name) or not shots else []
     seen = {table.name: _read(table, folder) for table in wanted}
     names = {*motion["trial"], *shots, *(seen["points"]["trial"] if "points" in seen else ())}
+    if "points" in seen:
+        seen["points"] = _with_sigma(seen["points"], known)
     trials, films, rejected = {}, {}, {}
     for name in sorted(names):
         moved = {motion_table.name: _of(motion, name)}
@@ -100,6 +104,12 @@ def read(folder: Path) -> Dataset:
         if name in shots:
             films[name] = Film(*shots[name], **moved)
     return Dataset(folder, trials, films, rejected, known, _hashes(folder))
+
+
+def _with_sigma(points: pd.DataFrame, known: Mapping[str, Any]) -> pd.DataFrame:
+    """Points with the uncertainty that dataset.yaml gives for all of them, where they have none of their own."""
+    sigma = (known.get("noise") or {}).get("point_sigma")
+    return points if sigma is None or "sigma" in points else points.assign(sigma=float(sigma))
 
 
 def _shots(folder: Path, known: Mapping[str, Any]) -> dict[str, Shots]:
@@ -135,8 +145,25 @@ def about(folder: Path) -> dict[str, Any]:
         known = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
     except yaml.YAMLError as error:
         raise DataError(f"{path}: not valid YAML ({error}). Correct the line it names.") from error
+    if not isinstance(known, dict):
+        raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
     if known.get("format", FORMAT) != FORMAT:
         raise DataError(f"{path}: format is {known['format']!r}; this version reads {FORMAT}. Convert it.")
+    for block in BLOCKS:
+        if not isinstance(known.get(block, {}), dict):
+            raise DataError(f"{path}: {block} is {known[block]!r}; it must hold names and values. Correct it.")
+    return known
+
+
+def settings(path: Path, wanted: Sequence[str]) -> dict[str, Any]:
+    """The settings of a run of ours, from its config.json; raises DataError where it is damaged."""
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise DataError(f"{path}: damaged ({error}). Restore it, or leave it out to use dataset.yaml.") from error
+    missing = [name for name in wanted if name not in known]
+    if missing:
+        raise DataError(f"{path}: {', '.join(missing)} is missing. Restore it, or leave it out to use dataset.yaml.")
     return known
 
 
@@ -148,7 +175,7 @@ def _read(table: Table, folder: Path) -> pd.DataFrame:
     """One table, without rows that cannot be used and without duplicates, in time order."""
     path = _find(folder, table.name)
     if path is None:
-        instead = ", nor frames or videos" if table is POINTS else ""
+        instead = {POINTS: ", nor frames or videos", GRASP: ", nor arm.parquet or arm.csv"}.get(table, "")
         raise DataError(
             f"{folder}: neither {table.name}.parquet nor {table.name}.csv{instead}. Add it, with column 'trial'."
         )

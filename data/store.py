@@ -27,6 +27,7 @@ from data.images import ImageFiles, png
 from data.schema import DataError, Table
 
 Artifact = TypeVar("Artifact")
+OTHERWISE = "Choose another folder, or look at the disk"
 UNREADABLE = (pa.ArrowException, OSError, ValueError)
 REMEDIES = {
     errno.ENOSPC: "Free space on the disk, or choose another folder",
@@ -46,7 +47,8 @@ def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
     """
     with _aside(folder) as aside:
         disk.make_folder(aside)
-        for name, table in artifact.TABLES.items():
+        tables = artifact.tables() if hasattr(artifact, "tables") else artifact.TABLES
+        for name, table in tables.items():
             _write_parquet(table, getattr(artifact, name), aside / f"{name}.parquet", origin)
         if hasattr(artifact, "images"):
             _write_images(artifact, aside)
@@ -168,10 +170,15 @@ def _aside(path: Path) -> Iterator[Path]:
         disk.sync_folder(path.parent)
     except (OSError, pa.ArrowException) as error:
         why = getattr(error, "strerror", None) or error
-        remedy = REMEDIES.get(getattr(error, "errno", None) or 0, "Choose another folder, or look at the disk")
+        remedy = remedy_for(error)
         raise DataError(f"{path}: cannot be written ({why}). {remedy}; nothing half-written is left.") from error
     finally:
         _tidy(path)
+
+
+def remedy_for(error: BaseException) -> str:
+    """What to do about a place that cannot be written."""
+    return REMEDIES.get(getattr(error, "errno", None) or 0, OTHERWISE)
 
 
 def _beside(path: Path, role: str = "part") -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -19,8 +20,8 @@ from stages.roles import HardwareError, Recording
 class OpenCvCamera:
     """Fills `stages.roles.CameraDevice`; films on a thread of its own.
 
-    source: a device number, or the path of a video. delay: from the middle of the exposure
-    to the frame's arrival [s], to be measured once.
+    source: a device number, or the path of a video, which is played at the camera's fps.
+    delay: from the middle of the exposure to the frame's arrival [s], to be measured once.
     """
 
     camera: Camera
@@ -73,10 +74,14 @@ class OpenCvCamera:
 
     def _film(self) -> None:
         assert self.capture is not None
+        film = Path(str(self.source)).is_file()  # a device waits for its frames by itself
+        begun = time.monotonic()
         while self.filming.is_set():
             good, image = self.capture.read()
             if not good:
                 break
+            if film:
+                time.sleep(max(begun + len(self.frames) / self.camera.fps - time.monotonic(), 0.0))
             self.frames.append((time.monotonic(), cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)))
 
     def _end(self) -> None:

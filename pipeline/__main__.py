@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import difflib
-import json
 import os
 import re
+import shutil
 import sys
 import uuid
 from collections.abc import Iterator
@@ -20,8 +20,9 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
+from rich.markup import escape
 
-from data import dataset
+from data import dataset, store
 from data.schema import DataError
 from pipeline import report
 from pipeline.run import Result, cast, estimate_again
@@ -32,6 +33,8 @@ from stages.generate import MotionNotFoundError
 from stages.roles import HardwareError
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
+INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
+REFUSED: list[str] = []  # errors of a sweep's jobs
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
 FROM_DATASETS = {
     "string": ("length",),
@@ -48,11 +51,16 @@ def main(config: DictConfig) -> float | None:
     try:
         result = run(config, console)
     except EXPECTED as error:
-        console.print(f"[bold red]Error:[/] {error}", highlight=False, soft_wrap=True)
+        console.print(f"[bold red]Error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         forget(Path(HydraConfig.get().runtime.output_dir))
         if HydraConfig.get().mode == hydra.types.RunMode.MULTIRUN:
+            REFUSED.append(str(error))  # the other jobs of the sweep go on
             return None
         sys.exit(1)
+    except KeyboardInterrupt:
+        place = HydraConfig.get().runtime.output_dir
+        console.print(f"Interrupted. To go on, give the same command with hydra.run.dir={place}", soft_wrap=True)
+        sys.exit(INTERRUPTED)
     last = result.iterations[-1].done.get("estimate")
     return None if last is None else float(last.fit["after"].iloc[0])
 
@@ -74,32 +82,38 @@ def run(config: DictConfig, console: Console) -> Result:
 
 
 def forget(folder: Path) -> None:
-    """Remove the folder of a run that was refused before it began."""
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
+    """Remove the folder of a run that was refused before it made anything."""
+    if folder.is_dir() and {file.name for file in folder.iterdir()} <= {"config.json"}:
+        shutil.rmtree(folder)
 
 
 def with_trials_settings(config: DictConfig) -> Any:
     """All settings. Stored trials bring some along; what is given on the command line stands."""
     whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
     if config.trials is not None:
-        for name, value in brought_along(Path(config.trials)).items():
+        given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
+        for name, value in brought_along(Path(config.trials), given).items():
             OmegaConf.update(whole, name, value, merge=False)
+        for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
+            OmegaConf.update(whole, name, OmegaConf.select(config, name))
     return OmegaConf.to_container(whole, resolve=True)
 
 
-def brought_along(folder: Path) -> dict[str, Any]:
-    """Settings of stored trials, by name: those of a run of ours, or what another's dataset.yaml says."""
-    given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
-    stored = folder / "config.json"
-    if stored.exists():
-        known = json.loads(stored.read_text(encoding="utf-8"))
-        groups = {name.split(".")[0] for name in given}
-        return {name: known[name] for name in FROM_TRIALS if name not in groups}
+def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
+    """Settings of stored trials, by name: those of a run of ours, or what another's dataset.yaml says.
+
+    given: names on the command line; a group that is chosen there is not brought along.
+    """
+    if (folder / "config.json").exists():
+        known = dataset.settings(folder / "config.json", FROM_TRIALS)
+        return {name: known[name] for name in FROM_TRIALS if name not in given}
     about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
-    flat = {f"{group}.{key}": value for group, values in about.items() for key, value in values.items()}
-    wanted = {f"{group}.{key}" for group, keys in FROM_DATASETS.items() for key in keys}
-    return {name: value for name, value in flat.items() if name in wanted - given}
+    return {
+        f"{group}.{key}": value
+        for group, values in about.items()
+        for key, value in values.items()
+        if key in FROM_DATASETS[group] and group not in given
+    }
 
 
 def where(block: str) -> str:
@@ -118,8 +132,10 @@ def called() -> None:
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"Error: {refusal(error)}")
     except OSError as error:
-        remedy = "Free space, or choose another folder with hydra.run.dir."
+        remedy = f"{store.remedy_for(error)} with hydra.run.dir."
         sys.exit(f"Error: {error.filename}: cannot be written ({error.strerror}). {remedy}")
+    if REFUSED:
+        sys.exit(f"{len(REFUSED)} job(s) of the sweep failed; see above.")
 
 
 def refusal(error: BaseException) -> str:

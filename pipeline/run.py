@@ -11,6 +11,8 @@ import json
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
+from functools import cache
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -149,9 +151,24 @@ def _step(world: World, folder: Path, name: str, past: Past, bar: Bar) -> Any:
     with bar(f"{past.number}. {name}") as progress:
         seed = step_seed(world.seed, past.number, name)
         made = step.make(world, past, seed, progress)
-        inputs = {n: store.content_hash(place.parent / FOLDERS[n]) for n in past.done} | dict(past.hashes)
-        store.save(made, place, origin(world.config, name, seed, inputs))
+        store.save(made, place, origin(world.config, name, seed, _inputs(world, folder, past)))
     return store.load(step.kind, place)
+
+
+def _inputs(world: World, folder: Path, past: Past) -> dict[str, str]:
+    """Content hashes of all that a step may have looked at, by path: this iteration so far, what the last ones
+    within memory left, and what was stored elsewhere."""
+    this = [_place(past.number, step) for step in past.done]
+    recent = range(max(past.number - max(world.config["memory"], 2) + 1, 1), past.number)
+    earlier = [_place(number, step) for number in recent for step in FOLDERS]
+    there = [place for place in (*earlier, *this) if (folder / place).is_dir()]
+    return {place.as_posix(): _hash(folder / place) for place in there} | dict(past.hashes)
+
+
+@cache
+def _hash(artifact: Path) -> str:
+    """Content hash of an artifact, which never changes once it is there."""
+    return store.content_hash(artifact)
 
 
 def _place(number: int, step: str) -> Path:
@@ -170,7 +187,13 @@ def _publish(world: World, folder: Path, iterations: list[Iteration]) -> None:
         "camera": camera,
     }
     places = {i.name: _place(i.number, "execute") for i in iterations}
-    dataset.publish(folder, trials, places, about, origin(world.config, "dataset", world.seed, {}))
+    inputs = {path.as_posix(): _hash(folder / path) for i in iterations for path in _sources(i.number)}
+    dataset.publish(folder, trials, places, about, origin(world.config, "dataset", world.seed, inputs))
+
+
+def _sources(number: int) -> tuple[Path, Path]:
+    """What the dataset's tables are made of."""
+    return _place(number, "execute"), _place(number, "extract")
 
 
 def _hit(iteration: Iteration) -> bool:
@@ -198,6 +221,7 @@ def _ended(folder: Path, iterations: list[Iteration], sentence: str) -> Result:
         row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
         if i.verdict is not None:
             row |= {"hit": i.verdict.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
+        row = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
         rows.append(row)
     store.write_text(
         folder / "run.json", json.dumps({"hit": result.hit, "sentence": sentence, "iterations": rows}, indent=2)

@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console, Group
+from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from pipeline.run import Bar, Iteration, Result
 from pipeline.steps import Progress as Report
@@ -29,7 +31,7 @@ def bars(console: Console) -> Iterator[Bar]:
         yield bar
 
 
-def summary(result: Result) -> Panel:
+def summary(result: Result) -> Group:
     """How the run ended, manipulation by manipulation."""
     table = Table(box=None, pad_edge=False)
     for heading in ("cast", "tip in the box", "closest [mm]", "E before", "E after", "residual [mm]"):
@@ -39,8 +41,16 @@ def summary(result: Result) -> Panel:
     last = result.iterations[-1].done.get("estimate")
     words = "" if last is None else str(last.fit["sentence"].iloc[0])
     colour = "green" if result.hit else "yellow"
-    place = f"[dim]{result.folder}/report.html[/]"
-    return Panel(Group(table, "", words, place), title=f"[bold {colour}]{result.sentence}", border_style=colour)
+    said = Panel(Group(table, "", words), title=f"[bold {colour}]{escape(result.sentence)}", border_style=colour)
+    return Group(said, *map(Text, faults(result)), Text(f"{result.folder / 'report.html'}", overflow="fold"))
+
+
+def faults(result: Result) -> list[str]:
+    """What went wrong on the way to the arm, trial by trial."""
+    links = {i.number: i.done["execute"].link.iloc[0] for i in result.iterations if "execute" in i.done}
+    return [
+        f"Cast {number} is not to be trusted: {link['reason']}." for number, link in links.items() if not link["valid"]
+    ]
 
 
 def _row(iteration: Iteration) -> list[str]:

@@ -12,6 +12,25 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
+from data.schema import Column, Table
+from data.store import write_table
+from pipeline.origin import PACKAGES, code, versions
+
+SWEEP = Table(
+    "sweep",
+    "a row a job; beside these columns one for each setting that was given, as text",
+    (
+        Column("job", "1", "number of the job", "int"),
+        Column("folder", "", "where its run is", "text"),
+        Column("completed", "", "it ran to its end", "bool"),
+        Column("hit", "", "the tip reached the target", "bool"),
+        Column("manipulations", "1", "casts made", optional=True),
+        Column("E_before", "1", "E before the last estimation", optional=True),
+        Column("E_after", "1", "E after the last estimation", optional=True),
+        Column("miss_m", "m", "closest approach of the tip in the last cast", optional=True),
+    ),
+)
+
 
 class SweepTable(Callback):
     """Writes `sweep.parquet` into the sweep's folder when all jobs are done."""
@@ -32,14 +51,14 @@ class SweepTable(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write the table."""
         folder = Path(config.hydra.sweep.dir)
-        folder.mkdir(parents=True, exist_ok=True)
-        pd.DataFrame(self.rows).to_parquet(folder / "sweep.parquet", index=False)
+        made = {"step": "sweep", "code": code(), "packages": versions(PACKAGES)}
+        write_table(SWEEP, pd.DataFrame(self.rows), folder / "sweep.parquet", made)
 
 
 def outcome(path: Path, completed: bool) -> dict[str, Any]:
     """How a job ended, from its run.json."""
     if not completed or not path.exists():
-        return {"folder": str(path.parent), "completed": False}
+        return {"folder": str(path.parent), "completed": False, "hit": False}
     ended = json.loads(path.read_text(encoding="utf-8"))
     last = ended["iterations"][-1]
     return {

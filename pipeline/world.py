@@ -57,19 +57,22 @@ def world(config: Mapping[str, Any], where: Where) -> World:
 
 
 STAGES = ("generate", "execute", "extract", "estimate", "hardware")
-STEPS = ("generate", "execute", "extract", "estimate")
+CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
+AGAIN = (["estimate"], ["extract", "estimate"])
 
 
 def _check_run(config: Mapping[str, Any], where: Where) -> None:
     """The few settings of the run itself."""
     for name in ("manipulations", "memory"):
-        if not isinstance(config[name], int) or config[name] < 1:
+        if type(config[name]) is not int or config[name] < 1:
             raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
-    if not isinstance(config["seed"], int) or config["seed"] < 0:
+    if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
-    unknown = [step for step in config["steps"] if step not in STEPS]
-    if unknown:
-        raise UserError(f"steps ({where('steps')}): there is no step {unknown[0]!r}. Known are: {', '.join(STEPS)}.")
+    allowed = AGAIN if config["trials"] is not None else CASTS
+    if config["steps"] not in allowed:
+        rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"
+        choices = " or ".join(f"[{', '.join(steps)}]" for steps in allowed)
+        raise UserError(f"steps = {config['steps']} ({where('steps')}): {rule} it must be {choices}. Change it.")
 
 
 def _string(block: Mapping[str, Any], where: str) -> String:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Annotated
 
 import numpy as np
@@ -30,9 +29,8 @@ def execute(
     with camera, arm:
         arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
         camera.start()
-        begun = time.monotonic()
         performance = arm.perform(commands)
-        recording = camera.stop(begun + before)
+        recording = camera.stop(performance.begun - float(commands["t"].iloc[0]))
     end = motion.duration + after
     inside = np.flatnonzero((recording.t >= -before - 1e-9) & (recording.t <= end + 1e-9))
     frames = pd.DataFrame(

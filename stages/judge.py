@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from stages.generate.space import Box
 
 FINE = 0.0005  # [s]
-LONGEST_GAP = 0.02  # [s] between readings over which the tip's way is not guessed
+LONGEST_GAP = 0.02  # [s] between readings over which the tip's way is still guessed
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,18 @@ def judge(readings: pd.DataFrame, target: Box, duration: float) -> Verdict:
     if len(t) < 2:
         return Verdict(False, np.nan, np.nan)
     fine = np.arange(max(t[0], 0.0), min(t[-1], duration) + FINE / 2, FINE)
+    gap = np.diff(t)[np.clip(np.searchsorted(t, fine, side="right") - 1, 0, len(t) - 2)]
+    known = gap <= longest_gap(readings)
+    if not known.any():
+        return Verdict(False, np.nan, np.nan)
     way = CubicSpline(t, tip)(fine)
-    known = np.diff(t)[np.clip(np.searchsorted(t, fine, side="right") - 1, 0, len(t) - 2)] <= LONGEST_GAP
     inside = target.crossed(way[:-1], way[1:]) & known[1:] & known[:-1]
     away = np.where(known, target.away(way), np.inf)
     nearest = int(np.argmin(away))
     return Verdict(bool(inside.any()), float(fine[nearest]), float(away[nearest]))
+
+
+def longest_gap(readings: pd.DataFrame) -> float:
+    """Time between readings over which the tip's way is still guessed [s]: from frame to frame always."""
+    frames = np.diff(np.sort(readings["t"].to_numpy()))
+    return max(LONGEST_GAP, 1.01 * float(np.median(frames))) if len(frames) else LONGEST_GAP

@@ -22,11 +22,15 @@ class HardwareError(Exception):
 
 @dataclass(frozen=True)
 class Performance:
-    """What an arm did. `arm` and `ticks` are tables ARM and TICKS, `link` is table LINK (data.artifacts)."""
+    """What an arm did. `arm` and `ticks` are tables ARM and TICKS, `link` is table LINK (data.artifacts).
+
+    begun: host time (time.monotonic) at which the first command was due [s].
+    """
 
     arm: pd.DataFrame
     ticks: pd.DataFrame
     link: pd.DataFrame
+    begun: float
 
 
 @dataclass(frozen=True)

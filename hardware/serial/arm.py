@@ -115,15 +115,18 @@ class SerialArm:
                 f"arm on {self.port}: it reports a pose {np.degrees(off):.1f} degrees from the movement's start. "
                 "Move it there first (move_to), or check the encoders."
             )
-        log = self._checked_play(angles)
-        return report(log, float(commands["t"].iloc[0]), self.late, self.most_missed)
+        log, begun = self._checked_play(angles)
+        return report(log, begun, float(commands["t"].iloc[0]), self.late, self.most_missed)
 
-    def _checked_play(self, angles: np.ndarray) -> pd.DataFrame:
+    def _checked_play(self, angles: np.ndarray) -> tuple[pd.DataFrame, float]:
         check_movement(self.arm, angles)
         return self._play(np.concatenate([np.diff(angles, axis=0) / self.arm.tick, np.zeros((1, angles.shape[1]))]))
 
-    def _play(self, speeds: np.ndarray) -> pd.DataFrame:
-        """Send a velocity each tick on an absolute schedule; ramp down when answers stay out."""
+    def _play(self, speeds: np.ndarray) -> tuple[pd.DataFrame, float]:
+        """Send a velocity each tick on an absolute schedule; ramp down when answers stay out.
+
+        Returns the log, and when the first velocity was due on the host's clock [s].
+        """
         rows: dict[int, dict[str, float]] = {}
         sent: dict[int, int] = {}
         begin = time.monotonic() + 2 * self.arm.tick
@@ -144,7 +147,7 @@ class SerialArm:
                 )
         self._drain(sent, rows, begin)
         self._exchange(STOP)
-        return pd.DataFrame(list(rows.values()))
+        return pd.DataFrame(list(rows.values())), begin
 
     def _ramp(self, speed: np.ndarray) -> None:
         """Slow to rest over a few ticks, whether or not anybody answers."""
@@ -202,9 +205,7 @@ class SerialArm:
         try:
             self.link.write(encode_command(Command(kind, self.sequence, speeds)))
         except (serial.SerialException, OSError) as error:
-            raise HardwareError(
-                f"arm on {self.port}: the link is gone ({error}). Its watchdog has stopped it."
-            ) from error
+            raise self._gone(error) from error
         return self.sequence
 
     def _answers(self) -> list[Answer]:
@@ -213,9 +214,7 @@ class SerialArm:
         try:
             self.buffer += self.link.read(4096)
         except (serial.SerialException, OSError) as error:
-            raise HardwareError(
-                f"arm on {self.port}: the link is gone ({error}). Its watchdog has stopped it."
-            ) from error
+            raise self._gone(error) from error
         *frames, rest = bytes(self.buffer).split(b"\0")
         self.buffer = bytearray(rest)
         answers = []
@@ -276,7 +275,7 @@ def check_latency(port: str) -> None:
         )
 
 
-def report(log: pd.DataFrame, start: float, late: float, most_missed: float) -> Performance:
+def report(log: pd.DataFrame, begun: float, start: float, late: float, most_missed: float) -> Performance:
     """Tables of a performance; times shifted so that the movement starts at 0."""
     lateness = (log["t_sent"] - log["t_due"]).to_numpy()
     missed = (lateness > late) | log["t_acknowledged"].isna().to_numpy()
@@ -290,7 +289,7 @@ def report(log: pd.DataFrame, start: float, late: float, most_missed: float) -> 
     known = ticks.dropna(subset=["t_acknowledged"])
     # The device measures when a command reaches it: between sending and acknowledgement.
     arm = known[list(JOINTS)].assign(t=known["t_sent"]).sort_values("t").drop_duplicates("t")
-    return Performance(arm[["t", *JOINTS]].reset_index(drop=True), ticks, pd.DataFrame([link]))
+    return Performance(arm[["t", *JOINTS]].reset_index(drop=True), ticks, pd.DataFrame([link]), begun)
 
 
 def _row(tick: int, due: float, sent: float, speed: np.ndarray) -> dict[str, float]:

@@ -177,4 +177,4 @@ def _report(t: np.ndarray, speeds: np.ndarray, angles: np.ndarray, rng: np.rando
     p50, p99 = np.percentile(late, [50, 99])
     jitter = {"jitter_p50": [p50], "jitter_p99": [p99], "jitter_max": [late.max()]}
     link = pd.DataFrame({"valid": [True], "reason": [""], "ticks": [len(t)], "missed": [0]} | jitter)
-    return Performance(pd.DataFrame({"t": t} | measured), log, link)
+    return Performance(pd.DataFrame({"t": t} | measured), log, link, begun=0.0)

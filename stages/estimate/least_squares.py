@@ -3,9 +3,9 @@
 Gauss-Newton with Levenberg's damping in chi, from several starts side by side; the
 Jacobian is a finite difference whose candidates run in one batch. A string that is swung
 forgets where it came from, so the whole trial has many local minima: its beginning is
-fitted first, and the horizon widens as the fit improves. The best start is then brought to
-its minimum by scipy's trust region. Outliers count less (Huber), in every step and in what
-it is judged by.
+fitted first, from many starts, and the horizon widens while the better half of them goes
+on. The best is then brought to its minimum by scipy's trust region. Outliers count less
+(Huber), in every step and in what it is judged by.
 
 Residuals of neighbouring points and frames are not independent, so the covariance is the
 sandwich estimate over blocks of time (White 1980; Cameron and Miller 2015). Before the data
@@ -35,7 +35,9 @@ STEP = 1e-4  # of chi, for the central difference
 HUBER = 2.0  # robust scales beyond which a residual counts less
 BLOCK = 0.05  # [s] of time taken as one independent piece
 WIDE = 0.3  # an interval this wide in chi determines nothing
-HORIZONS = (0.35, 0.5, 0.65, 0.8, 1.0, 1.0, 1.0, 1.0)  # shares of the time, fitted one after the other
+HORIZONS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.0, 1.0)  # shares of the time, fitted one after the other
+FINALISTS = 6  # starts that are followed to the end; after each horizon the better half goes on
+MISFIT = 1.5  # times the points' own uncertainty: a residual beyond that is more than noise
 STUBBORN = 1e-9  # added to the normal matrix, so that flat directions stay put
 PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
 POLISH = 100  # steps of the trust region at most; it mostly takes fewer than 20
@@ -60,7 +62,9 @@ def estimate(
     """Parameters of least squared distance to the measured points, with 95 % intervals.
 
     screening: random candidates from which the best `starts` are refined, beside the
-    previous estimate. iterations: Gauss-Newton steps of each. `manipulation` plays no part.
+    previous estimate. iterations: Gauss-Newton steps in all. `manipulation` plays no part.
+    The intervals are of the model's parameters under noise; what the model itself lacks they
+    cannot cover, and the sentence says so where the residual is more than noise.
     """
     goals = targets(string, arm, camera, observations, matching)
     cases = [goal.case for goal in goals]
@@ -69,15 +73,22 @@ def estimate(
     screened = np.concatenate([before[None], drawn])
     order = np.argsort(_costs([ready.until(HORIZONS[0]) for ready in cases], screened, np.inf))
     chi = screened[order[:starts]]
-    for number in range(iterations):
-        share = HORIZONS[number * len(HORIZONS) // iterations]
-        chi = _improved([ready.until(share) for ready in cases], chi)
-        progress((number + 1) / iterations)
+    for number, steps in enumerate(np.array_split(np.arange(iterations), len(HORIZONS))):
+        chi = _advanced([ready.until(HORIZONS[number]) for ready in cases], chi, len(steps))
+        progress((number + 1) / len(HORIZONS))
     limit = _limit(_residuals(cases, chi)).min()
     best = _polished(cases, chi[int(np.argmin(_costs(cases, chi, limit)))])
     tried = np.concatenate([screened, chi, best[None]])
     search = Search("least squares", tried, matching_rate(goals, values_of(string.parameters, tried)))
     return estimate_of(goals, before, best, search, interval(cases, best))
+
+
+def _advanced(cases: Sequence[Case], chi: np.ndarray, steps: int) -> np.ndarray:
+    """Some steps of every start (K, P), and the better half of them, best first."""
+    for _ in range(steps):
+        chi = _improved(cases, chi)
+    kept = max(len(chi) // 2, FINALISTS)
+    return chi[np.argsort(_costs(cases, chi, np.inf))[:kept]]
 
 
 def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:
@@ -90,7 +101,18 @@ def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:
     determined = (high - low < WIDE) & (chi > EDGE) & (chi < 1 - EDGE)
     sentence = words(parameters, determined, "This data determines every parameter.")
     together = tied(parameters, determined, covariance / np.outer(deviation, deviation))
-    return Interval(low, high, determined, sentence + together)
+    return Interval(low, high, determined, sentence + together + _misfit(cases, chi))
+
+
+def _misfit(cases: Sequence[Case], chi: np.ndarray) -> str:
+    """What to say where the residual is more than the points' own uncertainty, where that is known."""
+    size = float(_limit(_residuals(cases, chi[None])[0])) / HUBER
+    if size < MISFIT:
+        return ""
+    return (
+        f" The residual is {size:.1f} times what the points' uncertainty explains: the model lacks something, "
+        "and the intervals do not cover that."
+    )
 
 
 def _covariance(cases: Sequence[Case], chi: np.ndarray) -> tuple[np.ndarray, int]:

@@ -151,6 +151,7 @@ def _parameters(
             "name": [p.name for p in parameters],
             "symbol": [p.symbol for p in parameters],
             "unit": [p.unit for p in parameters],
+            "meaning": [p.meaning for p in parameters],
             "value": value,
             "low": np.array(ends[0], dtype=float),
             "high": np.array(ends[1], dtype=float),

@@ -12,6 +12,7 @@ import pandas as pd
 from pydantic import Field
 
 from data.artifacts import ATTEMPTS, COMMANDS, CONTROL_POINTS, JOINTS, MOTION_OUTCOME, PREDICTED_STRING, SPEEDS, Motion
+from data.schema import DataError
 from stages.generate.curves import INTERVALS, Curves, first_curves, hand_of, next_curves
 from stages.generate.space import Box, check_reach
 from stages.model.arm import Arm
@@ -59,8 +60,10 @@ def generate(
     longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2]. fraction: of
     the control points' range by which they change. hits: motions that hit from which the one
     whose tip stays longest in the box is taken (1 is the paper's first come). Raises
-    MotionNotFoundError, and DataError for a target out of reach.
+    MotionNotFoundError, and DataError for a target out of reach or an empty range.
     """
+    if shortest > longest:
+        raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
     check_reach(target, arm, string.length)
     rng = np.random.default_rng(seed)
     count: Counter[str] = Counter()
@@ -132,9 +135,11 @@ def _arm_faults(arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: 
     reasons = np.full(len(angles), "", dtype=object)
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
     joints = arm.joints(angles)
+    change = np.abs(np.diff(mean_speeds(arm, angles), axis=1, prepend=0.0)) / arm.tick
     touched = [box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=(1, 2)) for box in obstacles]
     checks = {
         "the arm touches an obstacle": np.any(touched, axis=0) if touched else np.zeros(len(angles), dtype=bool),
+        "a joint accelerates too fast": (change > arm.acceleration).any(axis=(1, 2)),
         "the hand is too fast": (hand > arm.hand_speed).any(axis=1),
         "a joint is too fast": (np.abs(speeds) > arm.speed).any(axis=(1, 2)),
         "a joint leaves its range": ((angles < arm.lowest) | (angles > arm.highest)).any(axis=(1, 2)),
@@ -192,11 +197,16 @@ def _motion(arm: Arm, target: Box, string: String, curve: Curves, seen: Simulate
 
 def commands_of(arm: Arm, curve: Curves) -> pd.DataFrame:
     """Table COMMANDS of one movement: each velocity is the mean over the tick in which it is held."""
-    angles = curve.sampled(arm.tick, float(curve.duration[0]))[0][0]
-    speeds = np.concatenate([np.diff(angles, axis=0) / arm.tick, np.zeros((1, angles.shape[1]))])
-    columns = {"t": np.arange(len(angles)) * arm.tick}
-    columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(zip(SPEEDS, speeds.T, strict=True))
+    angles = curve.sampled(arm.tick, float(curve.duration[0]))[0]
+    columns = {"t": np.arange(angles.shape[1]) * arm.tick}
+    columns |= dict(zip(JOINTS, angles[0].T, strict=True))
+    columns |= dict(zip(SPEEDS, mean_speeds(arm, angles)[0].T, strict=True))
     return COMMANDS.check(pd.DataFrame(columns))
+
+
+def mean_speeds(arm: Arm, angles: np.ndarray) -> np.ndarray:
+    """What the arm is told: the mean velocity over each tick [rad/s], zero at the end. angles: (B, K, J) [rad]."""
+    return np.concatenate([np.diff(angles, axis=1) / arm.tick, np.zeros_like(angles[:, :1])], axis=1)
 
 
 def _control(curve: Curves) -> pd.DataFrame:

@@ -30,6 +30,14 @@ class Arm:
     hand_speed: Positive
     tick: Positive
 
+    def __post_init__(self) -> None:
+        """Refuse limits that do not belong to the links."""
+        for name in ("lowest", "highest", "speed", "acceleration"):
+            if len(getattr(self, name)) != len(self.links):
+                raise ValueError(f"{name} has {len(getattr(self, name))} values, links has {len(self.links)}")
+        if any(low >= high for low, high in zip(self.lowest, self.highest, strict=True)):
+            raise ValueError("each of lowest must be below its highest")
+
     @property
     def reach(self) -> float:
         """Distance from the base to the outstretched hand [m]."""

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from data.artifacts import JOINTS, Estimate, Motion, Observation, Points, Trial
 from stages.estimate.forward import hand
 from stages.generate import Box
-from stages.judge import LONGEST_GAP, Verdict
+from stages.judge import Verdict, longest_gap
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.string import String, simulate
@@ -71,7 +71,7 @@ class Cast:
         read = good["t"].to_numpy()
         gap = np.diff(read)[np.clip(np.searchsorted(read, t, side="right") - 1, 0, len(read) - 2)]
         way = CubicSpline(read, good[["tip_x", "tip_y"]], extrapolate=False)(t)
-        return np.where((gap <= LONGEST_GAP)[:, None], way, np.nan)
+        return np.where((gap <= longest_gap(self.points.readings))[:, None], way, np.nan)
 
     def joints(self, arm: Arm) -> np.ndarray:
         """Base, joints and hand as measured, (K, J + 1, 2) [m]."""

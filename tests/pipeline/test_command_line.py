@@ -5,10 +5,14 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
+
+from data import store
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -48,6 +52,20 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert 'src="http' not in page
     assert page.count("<img alt=") >= 7
     assert ended["sentence"] in page
+
+
+def test_every_number_has_its_unit_and_every_file_its_origin(quick):
+    for file in sorted(quick.rglob("*.parquet")):
+        for column in pq.read_schema(file):
+            assert column.metadata, f"{file}: {column.name} has neither unit nor meaning"
+            assert {b"unit", b"meaning"} <= column.metadata.keys()
+        made = store.origin_of(file)
+        assert len(made["code"]["source"]) == 64
+        for path, digest in made["inputs"].items():
+            assert store.content_hash(quick / path) == digest
+    seen = store.origin_of(quick / "iterations/02/estimate/fit.parquet")["inputs"]
+    assert {"iterations/02/points", "iterations/02/trial", "iterations/01/estimate"} <= seen.keys()
+    assert store.origin_of(quick / "points.parquet")["inputs"]
 
 
 def test_an_interrupted_run_goes_on_to_the_same_result(quick, tmp_path):
@@ -101,6 +119,7 @@ def test_a_sweep_runs_every_job(tmp_path):
     assert len(whole) == 2
     assert set(whole["seed"]) == {"0", "1"}
     assert {"hit", "manipulations", "E_after"} <= set(whole)
+    assert store.origin_of(tmp_path / "sweep.parquet")["code"]
 
 
 @pytest.mark.parametrize(
@@ -113,6 +132,11 @@ def test_a_sweep_runs_every_job(tmp_path):
         (["camera.fps=-3"], "camera.fps"),
         (["target.x=2"], "out of reach"),
         (["string.points=2"], "from 3 to"),
+        (["arm.links=[0.3,0.2]"], "arm.*lowest has 3 values, links has 2"),
+        (["generate.shortest=2"], "generate.shortest = 2.0 is above generate.longest"),
+        (["seed=true"], "seed = True .*whole number"),
+        (["steps=[]"], r"steps = \[\] .*it must be \[generate, execute, extract\]"),
+        (["+experiment=estimate"], r"steps = \['estimate'\] .*without trials=<folder>"),
         (["string.ranges.axial_stiffness.low=1e9"], "must be below"),
         (["+experiment=estimate", "trials=/nonexistent"], "no such folder"),
         (["+experiment=strinB"], "stringB"),
@@ -131,6 +155,45 @@ def test_bad_input_is_one_clear_error(overrides, words, tmp_path):
     assert re.search(words, refused.stderr.replace("\n", " "))
     if "hardware=serial" not in overrides:
         assert not (tmp_path / "run").exists() or not any((tmp_path / "run").iterdir())
+
+
+def test_stored_trials_keep_their_settings_but_for_what_is_given(quick, tmp_path):
+    """A part of a block given on the command line must not bring back the rest of its defaults."""
+    about = tmp_path / "trials"
+    shutil.copytree(quick, about)
+    known = json.loads((about / "config.json").read_text())
+    cma = {"_target_": "stages.estimate.cma_es.estimate", "candidates": 40, "sigma": 0.3, "population": 8}
+    known["estimate"] = cma | {"matching": known["estimate"]["matching"]}
+    (about / "config.json").write_text(json.dumps(known))
+    done = pipeline("+experiment=estimate", f"trials={about}", "estimate.matching.delta_w=0.5", folder=tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    used = json.loads((tmp_path / "run" / "config.json").read_text())["estimate"]
+    assert used == cma | {"matching": known["estimate"]["matching"] | {"delta_w": 0.5}}
+    (about / "config.json").write_text("{")
+    refused = pipeline("+experiment=estimate", f"trials={about}", folder=tmp_path / "other")
+    assert refused.returncode == 1
+    assert "config.json: damaged" in refused.stderr.replace("\n", " ")
+
+
+def test_a_sweep_tells_of_its_failed_jobs(tmp_path):
+    swept = pipeline("--multirun", "target=at_300_900", "target.x=2,3", f"hydra.sweep.dir={tmp_path}")
+    assert swept.returncode == 1
+    assert "2 job(s) of the sweep failed" in swept.stderr
+    assert not pd.read_parquet(tmp_path / "sweep.parquet")["completed"].any()
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path):
+    import signal
+
+    command = [sys.executable, "-m", "pipeline", "+experiment=quick", f"hydra.run.dir={tmp_path / 'run'}"]
+    running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "run" / "iterations").exists():
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Traceback" not in said
+    assert f"hydra.run.dir={tmp_path / 'run'}" in said.replace("\n", "")
 
 
 def test_a_damaged_trial_is_named(quick, tmp_path):
@@ -152,7 +215,8 @@ def test_every_experiment_composes_and_is_valid(name, monkeypatch):
 
     monkeypatch.setitem(os.environ, "HYDRA_FULL_ERROR", "1")
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("config", [f"+experiment={name}"])
+        stored = ["trials=outputs/some-run"] if name == "estimate" else []
+        config = compose("config", [f"+experiment={name}", *stored])
     settings = OmegaConf.to_container(config, resolve=True)
     here = world(settings, lambda block: f"conf/{block}")
     assert here.string.points == (25 if name == "stringD" else 10)

@@ -1,0 +1,60 @@
+"""Did the tip enter the box? Between frames too, and only where its way is known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stages.generate import Box
+from stages.judge import judge
+
+BOX = Box(0.5, 0.5, 0.02, 0.04)
+
+
+def readings(t, x, y):
+    return pd.DataFrame({"t": t, "tip_x": x, "tip_y": y, "valid": np.isfinite(x)})
+
+
+def test_a_tip_that_flies_through_between_two_frames_hits():
+    t = np.arange(0, 0.1, 0.005) + 0.0005
+    verdict = judge(readings(t, 0.5 + 20 * (t - 0.0505), 0.5 + 0 * t), BOX, 0.1)
+    assert verdict.hit
+    assert verdict.t == pytest.approx(0.0505, abs=5e-4)
+    assert verdict.distance < 0.006
+
+
+@pytest.mark.parametrize(
+    ("dx", "dy", "hit"), [(0.0095, 0, True), (0.0105, 0, False), (0, 0.0195, True), (0, 0.021, False)]
+)
+def test_the_box_is_0_02_by_0_04(dx, dy, hit):
+    t = np.arange(0, 0.1, 0.005)
+    verdict = judge(readings(t, 0.5 + dx + 0 * t, 0.5 + dy + 0 * t), BOX, 0.1)
+    assert verdict.hit == hit
+    assert verdict.distance == pytest.approx(np.hypot(dx, dy), abs=1e-9)
+
+
+def test_only_the_movement_counts():
+    t = np.arange(-0.2, 0.4, 0.005)
+    inside = np.where((t < -0.05) | (t > 0.25), 0.5, 0.8)
+    assert not judge(readings(t, inside, 0.5 + 0 * t), BOX, 0.2).hit
+
+
+def test_nothing_is_guessed_in_a_gap():
+    t = np.arange(0, 0.1, 0.005)
+    x = 0.3 + 4 * t
+    x[(x > 0.4) & (x < 0.6)] = np.nan
+    verdict = judge(readings(t, x, 0.5 + 0 * t), BOX, 0.1)
+    assert not verdict.hit
+    assert verdict.distance > 0.09
+    assert not judge(readings(t[:1], x[:1], t[:1]), BOX, 0.1).hit
+
+
+def test_a_tip_seen_only_outside_the_movement_has_no_distance():
+    t = np.array([0.3, 0.305, 0.31])
+    verdict = judge(readings(t, t, t), BOX, 0.2)
+    assert not verdict.hit
+    assert np.isnan(verdict.distance)
+
+
+def test_a_slow_camera_can_see_a_hit():
+    t = np.arange(0, 1, 1 / 30)
+    assert judge(readings(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, 1.0).hit
