@@ -9,7 +9,7 @@ and `masks`, so that estimation from disk sees exactly what it saw in the run.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -155,15 +155,14 @@ def about(folder: Path) -> dict[str, Any]:
     return known
 
 
-def settings(path: Path, wanted: Sequence[str]) -> dict[str, Any]:
+def settings(path: Path) -> dict[str, Any]:
     """The settings of a run of ours, from its config.json; raises DataError where it is damaged."""
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise DataError(f"{path}: damaged ({error}). Restore it, or leave it out to use dataset.yaml.") from error
-    missing = [name for name in wanted if name not in known]
-    if missing:
-        raise DataError(f"{path}: {', '.join(missing)} is missing. Restore it, or leave it out to use dataset.yaml.")
+    if not isinstance(known, dict):
+        raise DataError(f"{path}: it must hold names and values. Restore it, or leave it out to use dataset.yaml.")
     return known
 
 

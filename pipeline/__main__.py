@@ -41,7 +41,15 @@ FROM_DATASETS = {
     "arm": ("links", "base"),
     "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion"),
 }
-FROM_TRIALS = ("arm", "camera", "string", "seed", "memory", "estimate")  # settings that stored trials bring along
+FROM_TRIALS = (
+    "arm",
+    "camera",
+    "string",
+    "effects",
+    "seed",
+    "memory",
+    "estimate",
+)  # settings that stored trials bring along
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="config")
@@ -105,8 +113,8 @@ def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
     given: names on the command line; a group that is chosen there is not brought along.
     """
     if (folder / "config.json").exists():
-        known = dataset.settings(folder / "config.json", FROM_TRIALS)
-        return {name: known[name] for name in FROM_TRIALS if name not in given}
+        known = dataset.settings(folder / "config.json")
+        return {name: known[name] for name in FROM_TRIALS if name in known and name not in given}
     about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
     return {
         f"{group}.{key}": value

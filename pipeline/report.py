@@ -16,9 +16,7 @@ def write(world: World, result: Result) -> None:
         world.config["name"],
         result.sentence,
         result.hit,
-        world.arm,
-        world.camera,
-        world.string,
+        world.model,
         world.target,
         world.obstacles,
         tuple(_casts(world, result)),
@@ -38,6 +36,6 @@ def _casts(world: World, result: Result) -> list[Cast]:
             return []
         done = iteration.done
         made = (done["generate"], done["execute"], done["extract"], done.get("estimate"))
-        casts.append(cast_record(world.string, world.arm, iteration.observation, made, iteration.verdict, previous))
+        casts.append(cast_record(world.model, iteration.observation, made, iteration.verdict, previous))
         previous = done.get("estimate", previous)
     return casts

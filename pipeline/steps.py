@@ -45,7 +45,7 @@ def step_seed(seed: int, number: int, name: str) -> int:
 
 def _generate(world: World, past: Past, seed: int, progress: Progress) -> Motion:
     known = {} if past.estimate is None else past.estimate.values()
-    place = (world.string, world.arm, world.target, world.obstacles)
+    place = (world.model, world.target, world.obstacles)
     return world.stages["generate"](*place, past.motion, known, seed=seed, progress=progress)
 
 
@@ -61,7 +61,7 @@ def _extract(world: World, past: Past, seed: int, progress: Progress) -> Points:
 
 def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estimate:
     return world.stages["estimate"](
-        *(world.string, world.arm, world.camera, past.observations, past.estimate),
+        *(world.model, past.observations, past.estimate),
         **{"seed": seed, "manipulation": past.number, "progress": progress},
     )
 

@@ -12,6 +12,8 @@ from pipeline.settings import UserError, build, stage
 from stages.generate import Box, check_reach
 from stages.model.arm import Arm
 from stages.model.camera import Camera
+from stages.model.library import named
+from stages.model.model import Model
 from stages.model.parameter import Parameter
 from stages.model.string import String
 
@@ -23,12 +25,25 @@ class World:
     """All that a run works with; `stages` are functions with their settings bound."""
 
     config: Mapping[str, Any]
-    arm: Arm
-    camera: Camera
-    string: String
+    model: Model
     target: Box
     obstacles: tuple[Box, ...]
     stages: Mapping[str, Callable[..., Any]]
+
+    @property
+    def arm(self) -> Arm:
+        """The model's arm."""
+        return self.model.arm
+
+    @property
+    def camera(self) -> Camera:
+        """The model's camera."""
+        return self.model.camera
+
+    @property
+    def string(self) -> String:
+        """The model's string."""
+        return self.model.string
 
     @property
     def seed(self) -> int:
@@ -42,14 +57,14 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     arm = build(Arm, config["arm"], "arm", where("arm"))
     target = build(Box, config["target"], "target", where("target"))
     string = _string(config["string"], where("string"))
+    camera = build(Camera, config["camera"], "camera", where("camera"))
+    model = _with_effects(Model(string, arm, camera), config["effects"], where("effects"))
     if "generate" in config["steps"]:
         check_reach(target, arm, string.length)
     boxes = config["obstacles"]["boxes"]
     return World(
         config,
-        arm,
-        build(Camera, config["camera"], "camera", where("camera")),
-        string,
+        model,
         target,
         tuple(build(Box, box, f"obstacles.boxes.{i}", where("obstacles")) for i, box in enumerate(boxes)),
         {name: stage(config[name], name, where(name)) for name in STAGES},
@@ -73,6 +88,16 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
         rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"
         choices = " or ".join(f"[{', '.join(steps)}]" for steps in allowed)
         raise UserError(f"steps = {config['steps']} ({where('steps')}): {rule} it must be {choices}. Change it.")
+
+
+def _with_effects(model: Model, names: Any, where: str) -> Model:
+    """The model with the effects of these names."""
+    if not isinstance(names, list):
+        raise UserError(f"effects = {names!r} ({where}): it must be a list, such as [tip_mass, arm_lag]. Change it.")
+    try:
+        return model.with_effects(*named([str(name) for name in names]))
+    except ValueError as error:
+        raise UserError(f"effects ({where}): {error}") from error
 
 
 def _string(block: Mapping[str, Any], where: str) -> String:

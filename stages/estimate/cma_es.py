@@ -15,15 +15,11 @@ from pydantic import Field
 from data.artifacts import Estimate, Observation
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import Search, estimate_of, spread, start_chi, values_of
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.string import String
+from stages.model.model import Model
 
 
 def estimate(
-    string: String,
-    arm: Arm,
-    camera: Camera,
+    model: Model,
     observations: Sequence[Observation],
     previous: Estimate | None,
     *,
@@ -39,19 +35,19 @@ def estimate(
 
     A search that has come to rest begins again somewhere else, until `candidates` are spent.
     """
-    goals = targets(string, arm, camera, observations, matching)
-    before = start_chi(string.parameters, previous)
+    goals = targets(model, observations, matching)
+    before = start_chi(model.parameters, previous)
     middle = np.clip(before, 0.05, 0.95) if previous is not None else np.full(len(before), 0.5)
     bounds = np.tile([0.0, 1.0], (len(before), 1))
     settings = {"sigma": sigma / manipulation, "bounds": bounds, "population_size": population}
     search, rng = CMA(mean=middle, seed=seed, **settings), np.random.default_rng(seed)
-    tried, rates = [before[None]], [matching_rate(goals, values_of(string.parameters, before[None]))]
+    tried, rates = [before[None]], [matching_rate(goals, values_of(model.parameters, before[None]))]
     rounds = max((candidates - 1) // population, 1)
     for number in range(rounds):
         if search.should_stop():
             search = CMA(mean=rng.uniform(0, 1, len(before)), seed=int(rng.integers(2**31)), **settings)
         chi = np.stack([search.ask() for _ in range(population)])
-        rate = matching_rate(goals, values_of(string.parameters, chi))
+        rate = matching_rate(goals, values_of(model.parameters, chi))
         search.tell([(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)])
         tried.append(chi)
         rates.append(rate)

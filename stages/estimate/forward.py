@@ -10,24 +10,24 @@ import numpy as np
 
 from data.artifacts import JOINTS, Observation
 from data.schema import DataError
-from stages.model.arm import Arm
-from stages.model.hand import HandMotion, hand_motion, hand_motion_from_grasp
-from stages.model.string import String, StringMotion, simulate
+from stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
+from stages.model.model import Model
+from stages.model.string import StringMotion
 
 CHUNK = 256  # candidates simulated at once: keeps memory in hand, whatever their number
 
 
 @dataclass(frozen=True)
 class Case:
-    """One trial made ready: the hand's motion and what was measured.
+    """One trial made ready: the motion as the arm reports it, and what was measured.
 
     times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at frame
     index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m].
     """
 
     name: str
-    string: String
-    hand: HandMotion
+    model: Model
+    motion: JointMotion | HandMotion
     times: np.ndarray
     frame: np.ndarray
     s: np.ndarray
@@ -35,15 +35,16 @@ class Case:
     sigma: np.ndarray
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
-        """Strings of candidates (C, P) at the frame times, chunk by chunk."""
+        """Strings of candidates (C, P) as the camera reports them at the frame times, chunk by chunk."""
         for first in range(0, len(values), CHUNK):
             some = slice(first, min(first + CHUNK, len(values)))
-            yield some, simulate(self.string, self.hand, values[some], self.times)
+            yield some, self.model.seen(self.motion, values[some], self.times)
 
     @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Mass point before each measured point, and the share of the way to the next."""
-        position = np.clip(self.s / self.string.segment, 0, self.string.points - 1 - 1e-9)
+        string = self.model.string
+        position = np.clip(self.s / string.segment, 0, string.points - 1 - 1e-9)
         return position.astype(int), position % 1
 
     def at_measured(self, motion: StringMotion) -> np.ndarray:
@@ -59,7 +60,7 @@ class Case:
         frames = int(np.searchsorted(self.times, last + 1e-9))
         kept = self.frame < frames
         parts = (self.frame[kept], self.s[kept], self.points[kept], self.sigma[kept])
-        return Case(self.name, self.string, self.hand, self.times[:frames], *parts)
+        return Case(self.name, self.model, self.motion, self.times[:frames], *parts)
 
     def rms(self, values: np.ndarray) -> float:
         """Root mean square distance of one candidate (P,) from the measured points [m]."""
@@ -67,7 +68,7 @@ class Case:
         return float(np.sqrt(np.mean(np.sum((self.at_measured(motion)[0] - self.points) ** 2, axis=-1))))
 
 
-def case(string: String, arm: Arm, observation: Observation) -> Case:
+def case(model: Model, observation: Observation) -> Case:
     """Make one observation ready; raises DataError where it cannot be used."""
     points = observation.points
     if "valid" in points:
@@ -78,15 +79,13 @@ def case(string: String, arm: Arm, observation: Observation) -> Case:
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
     sigma = points["sigma"].to_numpy() if "sigma" in points else np.ones(len(points))
     position = points[["x", "y"]].to_numpy()
-    return Case(
-        observation.trial, string, hand(arm, observation), times, frame, points["s"].to_numpy(), position, sigma
-    )
+    return Case(observation.trial, model, motion_of(observation), times, frame, points["s"].to_numpy(), position, sigma)
 
 
-def hand(arm: Arm, observation: Observation) -> HandMotion:
-    """The hand's motion, from joint angles or from grasp poses."""
+def motion_of(observation: Observation) -> JointMotion | HandMotion:
+    """The motion as the arm reports it: joint angles or poses of the grasp."""
     if observation.arm is not None:
-        return hand_motion(arm, observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy())
+        return joint_motion(observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy())
     if observation.grasp is None:
         raise DataError(
             f"trial {observation.trial}: neither joint angles nor grasp poses. Add arm.parquet or grasp.parquet."

@@ -27,9 +27,7 @@ from data.artifacts import Estimate, Observation
 from stages.estimate.forward import Case
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.string import String
+from stages.model.model import Model
 
 STEP = 1e-4  # of chi, for the central difference
 HUBER = 2.0  # robust scales beyond which a residual counts less
@@ -45,9 +43,7 @@ DAMPINGS = np.array([1e-7, 1e-4, 1e-2, 1.0, 100.0])
 
 
 def estimate(
-    string: String,
-    arm: Arm,
-    camera: Camera,
+    model: Model,
     observations: Sequence[Observation],
     previous: Estimate | None,
     *,
@@ -66,9 +62,9 @@ def estimate(
     The intervals are of the model's parameters under noise; what the model itself lacks they
     cannot cover, and the sentence says so where the residual is more than noise.
     """
-    goals = targets(string, arm, camera, observations, matching)
+    goals = targets(model, observations, matching)
     cases = [goal.case for goal in goals]
-    before = start_chi(string.parameters, previous)
+    before = start_chi(model.parameters, previous)
     drawn = np.random.default_rng([seed, manipulation]).uniform(0, 1, (screening, len(before)))
     screened = np.concatenate([before[None], drawn])
     order = np.argsort(_costs([ready.until(HORIZONS[0]) for ready in cases], screened, np.inf))
@@ -79,7 +75,7 @@ def estimate(
     limit = _limit(_residuals(cases, chi)).min()
     best = _polished(cases, chi[int(np.argmin(_costs(cases, chi, limit)))])
     tried = np.concatenate([screened, chi, best[None]])
-    search = Search("least squares", tried, matching_rate(goals, values_of(string.parameters, tried)))
+    search = Search("least squares", tried, matching_rate(goals, values_of(model.parameters, tried)))
     return estimate_of(goals, before, best, search, interval(cases, best))
 
 
@@ -93,7 +89,7 @@ def _advanced(cases: Sequence[Case], chi: np.ndarray, steps: int) -> np.ndarray:
 
 def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:
     """95 % intervals about the solution chi (P,), and what the data cannot determine."""
-    parameters = cases[0].string.parameters
+    parameters = cases[0].model.parameters
     covariance, blocks = _covariance(cases, chi)
     deviation = np.sqrt(np.diag(covariance))
     reach = student.ppf(0.975, max(blocks - len(chi), 1)) * deviation
@@ -179,7 +175,7 @@ def _linear(cases: Sequence[Case], chi: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _residuals(cases: Sequence[Case], chi: np.ndarray) -> np.ndarray:
     """Simulated less measured, over sigma, (C, N); huge where a run was rejected."""
-    values = values_of(cases[0].string.parameters, chi)
+    values = values_of(cases[0].model.parameters, chi)
     parts = []
     for ready in cases:
         part = np.empty((len(values), 2 * len(ready.points)))

@@ -15,9 +15,7 @@ from pydantic import Field
 from data.artifacts import Observation
 from stages.estimate.forward import Case, case
 from stages.extract.score import rasterise, score_map
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.string import String
+from stages.model.model import Model
 
 Count = Annotated[int, Field(ge=1, le=255)]
 
@@ -38,7 +36,6 @@ class Target:
     """One trial's images as score maps (F, height, width) uint8, its tips (F, 2) [px], and weights (F, n)."""
 
     case: Case
-    camera: Camera
     matching: Matching
     maps: np.ndarray
     tips: np.ndarray
@@ -49,18 +46,16 @@ class Target:
         scores = np.full((len(values), len(self.maps)), np.nan)
         finite = np.zeros(len(values), dtype=bool)
         for some, motion in self.case.simulate(values):
-            pixels = self.camera.pixels(motion.points)
+            pixels = self.case.model.camera.pixels(motion.points)
             args = (pixels, self.maps, self.tips, self.matching.tip_step_px, float(self.matching.dilations))
             scores[some] = np.where(motion.finite[:, None], match(*args, self.weights), np.nan)
             finite[some] = motion.finite
         return scores, finite
 
 
-def targets(
-    string: String, arm: Arm, camera: Camera, observations: Sequence[Observation], matching: Matching
-) -> list[Target]:
+def targets(model: Model, observations: Sequence[Observation], matching: Matching) -> list[Target]:
     """Score maps of all observations."""
-    return [_target(case(string, arm, o), camera, o, matching) for o in observations]
+    return [_target(case(model, o), o, matching) for o in observations]
 
 
 def matching_rate(goals: Sequence[Target], values: np.ndarray) -> np.ndarray:
@@ -93,16 +88,17 @@ def match(
     return result
 
 
-def _target(ready: Case, camera: Camera, observation: Observation, matching: Matching) -> Target:
+def _target(ready: Case, observation: Observation, matching: Matching) -> Target:
     """Score maps from the binary images, or from the measured points where there are none."""
     images = dict(zip(observation.masks["t"], observation.masks["png"], strict=True)) if len(observation.masks) else {}
+    camera = ready.model.camera
     maps, tips = [], []
     for number, t in enumerate(ready.times):
         line = camera.pixels(ready.points[ready.frame == number])
         mask = _decode(images[t]) if t in images else rasterise(line, (camera.height, camera.width), 3)
         maps.append(score_map(mask, matching.dilations, matching.step_px))
         tips.append(line[np.argmax(ready.s[ready.frame == number])])
-    return Target(ready, camera, matching, np.stack(maps), np.array(tips), _weights(ready, matching.delta_w))
+    return Target(ready, matching, np.stack(maps), np.array(tips), _weights(ready, matching.delta_w))
 
 
 def _weights(ready: Case, delta_w: float) -> np.ndarray:
@@ -111,8 +107,9 @@ def _weights(ready: Case, delta_w: float) -> np.ndarray:
     0 for those it does not: where the tip is hidden, or only a marker was measured, nothing
     is known of the rest. The extract stage reads a string whole or not at all.
     """
-    s, half = ready.string.arc_lengths(), ready.string.segment / 2
-    measured = pd.Series(np.clip(ready.s, 0, ready.string.length)).groupby(ready.frame)
+    string = ready.model.string
+    s, half = string.arc_lengths(), string.segment / 2
+    measured = pd.Series(np.clip(ready.s, 0, string.length)).groupby(ready.frame)
     first, last = measured.min().to_numpy()[:, None], measured.max().to_numpy()[:, None]
     return np.where((s >= first - half) & (s <= last + half), 1 + np.arange(len(s)) * delta_w, 0.0)
 

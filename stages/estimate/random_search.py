@@ -11,15 +11,11 @@ from pydantic import Field
 from data.artifacts import Estimate, Observation
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import Search, estimate_of, spread, start_chi, values_of
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.string import String
+from stages.model.model import Model
 
 
 def estimate(
-    string: String,
-    arm: Arm,
-    camera: Camera,
+    model: Model,
     observations: Sequence[Observation],
     previous: Estimate | None,
     *,
@@ -41,16 +37,16 @@ def estimate(
     time from the same chi_best, so that they fill the machine: 1 is one by one, and as many as
     `candidates` is Eq. 4 to the letter, where chi_best is the previous manipulation's estimate.
     """
-    goals = targets(string, arm, camera, observations, matching)
-    before = start_chi(string.parameters, previous)
+    goals = targets(model, observations, matching)
+    before = start_chi(model.parameters, previous)
     rng = np.random.default_rng(seed)
-    chi, rate = before[None], matching_rate(goals, values_of(string.parameters, before[None]))
+    chi, rate = before[None], matching_rate(goals, values_of(model.parameters, before[None]))
     best, best_rate = before, rate[0]
     for first in range(1, candidates, together):
         m = np.arange(first, min(first + together, candidates))
         step = chi_0 / manipulation * beta**m
         drawn = np.clip(best + step[:, None] * rng.uniform(-1, 1, (len(m), len(before))), 0, 1)
-        scores = matching_rate(goals, values_of(string.parameters, drawn))
+        scores = matching_rate(goals, values_of(model.parameters, drawn))
         progress((m[-1] + 1) / candidates)
         chi, rate = np.concatenate([chi, drawn]), np.concatenate([rate, scores])
         if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):

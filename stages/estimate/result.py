@@ -68,7 +68,7 @@ def estimate_of(
     goals: Sequence[Target], before: np.ndarray, after: np.ndarray, search: Search, interval: Interval
 ) -> Estimate:
     """The artifact. before, after: (P,) exponents before and after."""
-    parameters = goals[0].case.string.parameters
+    parameters = goals[0].case.model.parameters
     pair = values_of(parameters, np.stack([before, after]))
     matching = pd.concat([_matching(goal, pair) for goal in goals], ignore_index=True)
     rms = np.sqrt(np.mean([[goal.case.rms(v) ** 2 for v in pair] for goal in goals], axis=0))
@@ -95,7 +95,7 @@ def spread(goals: Sequence[Target], search: Search) -> Interval:
     A search narrows by itself, so where its candidates lie says little. Each parameter is also
     moved through its range with the others held; a trade-off between two can still go unseen.
     """
-    parameters = goals[0].case.string.parameters
+    parameters = goals[0].case.model.parameters
     best = search.chi[search.best]
     scan = np.tile(best, (len(best), len(SCAN), 1))
     scan[np.arange(len(best)), :, np.arange(len(best))] = SCAN

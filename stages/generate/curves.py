@@ -8,7 +8,6 @@ import numpy as np
 from scipy.special import comb
 
 from stages.model.arm import Arm
-from stages.model.hand import HandMotion
 
 INTERVALS = 5
 
@@ -67,11 +66,6 @@ def next_curves(
     control = np.repeat(last.control, count, axis=0)
     control[..., 1:-1] += change
     return Curves(np.repeat(last.start, count, axis=0), duration, control)
-
-
-def hand_of(arm: Arm, angles: np.ndarray, speeds: np.ndarray) -> HandMotion:
-    """The hand's motion of a batch, (B, K, J) each, from t = 0."""
-    return HandMotion(0.0, arm.tick, arm.grasp(angles), arm.grasp_velocity(angles, speeds))
 
 
 def _whole(duration: np.ndarray, tick: float) -> np.ndarray:

@@ -13,10 +13,12 @@ from pydantic import Field
 
 from data.artifacts import ATTEMPTS, COMMANDS, CONTROL_POINTS, JOINTS, MOTION_OUTCOME, PREDICTED_STRING, SPEEDS, Motion
 from data.schema import DataError
-from stages.generate.curves import INTERVALS, Curves, first_curves, hand_of, next_curves
+from stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
 from stages.generate.space import Box, check_reach
 from stages.model.arm import Arm
-from stages.model.string import String, simulate
+from stages.model.hand import JointMotion
+from stages.model.model import Model
+from stages.model.string import String
 
 FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
 HIT = "hit"
@@ -36,8 +38,7 @@ class Simulated:
 
 
 def generate(
-    string: String,
-    arm: Arm,
+    model: Model,
     target: Box,
     obstacles: Sequence[Box],
     previous: Motion | None,
@@ -56,7 +57,7 @@ def generate(
     """A motion whose simulated tip hits the target during the movement.
 
     previous: the last motion, slightly changed from the second manipulation on. parameters:
-    of the string, by name. attempts: motions tried at most, `together` at a time. shortest,
+    of the model, by name. attempts: motions tried at most, `together` at a time. shortest,
     longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2]. fraction: of
     the control points' range by which they change. hits: motions that hit from which the one
     whose tip stays longest in the box is taken (1 is the paper's first come). Raises
@@ -64,15 +65,15 @@ def generate(
     """
     if shortest > longest:
         raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
-    check_reach(target, arm, string.length)
+    check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     count: Counter[str] = Counter()
     found: list[tuple[float, Motion]] = []
-    values = string.values(parameters)
+    values = model.values(parameters)
     while sum(count.values()) < attempts and len(found) < hits:
         size = min(together, attempts - sum(count.values()))
-        curves = _drawn(arm, rng, size, (shortest, longest), alpha, previous, fraction)
-        found += _tried(string, arm, target, obstacles, values, curves, count, hits - len(found))
+        curves = _drawn(model.arm, rng, size, (shortest, longest), alpha, previous, fraction)
+        found += _tried(model, target, obstacles, values, curves, count, hits - len(found))
         progress(sum(count.values()) / attempts)
     if not found:
         raise MotionNotFoundError(_failure(count, attempts))
@@ -102,8 +103,7 @@ def curves_of(motion: Motion) -> Curves:
 
 
 def _tried(
-    string: String,
-    arm: Arm,
+    model: Model,
     target: Box,
     obstacles: Sequence[Box],
     values: np.ndarray,
@@ -112,19 +112,19 @@ def _tried(
     wanted: int,
 ) -> list[tuple[float, Motion]]:
     """Check the arm, simulate what is allowed, and keep what hits, in the order drawn."""
-    until = float(curves.duration.max())
+    arm, until = model.arm, float(curves.duration.max())
     angles, speeds = curves.sampled(arm.tick, until)
     reasons = _arm_faults(arm, obstacles, angles, speeds)
     allowed = np.flatnonzero(reasons == "")
     if allowed.size:
-        seen = _simulated(string, arm, target, values, angles[allowed], speeds[allowed], until)
+        seen = _simulated(model, target, values, angles[allowed], speeds[allowed], until)
         reasons[allowed] = _string_faults(seen, obstacles, curves.duration[allowed])
     found: list[tuple[float, Motion]] = []
     for number, reason in enumerate(reasons):
         count[reason] += 1
         if reason == HIT:
             index = int(np.searchsorted(allowed, number))
-            found.append(_motion(arm, target, string, curves.only(np.array([number])), seen, index))
+            found.append(_motion(arm, target, model.string, curves.only(np.array([number])), seen, index))
             if len(found) == wanted:
                 break
     return found
@@ -150,11 +150,12 @@ def _arm_faults(arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: 
 
 
 def _simulated(
-    string: String, arm: Arm, target: Box, values: np.ndarray, angles: np.ndarray, speeds: np.ndarray, until: float
+    model: Model, target: Box, values: np.ndarray, angles: np.ndarray, speeds: np.ndarray, until: float
 ) -> Simulated:
     """The strings of allowed movements."""
-    times = np.arange(round(until / arm.tick) * FINE + 1) * arm.tick / FINE
-    motion = simulate(string, hand_of(arm, angles, speeds), np.repeat(values[None], len(angles), axis=0), times)
+    tick = model.arm.tick
+    times = np.arange(round(until / tick) * FINE + 1) * tick / FINE
+    motion = model.true(JointMotion(0.0, tick, angles, speeds), np.repeat(values[None], len(angles), axis=0), times)
     inside = target.crossed(motion.tip[:, :-1], motion.tip[:, 1:])
     return Simulated(times, motion.points, inside)
 

@@ -27,6 +27,11 @@ class Camera:
     exposure: Annotated[float, Field(ge=0)] = 0.0
     distortion: float = 0.0
 
+    @property
+    def centre(self) -> np.ndarray:
+        """World point at the middle of the image, (2,) [m]."""
+        return self.world(self._frame()[0])
+
     def pixels(self, world: np.ndarray) -> np.ndarray:
         """Pixels (u, v) of world points. world: (..., 2) [m]. Returns (..., 2) [px], pixel centres at integers."""
         flat = np.asarray(self.origin_px) + np.asarray(world) * np.array([self.px_per_m, -self.px_per_m])

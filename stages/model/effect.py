@@ -1,52 +1,99 @@
-"""What an effect on the string is: scalar laws that only ever add.
+"""What an effect is: one physical cause, one class, one file, with all that anybody asks of it.
 
-An effect is a class in one file of `stages/model/effects/`. Its laws are static methods
-named after the slots below. A law takes, by name, any of its slot's arguments and any
-parameter (its own, or one of the paper's); it is written for one candidate and one place,
-in arithmetic and numpy functions without branches, and returns what it adds. Everything
-is per mass per length, so that a law knows nothing of mass points:
+A file of `stages/model/effects/` (or of a folder named in STRINGCAST_EFFECTS) holds one class
+and is called like it. From it come the name, the parameters with units and bounds, the law,
+its sentence and picture for a report, its reference, and the symmetries that tests hold it
+to. An effect whose parameters are at their start is absent.
 
-slot            arguments                                          adds
-tension         stretch [1], rate [1/s], s [m]                     axial force over mass per length [m^2/s^2]
-moment          curvature [1/m], rate [1/(m s)], s [m]             bending moment over mass per length [m^3/s^2]
-grasp_moment    angle [rad], rate [rad/s]                          moment at the grasp over mass per length [m^3/s^2]
-load            x, y [m], vx, vy [m/s], tx, ty [1], s [m], t [s]   force over nominal mass, (x, y) [m/s^2]
-acceleration    x, y [m], t [s]                                    acceleration whatever the mass, (x, y) [m/s^2]
-rest_curvature  s [m]                                              curvature at rest [1/m]
-density         s [m], length [m]                                  mass per length over its nominal value, less 1 [1]
-tip_mass        length [m]                                         mass at the tip over nominal mass per length [m]
+There is a base class for each place where something can be other than the paper says: on the
+string (`StringEffect`), in the hand (`HandEffect`), in the camera (`CameraEffect`), between
+their clocks (`ClockEffect`), or in the model's own making (`ModelChange`).
+
+The laws of the string run in the hot loop. They are static methods named after the slots
+below, take by name any of their slot's arguments and any parameter (their own, what they
+derive from them, or one of the paper's), and are written for one candidate and one place, in
+arithmetic and numpy functions without branches. They return what they add. Everything is
+per mass per length, so that a law knows nothing of mass points.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from typing import ClassVar
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
 
 from stages.model.parameter import Parameter
+from stages.model.symmetry import Symmetry
 
-SLOTS: dict[str, tuple[str, ...]] = {
-    "tension": ("stretch", "rate", "s"),
-    "moment": ("curvature", "rate", "s"),
-    "grasp_moment": ("angle", "rate"),
-    "load": ("x", "y", "vx", "vy", "tx", "ty", "s", "t"),
-    "acceleration": ("x", "y", "t"),
-    "rest_curvature": ("s",),
-    "density": ("s", "length"),
-    "tip_mass": ("length",),
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from stages.model.camera import Camera
+    from stages.model.model import Model
+
+Quantity = Any  # a float in the hot loop, elsewhere an array over candidates and places
+Law = Callable[..., Quantity]
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A place for laws in the string's equation of motion. unit: of what they add; arguments: units by name."""
+
+    adds: str
+    unit: str
+    arguments: Mapping[str, str]
+
+
+PLACE = {"x": "m", "y": "m"}
+SLOTS: dict[str, Slot] = {
+    "tension": Slot("axial force over mass per length", "m2/s2", {"stretch": "1", "rate": "1/s", "s": "m"}),
+    "moment": Slot("bending moment over mass per length", "m3/s2", {"curvature": "1/m", "rate": "1/(m s)", "s": "m"}),
+    "grasp_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"angle": "rad", "rate": "rad/s"}),
+    # v is the string's velocity, u that through the air, (tx, ty) the string's direction towards the tip
+    "load": Slot(
+        "force over nominal mass, (x, y)",
+        "m/s2",
+        PLACE | {"vx": "m/s", "vy": "m/s", "ux": "m/s", "uy": "m/s", "tx": "1", "ty": "1", "s": "m", "t": "s"},
+    ),
+    "acceleration": Slot("acceleration whatever the mass, (x, y)", "m/s2", PLACE | {"t": "s"}),
+    "flow": Slot("velocity of the air, (x, y)", "m/s", PLACE | {"t": "s"}),
+    "rest_curvature": Slot("curvature at rest", "1/m", {"s": "m"}),
+    "density": Slot("mass per length over its nominal value, less 1", "1", {"s": "m", "length": "m"}),
+    "tip_mass": Slot("mass at the tip over nominal mass per length", "m", {"length": "m"}),
 }
 
 
-class StringEffect:
-    """Base of the effects on the string. Subclasses are final; see the module's docstring."""
+class Effect(ABC):
+    """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect."""
 
     name: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
+    reference: ClassVar[str]
+    symmetries: ClassVar[tuple[Symmetry, ...]] = ()
+
+    @staticmethod
+    @abstractmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so, in a sentence without a full stop. values: of its parameters, by name."""
 
     @classmethod
-    def laws(cls) -> dict[str, Callable[..., object]]:
-        """The laws this effect defines, by slot."""
-        return {slot: getattr(cls, slot) for slot in SLOTS if hasattr(cls, slot)}
+    @abstractmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """A small picture of the law. values: of its parameters, by name."""
+
+    @classmethod
+    @abstractmethod
+    def join(cls, model: Model) -> Model:
+        """The model with this effect at work."""
+
+    @classmethod
+    def laws(cls) -> dict[str, Law]:
+        """The laws this effect defines, by name."""
+        return {}
 
     @classmethod
     def qualified(cls, parameter: Parameter) -> str:
@@ -54,6 +101,112 @@ class StringEffect:
         return parameter.name if parameter.symbol else f"{cls.name}.{parameter.name}"
 
 
+class StringEffect(Effect):
+    """An effect on the string, by laws that only ever add. Subclasses are final."""
+
+    @classmethod
+    def laws(cls) -> dict[str, Law]:
+        """The laws this effect defines, by slot."""
+        return {slot: getattr(cls, slot) for slot in SLOTS if hasattr(cls, slot)}
+
+    @staticmethod
+    def derived(*_: Quantity, **parameters: Quantity) -> dict[str, Quantity]:
+        """What laws need of the parameters alone, computed once for each candidate and not in the loop."""
+        return {}
+
+    @staticmethod
+    def stiffness(*_: Quantity, **parameters: Quantity) -> tuple[Quantity, Quantity]:
+        """What loads add at most to the squared frequency [1/s^2] and damping rate [1/s] of a mass.
+
+        Only loads that rise steeply with place, or with speed near rest, need say so: air
+        resistance and inner forces are sampled (`stages.model.stability`).
+        """
+        return 0.0, 0.0
+
+    @classmethod
+    def join(cls, model: Model) -> Model:
+        """The model whose string has this effect."""
+        return replace(model, string=replace(model.string, effects=(*model.string.effects, cls)))
+
+
+class HandEffect(Effect):
+    """An effect between what the arm reports and where the grasp really is. Subclasses are final.
+
+    joints(t, angles, **parameters): joint angles that really happened, and/or
+    grasp(t, pose, **parameters): pose of the grasp that really happened. With joint angles at
+    hand the first is used, with poses of the grasp the second. t: (K,) [s]. angles: (1 or C, K, J)
+    [rad]; pose: (1 or C, K, 3) [m], [m], [rad]. Parameters are (C, 1, 1).
+    """
+
+    @classmethod
+    def laws(cls) -> dict[str, Law]:
+        """`joints` and `grasp`, where defined."""
+        return {law: getattr(cls, law) for law in ("joints", "grasp") if hasattr(cls, law)}
+
+    @classmethod
+    def join(cls, model: Model) -> Model:
+        """The model whose hand has this effect."""
+        return replace(model, hand_effects=(*model.hand_effects, cls))
+
+
+class ClockEffect(Effect):
+    """An effect between the camera's clock and the arm's. Subclasses are final."""
+
+    @staticmethod
+    @abstractmethod
+    def times(t: np.ndarray, *_: Quantity, **parameters: Quantity) -> np.ndarray:
+        """Times of the arm's clock, (C, F) [s], at times t of the camera's, (F,) or (C, F). Parameters are (C, 1)."""
+
+    @classmethod
+    def laws(cls) -> dict[str, Law]:
+        """`times`."""
+        return {"times": cls.times}
+
+    @classmethod
+    def join(cls, model: Model) -> Model:
+        """The model whose clocks have this effect."""
+        return replace(model, clock_effects=(*model.clock_effects, cls))
+
+
+class CameraEffect(Effect):
+    """An effect between where points are and where the camera reports them. Subclasses are final."""
+
+    @staticmethod
+    @abstractmethod
+    def seen(
+        points: np.ndarray,
+        velocity: np.ndarray,
+        times: np.ndarray,
+        camera: Camera,
+        *_: Quantity,
+        **parameters: Quantity,
+    ) -> np.ndarray:
+        """Reported points, (C, F, n, 2) [m].
+
+        points, velocity: true ones at the frame times, (C, F, n, 2) [m], [m/s]. times: (F,)
+        [s]. camera: as it is taken to be. Parameters are (C, 1, 1, 1).
+        """
+
+    @classmethod
+    def laws(cls) -> dict[str, Law]:
+        """`seen`."""
+        return {"seen": cls.seen}
+
+    @classmethod
+    def join(cls, model: Model) -> Model:
+        """The model whose camera has this effect."""
+        return replace(model, camera_effects=(*model.camera_effects, cls))
+
+
+class ModelChange(Effect):
+    """Something wrong with the model's own making: no law and no parameter, but another model (`join`)."""
+
+
 def arguments(law: Callable[..., object]) -> tuple[str, ...]:
     """Names of a law's arguments, in order."""
     return tuple(inspect.signature(law).parameters)
+
+
+def taken(law: Callable[..., object], known: Mapping[str, Quantity]) -> dict[str, Quantity]:
+    """Those of the known arguments that a law takes."""
+    return {name: known[name] for name in arguments(law) if name in known}

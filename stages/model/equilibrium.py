@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.stability import load, slot_sum
+from stages.model.stability import load, slot_sum, vector_sum
 
 if TYPE_CHECKING:
     from stages.model.string import String
@@ -74,21 +74,9 @@ def _force(
     x, y = places[..., 0], places[..., 1]
     s = string.arc_lengths()[None, 1:]
     pull = load(string, material, {"x": x, "y": y, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": s})
-    fall = _acceleration(string, material, x, y)
+    fall = vector_sum(string, material, "acceleration", {"x": x, "y": y, "t": np.zeros((1, 1))})
     weight = pull * cells[None, 1:, None] + fall * masses[:, 1:, None]
     return np.cumsum(weight[:, ::-1], axis=1)[:, ::-1]
-
-
-def _acceleration(string: String, material: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    total = np.zeros((*x.shape, 2))
-    for effect in string.effects:
-        law = effect.laws().get("acceleration")
-        if law is not None:
-            known = {"x": x, "y": y, "t": np.zeros((1, 1))}
-            chosen = {name: value for name, value in known.items() if name in law.__code__.co_varnames}
-            parts = law(**chosen, **string.arguments_of(effect, "acceleration", material))
-            total = total + np.stack([part + 0 * x for part in parts], axis=-1)  # type: ignore[attr-defined]
-    return total
 
 
 def _lengths(string: String, material: np.ndarray, force: np.ndarray, angles: np.ndarray) -> np.ndarray:

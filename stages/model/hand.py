@@ -1,15 +1,19 @@
-"""The hand's motion: the pose of the grasp in time, as the string engine consumes it."""
+"""The hand's motion: from what the arm reports to the pose of the grasp, as the string engine consumes it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from data.schema import DataError
 from stages.model.arm import Arm
+from stages.model.effect import HandEffect
 
 HAND_TICK = 0.005
+Act = tuple[type[HandEffect], Mapping[str, np.ndarray]]  # an effect and its parameters, (C, 1, 1) each
 
 
 @dataclass(frozen=True)
@@ -31,9 +35,55 @@ class HandMotion:
         """Time of the last pose [s]."""
         return self.start + (self.pose.shape[1] - 1) * self.tick
 
+    def really(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
+        """The motion that really happened when the hand's effects acted. Raises DataError if one needs joints."""
+        motion = self
+        for effect, parameters in acts:
+            if "grasp" not in effect.laws():
+                raise DataError(
+                    f"effect '{effect.name}' acts on joint angles, but this trial has only poses of the grasp. "
+                    "Add arm.parquet, or leave the effect out."
+                )
+            pose, rate = _changed(effect, "grasp", motion, motion.pose, motion.rate, parameters)
+            motion = HandMotion(self.start, self.tick, pose, rate)
+        return motion
+
+
+@dataclass(frozen=True)
+class JointMotion:
+    """Joint angles on a uniform tick. angles: (B, K, J) [rad]; speeds: (B, K, J) [rad/s]; otherwise as HandMotion."""
+
+    start: float
+    tick: float
+    angles: np.ndarray
+    speeds: np.ndarray
+
+    def grasp(self, arm: Arm) -> HandMotion:
+        """Where this takes the hand."""
+        return HandMotion(self.start, self.tick, arm.grasp(self.angles), arm.grasp_velocity(self.angles, self.speeds))
+
+    def joints(self, acts: Sequence[Act]) -> JointMotion:
+        """The joints' motion that really happened when effects acted on them."""
+        motion = self
+        for effect, parameters in acts:
+            if "joints" in effect.laws():
+                angles, speeds = _changed(effect, "joints", motion, motion.angles, motion.speeds, parameters)
+                motion = JointMotion(self.start, self.tick, angles, speeds)
+        return motion
+
+    def really(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
+        """The hand's motion that really happened: effects on joints first, then those on the grasp."""
+        later = [act for act in acts if "joints" not in act[0].laws()]
+        return self.joints(acts).grasp(arm).really(arm, later)
+
 
 def hand_motion(arm: Arm, t: np.ndarray, angles: np.ndarray, tick: float = HAND_TICK) -> HandMotion:
-    """The hand's motion from joint angles.
+    """The hand's motion from joint angles; see `joint_motion`."""
+    return joint_motion(t, angles, tick).grasp(arm)
+
+
+def joint_motion(t: np.ndarray, angles: np.ndarray, tick: float = HAND_TICK) -> JointMotion:
+    """Joint angles on a uniform tick.
 
     t: (K,) increasing times [s]. angles: (K, J) or (B, K, J) joint angles [rad]. The joints
     are taken as natural cubic splines between samples; tick: period of the result [s].
@@ -41,8 +91,7 @@ def hand_motion(arm: Arm, t: np.ndarray, angles: np.ndarray, tick: float = HAND_
     grid = _grid(t, tick)
     batch = angles if angles.ndim == 3 else angles[None]
     spline = CubicSpline(t, batch, axis=1, bc_type="natural")
-    q, w = spline(grid), spline(grid, 1)
-    return HandMotion(float(grid[0]), tick, arm.grasp(q), arm.grasp_velocity(q, w))
+    return JointMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
 
 
 def hand_motion_from_grasp(t: np.ndarray, pose: np.ndarray, tick: float = HAND_TICK) -> HandMotion:
@@ -52,6 +101,20 @@ def hand_motion_from_grasp(t: np.ndarray, pose: np.ndarray, tick: float = HAND_T
     grid = _grid(t, tick)
     spline = CubicSpline(t, batch, axis=1, bc_type="natural")
     return HandMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
+
+
+def _changed(
+    effect: type[HandEffect],
+    law: str,
+    motion: HandMotion | JointMotion,
+    value: np.ndarray,
+    rate: np.ndarray,
+    parameters: Mapping[str, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Value and rate, (B, K, ...) each, after a law; only the change is differentiated, so that none costs nothing."""
+    t = motion.start + motion.tick * np.arange(value.shape[1])
+    change = effect.laws()[law](t, value, **parameters) - value
+    return value + change, rate + CubicSpline(t, change, axis=1, bc_type="natural")(t, 1)
 
 
 def _grid(t: np.ndarray, tick: float) -> np.ndarray:

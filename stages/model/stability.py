@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stages.model.effect import taken
+
 if TYPE_CHECKING:
     from stages.model.string import String
 
@@ -75,8 +77,7 @@ def slot_sum(string: String, material: np.ndarray, slot: str, given: dict[str, n
         law = effect.laws().get(slot)
         if law is not None:
             parameters = string.arguments_of(effect, slot, material)
-            known = {name: value for name, value in given.items() if name in law.__code__.co_varnames}
-            total = total + law(**known, **parameters)  # type: ignore[operator]
+            total = total + law(**taken(law, given), **parameters)
     return total
 
 
@@ -96,14 +97,19 @@ def load(string: String, material: np.ndarray, given: dict[str, np.ndarray]) -> 
     """Sum of the loads, (C, M, 2) [m/s^2]; arguments not given are 0, the tangent points right."""
     still = dict.fromkeys(("x", "y", "vx", "vy", "ty", "s", "t"), np.zeros((1, 1))) | {"tx": np.ones((1, 1))}
     known = still | given
+    air = vector_sum(string, material, "flow", known)
+    known |= {"ux": known["vx"] - air[..., 0], "uy": known["vy"] - air[..., 1]}
+    return vector_sum(string, material, "load", known)
+
+
+def vector_sum(string: String, material: np.ndarray, slot: str, known: dict[str, np.ndarray]) -> np.ndarray:
+    """Sum of a slot's vector laws for all candidates, (C, M, 2). known: the slot's arguments, (1 or C, M) each."""
     total = np.zeros((*np.broadcast_shapes((len(material), 1), *(v.shape for v in known.values())), 2))
     for effect in string.effects:
-        law = effect.laws().get("load")
+        law = effect.laws().get(slot)
         if law is not None:
-            parameters = string.arguments_of(effect, "load", material)
-            chosen = {name: value for name, value in known.items() if name in law.__code__.co_varnames}
-            parts = law(**chosen, **parameters)
-            total = total + np.stack([part + 0 * total[..., 0] for part in parts], axis=-1)  # type: ignore[attr-defined]
+            parts = law(**taken(law, known), **string.arguments_of(effect, slot, material))
+            total = total + np.stack([part + 0 * total[..., 0] for part in parts], axis=-1)
     return total
 
 

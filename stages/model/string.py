@@ -84,6 +84,12 @@ class String:
         """Qualified names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
+    @cached_property
+    def rows(self) -> tuple[str, ...]:
+        """Names of what `material` gives: the parameters, then what effects derive from them."""
+        derived = (f"{e.name}.{d}" for e in self.effects for d in e.derived(**{p.name: p.start for p in e.parameters}))
+        return (*self.names, *derived)
+
     @property
     def segment(self) -> float:
         """Rest length of a segment [m]."""
@@ -102,10 +108,17 @@ class String:
         return np.array([named.get(p.name, p.start) for p in self.parameters])
 
     def material(self, values: np.ndarray) -> np.ndarray:
-        """Material properties from per-mass-point values. (..., P) to (..., P)."""
+        """Material properties from per-mass-point values, and what effects derive. (..., P) to (..., rows)."""
         reference = self.length / (self.reference_points - 1)
         material = values * reference ** np.array([p.per_length for p in self.parameters], dtype=float)
-        return self._in_series(self._in_series(material, "stiffness"), "damping")
+        material = self._in_series(self._in_series(material, "stiffness"), "damping")
+        derived = [column for e in self.effects for column in e.derived(**self._own(e, material)).values()]
+        return np.concatenate([material, *(column[..., None] for column in derived)], axis=-1)
+
+    def _own(self, effect: type[StringEffect], material: np.ndarray) -> dict[str, np.ndarray]:
+        """An effect's own parameters, (...) each, by name. material: (..., P)."""
+        places = {p.name: self.names.index(effect.qualified(p)) for p in effect.parameters}
+        return {name: material[..., place] for name, place in places.items()}
 
     def _in_series(self, material: np.ndarray, kind: str) -> np.ndarray:
         """The hinge at the grasp, softened by the bending of its share of the first segment."""
@@ -119,12 +132,12 @@ class String:
         return softened
 
     def arguments_of(self, effect: type[StringEffect], slot: str, material: np.ndarray) -> dict[str, np.ndarray]:
-        """The parameters a law takes, each (C, 1), by the law's own names. material: (C, P)."""
+        """What a law takes of parameters, each (C, 1), by the law's own names. material: (C, rows)."""
         chosen = {}
         for name in arguments(effect.laws()[slot]):
             for qualified in (f"{effect.name}.{name}", name):
-                if qualified in self.names:
-                    chosen[name] = material[:, self.names.index(qualified), None]
+                if qualified in self.rows:
+                    chosen[name] = material[:, self.rows.index(qualified), None]
                     break
         return chosen
 
@@ -141,10 +154,10 @@ class String:
         for effect in self.effects:
             if "density" in effect.laws():
                 given = self.arguments_of(effect, "density", material)
-                density = density + effect.laws()["density"](s=s, length=self.length, **given)  # type: ignore[operator]
+                density = density + effect.laws()["density"](s=s, length=self.length, **given)
             if "tip_mass" in effect.laws():
                 given = self.arguments_of(effect, "tip_mass", material)
-                tip = tip + effect.laws()["tip_mass"](length=self.length, **given)  # type: ignore[operator]
+                tip = tip + effect.laws()["tip_mass"](length=self.length, **given)
         masses = density * cells
         masses[:, -1:] += tip
         return masses, cells
@@ -167,8 +180,8 @@ def simulate(string: String, hand: HandMotion, values: np.ndarray, times: np.nda
     """Move candidates along the hand's motion from static equilibrium.
 
     hand: one motion for all candidates, or one each. values: (C, P) parameters in the order
-    of `string.parameters`. times: (F,) when the string is wanted [s]; before the hand's
-    first tick it rests, after the last the hand rests. A candidate that does not stay
+    of `string.parameters`. times: (F,), or (C, F) of their own, when the string is wanted [s];
+    before the hand's first tick it rests, after the last the hand rests. A candidate that does not stay
     finite, or whose stable step is impractically small, is rejected.
 
     Results do not depend on the number of threads nor on which candidates run together.
@@ -176,14 +189,15 @@ def simulate(string: String, hand: HandMotion, values: np.ndarray, times: np.nda
     material = string.material(np.atleast_2d(values))
     poses, rates = _extended(hand, float(np.max(times)))
     steps, possible = steps_per_tick(string, material, hand.tick)
-    points = np.full((len(material), len(times), string.points, 2), np.nan)
+    points = np.full((len(material), times.shape[-1], string.points, 2), np.nan)
     finite = possible.copy()
     for level in np.unique(steps[possible]):
         chosen = np.flatnonzero(possible & (steps == level))
         pose = poses if len(poses) == 1 else poses[chosen]
         rate = rates if len(rates) == 1 else rates[chosen]
         ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level))
-        points[chosen] = _sampled(ticks, (times - hand.start) / hand.tick)
+        own = times if times.ndim == 1 else times[chosen]
+        points[chosen] = _sampled(ticks, (own - hand.start) / hand.tick, hand.pose.shape[1] - 1)
         finite[chosen] = alive & np.isfinite(points[chosen]).all(axis=(1, 2, 3))
     points[~finite] = np.nan
     return StringMotion(points, finite)
@@ -213,7 +227,7 @@ def _run(
     cubic = cubic.reshape(*cubic.shape[:2], 1 if shared else blocks, 1 if shared else width)
     out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
     alive = np.ones((blocks, width), dtype=bool)
-    run = kernel.kernel_for(string.effects, string.names, string.integrator)
+    run = kernel.kernel_for(string.effects, string.rows, string.integrator)
     per = 0 if shared else 1
     run(
         *(buffers, parameters.reshape(blocks, -1), cubic, per, per, string.points, string.segment),
@@ -259,23 +273,27 @@ def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:
     return np.ascontiguousarray(coefficients.reshape(batch, count, 12).transpose(1, 2, 0))
 
 
-def _sampled(ticks: np.ndarray, position: np.ndarray) -> np.ndarray:
+def _sampled(ticks: np.ndarray, position: np.ndarray, moved: int) -> np.ndarray:
     """Positions between ticks, by Lagrange's polynomial through the six nearest.
 
-    ticks: (C, K, n, 2). position: (F,) in ticks, clipped to the first and last. (C, F, n, 2).
+    ticks: (C, K, n, 2). position: (F,) or (C, F) in ticks, clipped to the first and last. moved:
+    last tick of the hand's motion. (C, F, n, 2).
     """
-    last = ticks.shape[1] - 1
+    # The last tick that the candidate itself asks for: rest added for others must not matter.
+    asked = np.ceil(position.max(axis=-1, keepdims=True) - 1e-9).astype(int)
+    last = np.clip(asked, moved, ticks.shape[1] - 1)
     position = np.clip(position, 0, last)
     whole = np.round(position)
-    if np.allclose(position, whole, rtol=0, atol=1e-6):
+    if position.ndim == 1 and np.allclose(position, whole, rtol=0, atol=1e-6):
         return ticks[:, whole.astype(int)]
-    width = min(6, last + 1)
+    width = min(6, int(last.min()) + 1)
     first = np.clip(np.floor(position).astype(int) - (width // 2 - 1), 0, last + 1 - width)
     offset = position - first
-    result = np.zeros((ticks.shape[0], len(position), *ticks.shape[2:]))
+    own = np.arange(len(ticks))[:, None]
+    result = np.zeros((ticks.shape[0], position.shape[-1], *ticks.shape[2:]))
     for i in range(width):
         others = [m for m in range(width) if m != i]
         weight = np.prod([(offset - m) / (i - m) for m in others], axis=0)
         with np.errstate(invalid="ignore"):  # a rejected run is not finite, and stays so
-            result += weight[None, :, None, None] * ticks[:, first + i]
+            result += weight[..., None, None] * ticks[own, first + i]
     return result

@@ -101,5 +101,5 @@ def _parameters(record: Record) -> list[dict[str, Any]]:
     if not record.estimates:
         return []
     last = record.estimates[-1].parameters.set_index("name", drop=False)
-    known = [parameter for parameter in record.string.parameters if parameter.name in last.index]
+    known = [parameter for parameter in record.model.parameters if parameter.name in last.index]
     return [{"row": last.loc[p.name], "meaning": p.meaning, "history": history(p, record.estimates)} for p in known]

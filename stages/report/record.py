@@ -11,12 +11,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from data.artifacts import JOINTS, Estimate, Motion, Observation, Points, Trial
-from stages.estimate.forward import hand
+from stages.estimate.forward import motion_of
 from stages.generate import Box
 from stages.judge import Verdict, longest_gap
 from stages.model.arm import Arm
 from stages.model.camera import Camera
-from stages.model.string import String, simulate
+from stages.model.model import Model
+from stages.model.string import String
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,7 @@ class Record:
     name: str
     sentence: str
     hit: bool
-    arm: Arm
-    camera: Camera
-    string: String
+    model: Model
     target: Box
     obstacles: tuple[Box, ...]
     casts: tuple[Cast, ...]
@@ -95,10 +94,24 @@ class Record:
     config: Mapping[str, Any]
     made_by: Mapping[str, Any]
 
+    @property
+    def arm(self) -> Arm:
+        """The model's arm."""
+        return self.model.arm
+
+    @property
+    def camera(self) -> Camera:
+        """The model's camera."""
+        return self.model.camera
+
+    @property
+    def string(self) -> String:
+        """The model's string."""
+        return self.model.string
+
 
 def cast_record(
-    string: String,
-    arm: Arm,
+    model: Model,
     observation: Observation,
     made: tuple[Motion, Trial, Points, Estimate | None],
     verdict: Verdict,
@@ -107,6 +120,6 @@ def cast_record(
     """Simulate the performed motion with the parameters before and after its estimation."""
     motion, trial, points, estimate = made
     known = {} if previous is None else previous.values()
-    values = np.stack([string.values(known), string.values(known if estimate is None else estimate.values())])
-    strings = simulate(string, hand(arm, observation), values, trial.frames["t"].to_numpy()).points
+    values = np.stack([model.values(known), model.values(known if estimate is None else estimate.values())])
+    strings = model.seen(motion_of(observation), values, trial.frames["t"].to_numpy()).points
     return Cast(motion, trial, points, estimate, verdict, strings[0], strings[1])

@@ -10,6 +10,7 @@ from stages.estimate import cma_es, least_squares, random_search
 from stages.estimate.forward import case
 from stages.estimate.matching import Matching, match
 from stages.model.hand import hand_motion_from_grasp
+from stages.model.model import Model
 from stages.model.string import String, simulate
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
@@ -65,7 +66,7 @@ def test_matching_rate_is_equations_5_and_6():
 def test_candidates_narrow_as_equation_4_says(arm, camera):
     """Within chi_0 / M beta^m of the best so far, and reaching near that bound."""
     settings = {"candidates": 400, "chi_0": 0.5, "beta": 0.99, "together": 1, "matching": MATCHING}
-    found = random_search.estimate(STRING, arm, camera, [observed(1)], None, seed=2, manipulation=2, **settings)
+    found = random_search.estimate(Model(STRING, arm, camera), [observed(1)], None, seed=2, manipulation=2, **settings)
     table = CANDIDATES.check(found.candidates)
     chi = np.stack([p.chi(table[p.name].to_numpy()) for p in STRING.parameters], axis=-1)
     best = chi[0]
@@ -84,7 +85,9 @@ def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
     settings = {"candidates": 200, "chi_0": 0.6, "beta": 0.995, "together": 16, "matching": MATCHING}
 
     def run():
-        return random_search.estimate(STRING, arm, camera, [observed(1)], None, seed=5, manipulation=1, **settings)
+        return random_search.estimate(
+            Model(STRING, arm, camera), [observed(1)], None, seed=5, manipulation=1, **settings
+        )
 
     both = run()
     numba.set_num_threads(1)
@@ -97,7 +100,7 @@ def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
 
 def test_cma_es_brings_the_string_to_the_points(arm, camera):
     settings = {"candidates": 2000, "sigma": 0.3, "population": 32, "matching": MATCHING}
-    found = cma_es.estimate(STRING, arm, camera, [observed(1)], None, seed=0, manipulation=1, **settings)
+    found = cma_es.estimate(Model(STRING, arm, camera), [observed(1)], None, seed=0, manipulation=1, **settings)
     before, after = found.fit["before"].iloc[0], found.fit["after"].iloc[0]
     assert after - before > 0.8 * (1 - before)
     assert found.fit["rms_after"].iloc[0] < 0.2 * found.fit["rms_before"].iloc[0]
@@ -110,7 +113,7 @@ def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camer
     inside, determined = [], []
     for seed in range(6):
         found = least_squares.estimate(
-            STRING, arm, camera, [observed(seed)], None, seed=seed, manipulation=1, **settings
+            Model(STRING, arm, camera), [observed(seed)], None, seed=seed, manipulation=1, **settings
         )
         table = PARAMETERS.check(found.parameters).set_index("name")
         assert found.fit["rms_after"].iloc[0] == pytest.approx(7e-4 * np.sqrt(2), rel=0.05)
@@ -137,12 +140,12 @@ def test_what_the_data_cannot_determine_is_said(arm, camera):
     points[["x", "y"]] = true.reshape(-1, 2) + noise
     lazy = Observation("rest", points.assign(sigma=7e-4), READINGS.empty(), MASKS.empty(), grasp=rest)
     settings = {"starts": 4, "screening": 128, "iterations": 16, "matching": MATCHING}
-    found = least_squares.estimate(STRING, arm, camera, [lazy], None, seed=0, manipulation=1, **settings)
+    found = least_squares.estimate(Model(STRING, arm, camera), [lazy], None, seed=0, manipulation=1, **settings)
     loose = set(found.parameters["symbol"][~found.parameters["determined"]])
     assert {"c_s", "c_h", "C_c1", "C_c2", "c_ph"} <= loose
     assert "c_ph" in found.fit["sentence"].iloc[0]
 
 
-def test_points_between_mass_points_are_interpolated(arm):
-    ready = case(STRING, arm, observed(1, noise=0.0))
+def test_points_between_mass_points_are_interpolated(arm, camera):
+    ready = case(Model(STRING, arm, camera), observed(1, noise=0.0))
     assert ready.rms(STRING.values(TRUTH)) < 1e-9

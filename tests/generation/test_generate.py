@@ -8,6 +8,7 @@ from data.schema import DataError
 from stages.generate import Box, MotionNotFoundError, generate
 from stages.generate.curves import Curves, first_curves, next_curves
 from stages.model.hand import hand_motion
+from stages.model.model import Model
 from stages.model.string import String, simulate
 
 STRING = String(0.3)
@@ -60,10 +61,10 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_motion_hits_in_simulation_within_every_limit(arm, seed):
+def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     """Checked again from the commands alone, with another sampling."""
     wall = Box(0.75, 0.2, 0.05, 0.3)
-    motion = generate(STRING, arm, TARGET, (wall,), None, {}, seed=seed, **SETTINGS)
+    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, {}, seed=seed, **SETTINGS)
     commands = motion.commands
     q, w = commands[["q1", "q2", "q3"]].to_numpy(), commands[["w1", "w2", "w3"]].to_numpy()
     assert np.all((q >= arm.lowest) & (q <= arm.highest))
@@ -79,8 +80,10 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, seed):
     assert motion.attempts["count"].sum() == motion.outcome["tried"].iloc[0]
 
 
-def test_failures_say_why(arm):
+def test_failures_say_why(arm, camera):
     with pytest.raises(DataError, match="out of reach"):
-        generate(STRING, arm, Box(2.0, 0.7, 0.02, 0.04), (), None, {}, seed=0, **SETTINGS)
+        generate(Model(STRING, arm, camera), Box(2.0, 0.7, 0.02, 0.04), (), None, {}, seed=0, **SETTINGS)
     with pytest.raises(MotionNotFoundError, match="misses the target"):
-        generate(STRING, arm, Box(0.9, 0.5, 1e-6, 1e-6), (), None, {}, seed=0, **SETTINGS | {"attempts": 64})
+        generate(
+            Model(STRING, arm, camera), Box(0.9, 0.5, 1e-6, 1e-6), (), None, {}, seed=0, **SETTINGS | {"attempts": 64}
+        )

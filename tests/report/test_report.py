@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from data.artifacts import JOINTS, Estimate, Motion, Points, Trial
 from stages.generate import Box
 from stages.judge import LONGEST_GAP, Verdict
+from stages.model.model import Model
 from stages.model.string import String
 from stages.report import Cast, Record, report
 from stages.report.figures.residual import residuals
@@ -113,7 +114,7 @@ def record_of(arm, camera, casts, **other):
         "config": {"estimate": {"beta": 0.995}, "trials": None},
         "made_by": {"seed": 7, "code": {"commit": "0123456789abcdef", "source": "ff"}, "packages": {"numpy": "2"}},
     }
-    return Record(arm=arm, camera=camera, string=STRING, target=TARGET, casts=tuple(casts), **facts | other)
+    return Record(model=Model(STRING, arm, camera), target=TARGET, casts=tuple(casts), **facts | other)
 
 
 @pytest.fixture(scope="module")

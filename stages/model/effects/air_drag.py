@@ -1,21 +1,50 @@
 """Air resistance, F_c of Table 1."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from stages.model.effect import StringEffect
+from stages.model.effect import Quantity, StringEffect
 from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import brakes, nothing_at_zero, odd, turns
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class AirDrag(StringEffect):
-    """Still air resists with (C_c1 + C_c2 |v|) v, force over mass."""
+    """Air resists motion through it with (C_c1 + C_c2 |u|) u, force over mass."""
 
     name = "air_drag"
     parameters = (
         Parameter("linear_drag", "N s/(m kg)", "air resistance, proportional", 1.0e-4, 10.0, 1.0e-4, "C_c1"),
         Parameter("quadratic_drag", "N s2/(m2 kg)", "air resistance, squared", 1.0e-4, 10.0, 1.0e-4, "C_c2"),
     )
+    reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_c"
+    symmetries = (
+        odd("load", "ux", "uy"),
+        turns("load", "u"),
+        nothing_at_zero("load", "ux", "uy"),
+        brakes("load", "ux", "uy"),
+    )
 
     @staticmethod
-    def load(vx: float, vy: float, linear_drag: float, quadratic_drag: float) -> tuple[float, float]:
-        drag = linear_drag + quadratic_drag * np.sqrt(vx * vx + vy * vy)
-        return -drag * vx, -drag * vy
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        return f"air resists with ({values['linear_drag']:.3g} + {values['quadratic_drag']:.3g} |v|) v"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """Over speed."""
+        speed = np.linspace(0.0, 20.0, 101)
+        force = -cls.load(speed, 0.0, values["linear_drag"], values["quadratic_drag"])[0]
+        line(axes, speed, force, "speed / (m/s)", "air resistance / (m/s2)")
+
+    @staticmethod
+    def load(ux: Quantity, uy: Quantity, linear_drag: Quantity, quadratic_drag: Quantity) -> tuple[Quantity, Quantity]:
+        drag = linear_drag + quadratic_drag * np.sqrt(ux * ux + uy * uy)
+        return -drag * ux, -drag * uy

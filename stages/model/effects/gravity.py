@@ -1,13 +1,35 @@
 """Gravity, F_g of Table 1."""
 
-from stages.model.effect import StringEffect
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.picture import line
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 class Gravity(StringEffect):
     """Weight, straight down."""
 
     name = "gravity"
+    reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_g"
 
     @staticmethod
-    def acceleration() -> tuple[float, float]:
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        return "gravity pulls straight down"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """Over the direction."""
+        line(axes, np.array([0.0, 1.0]), np.array(cls.acceleration()), "x, y", "acceleration / (m/s2)")
+
+    @staticmethod
+    def acceleration() -> tuple[Quantity, Quantity]:
         return 0.0, -9.81

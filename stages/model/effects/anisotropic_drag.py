@@ -1,0 +1,57 @@
+"""Air that resists motion across the string more than along it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import brakes, nothing_at_zero, odd, turns
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class AnisotropicDrag(StringEffect):
+    """The paper's air resistance, a multiple of it once more for the velocity across the string."""
+
+    name = "anisotropic_drag"
+    parameters = (Parameter("excess", "1", "resistance across the string over that along it, less 1", 0.0, 10.0, 0.0),)
+    reference = "Taylor, Analysis of the swimming of long and narrow animals (1952): drag along and across a cylinder"
+    symmetries = (
+        odd("load", "ux", "uy"),
+        turns("load", "u", "t"),
+        nothing_at_zero("load", "ux", "uy"),
+        brakes("load", "ux", "uy"),
+    )
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        return f"air resists motion across the string {1 + values['excess']:.2f} times as much as along it"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """Over the angle between velocity and string."""
+        angle = np.linspace(0.0, np.pi, 181)
+        fx, fy = cls.load(1.0, 0.0, np.cos(angle), np.sin(angle), 1.0, 0.0, values["excess"])
+        resistance = np.hypot(fx - 1.0, fy)
+        line(axes, np.degrees(angle), resistance, "between velocity and string / degrees", "resistance / along")
+
+    @staticmethod
+    def load(
+        ux: Quantity,
+        uy: Quantity,
+        tx: Quantity,
+        ty: Quantity,
+        linear_drag: Quantity,
+        quadratic_drag: Quantity,
+        excess: Quantity,
+    ) -> tuple[Quantity, Quantity]:
+        drag = excess * (linear_drag + quadratic_drag * np.sqrt(ux * ux + uy * uy))
+        along = ux * tx + uy * ty
+        return -drag * (ux - along * tx), -drag * (uy - along * ty)

@@ -1,0 +1,62 @@
+"""Joints that lag behind their command."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from stages.model.effect import HandEffect, Quantity
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import follows, odd
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class ArmLag(HandEffect):
+    """tau y' = u - y: each joint, or where only the grasp is known its pose, follows what is reported.
+
+    Solved exactly for the cubic spline through the samples; the arm is at rest at the beginning.
+    """
+
+    name = "arm_lag"
+    parameters = (Parameter("time_constant", "s", "time by which joints lag behind", 0.0, 0.1, 0.0),)
+    reference = "Response of a first-order system to a polynomial"
+    symmetries = (odd("joints", "angles"), follows("joints", "angles"), odd("grasp", "pose"), follows("grasp", "pose"))
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        return f"the joints lag {1e3 * values['time_constant']:.1f} ms behind what the arm reports"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """The response to a ramp."""
+        t = np.linspace(0.0, 0.5, 101)
+        ramp = np.clip((t - 0.1) / 0.2, 0.0, 1.0)
+        real = cls.joints(t, ramp[None, :, None], values["time_constant"])[0, :, 0]
+        axes.plot(t, ramp, linestyle="--")
+        line(axes, t, real, "time / s", "angle / rad")
+
+    @staticmethod
+    def joints(t: np.ndarray, angles: np.ndarray, time_constant: Quantity) -> np.ndarray:
+        """y = u - e; in each interval e is a polynomial in the spline's derivatives and a decay from what it was."""
+        spline = CubicSpline(t, angles, axis=1, bc_type="natural")
+        third = np.diff(spline(t, 2), axis=1) / np.diff(t)[:, None]
+        at_start, at_end = (_forced(spline, some, third, time_constant) for some in (t[:-1], t[1:]))
+        decay = np.exp(-np.diff(t)[:, None] / np.maximum(time_constant, 1e-12))
+        behind = np.zeros(np.broadcast_shapes(angles.shape, np.shape(time_constant)))
+        for k in range(len(t) - 1):
+            behind[:, k + 1] = decay[..., k, :] * (behind[:, k] - at_start[:, k]) + at_end[:, k]
+        return angles - behind
+
+    grasp = joints
+
+
+def _forced(spline: CubicSpline, t: np.ndarray, third: np.ndarray, tau: Quantity) -> np.ndarray:
+    """tau u' - tau^2 u'' + tau^3 u''', the part of e that does not decay."""
+    return tau * (spline(t, 1) - tau * (spline(t, 2) - tau * third))

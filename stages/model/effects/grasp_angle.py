@@ -1,0 +1,43 @@
+"""A string that leaves the gripper at an angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import HandEffect, Quantity
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import carried
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class GraspAngle(HandEffect):
+    """The grasp's direction is turned against the last link, counter-clockwise."""
+
+    name = "grasp_angle"
+    parameters = (Parameter("angle", "rad", "direction of the string against the last link", -0.8, 0.8, 0.0),)
+    reference = "Rotation of the grasp"
+    symmetries = (carried("grasp", "pose"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        side = "left" if values["angle"] > 0 else "right"
+        return f"the string leaves the gripper {np.degrees(abs(values['angle'])):.1f} degrees to the {side}"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """The last link and the beginning of the string."""
+        axes.plot([-1.0, 0.0], [0.0, 0.0], linestyle="--")
+        way = np.linspace(0.0, 1.0, 2)
+        line(axes, way * np.cos(values["angle"]), way * np.sin(values["angle"]), "along the last link", "across")
+
+    @staticmethod
+    def grasp(t: np.ndarray, pose: np.ndarray, angle: Quantity) -> np.ndarray:
+        """Only the direction changes."""
+        return pose + angle * np.array([0.0, 0.0, 1.0])

@@ -1,0 +1,46 @@
+"""Gravity that is not straight down in the arm's frame: the base is not level."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.symmetry import nothing_at_zero
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class GravityDirection(StringEffect):
+    """What must be added to the paper's weight to turn it, counter-clockwise."""
+
+    name = "gravity_direction"
+    parameters = (Parameter("tilt", "rad", "angle of gravity from straight down", -0.3, 0.3, 0.0),)
+    reference = "Rotation of a vector"
+    symmetries = (nothing_at_zero("acceleration", "sine", "versine"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        side = "right" if values["tilt"] > 0 else "left"
+        return f"gravity leans {np.degrees(abs(values['tilt'])):.1f} degrees to the {side}: the base is not level"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """An arrow beside the vertical."""
+        axes.quiver([0, 0], [0, 0], [0, np.sin(values["tilt"])], [-1, -np.cos(values["tilt"])], scale=2)
+        axes.set_xlabel("x")
+        axes.set_ylabel("y")
+
+    @staticmethod
+    def derived(tilt: Quantity) -> dict[str, Quantity]:
+        """Once for each candidate, so that no sine runs in the loop."""
+        return {"sine": np.sin(tilt), "versine": 2 * np.sin(tilt / 2) ** 2}
+
+    @staticmethod
+    def acceleration(sine: Quantity, versine: Quantity) -> tuple[Quantity, Quantity]:
+        return 9.81 * sine, 9.81 * versine

@@ -1,0 +1,45 @@
+"""Dry friction in bending: hysteresis that does not depend on how fast it bends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import nothing_at_zero, odd, resists
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class InternalFriction(StringEffect):
+    """A moment of constant size against the rate of curvature, smooth through rest; it keeps no memory.
+
+    Below 100/(m s), slow for a cast, it is viscous: the string creeps home where a dry one would stick.
+    """
+
+    name = "internal_friction"
+    parameters = (Parameter("friction", "m3/s2", "dry friction moment over mass per length", 0.0, 0.05, 0.0),)
+    reference = "Coulomb friction, regularised; Dahl, Solid friction damping of mechanical vibrations (1976)"
+    symmetries = (odd("moment", "rate"), nothing_at_zero("moment", "rate"), resists("moment"))
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        share = 100 * values["friction"] / (9.81 * 0.1**2 / 2)
+        return f"bending has dry friction: {share:.1f} % of the moment that holds 100 mm of it out level"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """Over the rate of curvature."""
+        rate = np.linspace(-1000.0, 1000.0, 401)
+        line(axes, rate, cls.moment(rate, values["friction"]), "rate of curvature / (1/(m s))", "moment / (m3/s2)")
+
+    @staticmethod
+    def moment(rate: Quantity, friction: Quantity) -> Quantity:
+        slow = 100.0  # [1/(m s)]
+        return friction * rate / np.sqrt(rate * rate + slow * slow)

@@ -1,0 +1,50 @@
+"""Radial distortion that is not corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import CameraEffect, Quantity
+from stages.model.parameter import Parameter
+from stages.model.picture import grid
+from stages.model.symmetry import turns_about_centre
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from stages.model.camera import Camera
+
+
+class LensDistortion(CameraEffect):
+    """r' = r (1 + k r^2), r from the middle of the image in half-widths, beyond what the camera corrects."""
+
+    name = "lens_distortion"
+    parameters = (
+        Parameter("radial", "1", "outward shift at the image's left and right edge, as a share", -0.2, 0.2, 0.0),
+    )
+    reference = "Brown, Close-range camera calibration (1971): first radial term"
+    symmetries = (turns_about_centre("seen"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        kind = "pincushion" if values["radial"] > 0 else "barrel"
+        share = 100 * abs(values["radial"])
+        return f"the lens distorts ({kind}): points at the image's edge are seen {share:.1f} % off their distance"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """A square grid as it is seen."""
+        grid(axes, cls.seen, **values)
+
+    @staticmethod
+    def seen(
+        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, radial: Quantity
+    ) -> np.ndarray:
+        """Away from the centre by the cube of the distance."""
+        offset = points - camera.centre
+        half = camera.width / 2 / camera.px_per_m
+        return points + radial * offset * np.sum((offset / half) ** 2, axis=-1, keepdims=True)

@@ -1,0 +1,45 @@
+"""Metres per pixel that are off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import CameraEffect, Quantity
+from stages.model.parameter import Parameter
+from stages.model.picture import grid
+from stages.model.symmetry import odd
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from stages.model.camera import Camera
+
+
+class PixelScale(CameraEffect):
+    """Everything is seen larger by a share, as far from the world's origin as that makes it."""
+
+    name = "pixel_scale"
+    parameters = (Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),)
+    reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
+    symmetries = (odd("seen", "points"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        size = "large" if values["excess"] > 0 else "small"
+        return f"the camera's scale is off: everything is reported {100 * abs(values['excess']):.2f} % too {size}"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """A square grid as it is seen."""
+        grid(axes, cls.seen, **values)
+
+    @staticmethod
+    def seen(
+        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, excess: Quantity
+    ) -> np.ndarray:
+        """Scaled about the world's origin, whose pixel is known."""
+        return points * (1 + excess)

@@ -1,0 +1,45 @@
+"""A set: the string rests curved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import odd
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class RestCurvature(StringEffect):
+    """Without any moment the string has this curvature everywhere, positive to the left of its way to the tip."""
+
+    name = "rest_curvature"
+    parameters = (Parameter("curvature", "1/m", "curvature at rest", -20.0, 20.0, 0.0),)
+    reference = "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of a rod"
+    symmetries = (odd("rest_curvature", "curvature"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        side = "left" if values["curvature"] > 0 else "right"
+        radius = 1e3 / max(abs(values["curvature"]), 1e-9)
+        return f"the string has a set: it rests curved to the {side} with a radius of {radius:.0f} mm"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """The shape of 0.3 m of it at rest."""
+        s = np.linspace(0.0, 0.3, 101)
+        turned = values["curvature"] * s
+        steps = 0.003 * np.stack([np.cos(turned), np.sin(turned)])
+        x, y = np.cumsum(steps, axis=1)
+        line(axes, x, y, "along the grasp / m", "across / m")
+
+    @staticmethod
+    def rest_curvature(curvature: Quantity) -> Quantity:
+        return curvature

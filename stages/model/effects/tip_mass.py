@@ -1,0 +1,40 @@
+"""Extra mass at the tip: a knot, a weight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import nothing_at_zero
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class TipMass(StringEffect):
+    """A point mass on the last mass point, as a share of the string's own."""
+
+    name = "tip_mass"
+    parameters = (Parameter("ratio", "1", "mass at the tip over that of the string", 0.0, 1.0, 0.0),)
+    reference = "Newton's second law for a point mass at the end of a string"
+    symmetries = (nothing_at_zero("tip_mass", "ratio"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        return f"a mass of {100 * values['ratio']:.1f} % of the string's sits at the tip"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """The mass beyond a place, which a hanging string carries there."""
+        s = np.linspace(0.0, 1.0, 101)
+        line(axes, s, 1 - s + cls.tip_mass(1.0, values["ratio"]), "arc length / length", "mass beyond / string's")
+
+    @staticmethod
+    def tip_mass(length: Quantity, ratio: Quantity) -> Quantity:
+        return ratio * length

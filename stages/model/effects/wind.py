@@ -1,0 +1,45 @@
+"""Steady air flow through the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class Wind(StringEffect):
+    """The air moves: whatever resists motion through it feels the velocity relative to the wind."""
+
+    name = "wind"
+    parameters = (
+        Parameter("along_x", "m/s", "velocity of the air to the right", -5.0, 5.0, 0.0),
+        Parameter("along_y", "m/s", "velocity of the air upwards", -5.0, 5.0, 0.0),
+    )
+    reference = "Galilean invariance of air resistance"
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        speed = np.hypot(values["along_x"], values["along_y"])
+        towards = np.degrees(np.arctan2(values["along_y"], values["along_x"]))
+        return f"air flows through the workspace at {speed:.2f} m/s, towards {towards:.0f} degrees from the right"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """An arrow in the direction of the flow."""
+        axes.quiver(0, 0, values["along_x"], values["along_y"], angles="xy", scale_units="xy", scale=1)
+        axes.set_xlim(-5, 5)
+        axes.set_ylim(-5, 5)
+        axes.set_xlabel("air to the right / (m/s)")
+        axes.set_ylabel("air upwards / (m/s)")
+
+    @staticmethod
+    def flow(along_x: Quantity, along_y: Quantity) -> tuple[Quantity, Quantity]:
+        return along_x, along_y

@@ -1,0 +1,78 @@
+"""The library: every effect there is, found by looking, with nothing to register."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.util
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+from stages.model import effects as package
+from stages.model.effect import Effect
+
+VARIABLE = "STRINGCAST_EFFECTS"  # folders with more effects, separated as in PATH
+
+
+class UnknownEffectError(ValueError):
+    """There is no effect of that name; the message says which there are."""
+
+
+def library() -> dict[str, type[Effect]]:
+    """All effects by name: those of `stages/model/effects` and of the folders in STRINGCAST_EFFECTS.
+
+    Raises ValueError for a file that does not hold exactly one effect of its own name, and for
+    two effects of the same name.
+    """
+    found: dict[str, type[Effect]] = {}
+    for path in _files():
+        effect = _effect(path)
+        if effect.name in found:
+            raise ValueError(f"{path}: there is an effect '{effect.name}' already. Rename the file and its effect.")
+        found[effect.name] = effect
+    return found
+
+
+def named(names: Sequence[str]) -> tuple[type[Effect], ...]:
+    """The effects of these names. Raises UnknownEffectError."""
+    known = library()
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"Did you mean '{near[0]}'? " if near else ""
+            raise UnknownEffectError(f"there is no effect '{name}'. {hint}Known are: {', '.join(known)}.")
+    return tuple(known[name] for name in names)
+
+
+def _files() -> Iterator[Path]:
+    more = filter(None, os.environ.get(VARIABLE, "").split(os.pathsep))
+    for folder in (Path(package.__path__[0]), *map(Path, more)):
+        if not folder.is_dir():
+            raise ValueError(f"{VARIABLE}: there is no folder {folder}. Correct the path.")
+        yield from sorted(p.resolve() for p in folder.glob("*.py") if not p.name.startswith("_"))
+
+
+@cache
+def _effect(path: Path) -> type[Effect]:
+    """The one effect of a file."""
+    module = _module(path)
+    mine = [c for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__]
+    effects = [c for c in mine if issubclass(c, Effect)]
+    if [getattr(e, "name", "") for e in effects] != [path.stem]:
+        raise ValueError(f"{path}: it must hold one effect, with name = '{path.stem}'. See stages/model/effect.py.")
+    return effects[0]
+
+
+def _module(path: Path) -> ModuleType:
+    if path.parent == Path(package.__path__[0]).resolve():
+        return importlib.import_module(f"{package.__name__}.{path.stem}")
+    specification = importlib.util.spec_from_file_location(f"effects_elsewhere.{path.stem}", path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[module.__name__] = module  # inspect looks there for the text of laws
+    specification.loader.exec_module(module)
+    return module

@@ -1,0 +1,114 @@
+"""The forward model as one: hand, string, clocks and camera, with the effects at work in each.
+
+    joint angles -> HAND -> grasp -> STRING -> mass points -> CAMERA -> what is reported
+
+Everything that generates, estimates or diagnoses asks this model. What is absent is not there,
+and costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+
+import numpy as np
+
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect
+from stages.model.hand import Act, HandMotion, JointMotion
+from stages.model.parameter import Parameter
+from stages.model.string import String, StringMotion, simulate
+
+MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
+
+
+@dataclass(frozen=True)
+class Model:
+    """A string in a hand before a camera. Effects on the string are the string's own; the others act in order."""
+
+    string: String
+    arm: Arm
+    camera: Camera
+    hand_effects: tuple[type[HandEffect], ...] = ()
+    clock_effects: tuple[type[ClockEffect], ...] = ()
+    camera_effects: tuple[type[CameraEffect], ...] = ()
+
+    @property
+    def effects(self) -> tuple[type[Effect], ...]:
+        """All effects at work, the paper's forces first."""
+        return (*self.string.effects, *self._beyond)
+
+    @property
+    def _beyond(self) -> tuple[type[Effect], ...]:
+        return (*self.hand_effects, *self.clock_effects, *self.camera_effects)
+
+    def with_effects(self, *effects: type[Effect]) -> Model:
+        """The model with these effects too. Raises ValueError for one that is at work already."""
+        return reduce(Model._joined, effects, self)
+
+    def _joined(self, effect: type[Effect]) -> Model:
+        if effect in self.effects:
+            raise ValueError(f"effect '{effect.name}' is at work already. Name it once.")
+        return effect.join(self)
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, with qualified names: the string's first."""
+        others = (replace(p, name=e.qualified(p)) for e in self._beyond for p in e.parameters)
+        return (*self.string.parameters, *others)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Qualified names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    def values(self, named: Mapping[str, float]) -> np.ndarray:
+        """(P,) values in the order of `parameters`; a missing name takes its start value."""
+        return np.array([named.get(p.name, p.start) for p in self.parameters])
+
+    def hand(self, motion: JointMotion | HandMotion, values: np.ndarray) -> HandMotion:
+        """The hand's motion that really happened, one for all candidates or one each. values: (C, P)."""
+        return motion.really(self.arm, self._acts(values))
+
+    def joints(self, motion: JointMotion, values: np.ndarray) -> JointMotion:
+        """The joints' motion that really happened. values: (C, P)."""
+        return motion.joints(self._acts(values))
+
+    def true(self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray) -> StringMotion:
+        """Where the strings of candidates are. values: (C, P); times: (F,) or (C, F) of the arm's clock [s]."""
+        return simulate(self.string, self.hand(motion, values), self._of_string(values), times)
+
+    def seen(self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray) -> StringMotion:
+        """Where the camera reports the strings of candidates. values: (C, P); times: (F,) of the camera's clock [s]."""
+        real = self.true(motion, values, self.moments(values, times))
+        return StringMotion(self.reported(real.points, values, times), real.finite)
+
+    def moments(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Times of the arm's clock at which `reported` needs points, (M,) or (C, M) [s]. times: (F,)."""
+        for effect in self.clock_effects:
+            times = effect.times(times, **self._given(effect, values, 2))
+        around = (-MOMENT, 0.0, MOMENT) if self.camera_effects else (0.0,)
+        return np.concatenate([times + shift for shift in around], axis=-1)
+
+    def reported(self, points: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """What the camera reports of true points at `moments`, (C, M, n, 2) [m]. times: (F,). Returns (C, F, n, 2)."""
+        if not self.camera_effects:
+            return points
+        before, now, after = np.split(points, 3, axis=1)
+        velocity = (after - before) / (2 * MOMENT)
+        for effect in self.camera_effects:
+            now = effect.seen(now, velocity, times, self.camera, **self._given(effect, values, 4))
+        return now
+
+    def _of_string(self, values: np.ndarray) -> np.ndarray:
+        return values[:, : len(self.string.parameters)]
+
+    def _acts(self, values: np.ndarray) -> Sequence[Act]:
+        return [(effect, self._given(effect, values, 3)) for effect in self.hand_effects]
+
+    def _given(self, effect: type[Effect], values: np.ndarray, dimensions: int) -> dict[str, np.ndarray]:
+        """An effect's parameters by their own names, the candidates along the first of so many dimensions."""
+        places = {p.name: self.names.index(effect.qualified(p)) for p in effect.parameters}
+        return {n: values[:, place].reshape(-1, *[1] * (dimensions - 1)) for n, place in places.items()}

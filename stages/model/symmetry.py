@@ -1,0 +1,171 @@
+"""Laws about laws: what an effect declares of itself and tests hold it to.
+
+Each is checked on samples: `error` takes the law's arguments as arrays (a sample an entry) and
+says how far the law is from keeping its word, as a share of the law's size.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Given = Mapping[str, Any]
+TURN = 0.7  # [rad] by which directions are tried
+
+
+class Symmetry(ABC):
+    """law: name of the law it is about. sentence: what holds."""
+
+    law: str
+    sentence: str
+
+    @abstractmethod
+    def error(self, law: Callable[[Given], np.ndarray], given: Given) -> float:
+        """How far the law is from it on these samples, as a share of the law's size."""
+
+
+@dataclass(frozen=True)
+class Equivariant(Symmetry):
+    """before: done to the arguments; after: what is then done to the value."""
+
+    law: str
+    sentence: str
+    before: Callable[[Given], Given]
+    after: Callable[[np.ndarray, Given], np.ndarray]
+
+    def error(self, law: Callable[[Given], np.ndarray], given: Given) -> float:
+        """Largest difference between the law of what is changed and the change of the law, relative."""
+        plain, changed = np.asarray(law(given)), np.asarray(law({**given, **self.before(given)}))
+        size = max(float(np.abs(plain).max()), 1e-300)
+        return float(np.abs(changed - self.after(plain, given)).max()) / size
+
+
+@dataclass(frozen=True)
+class Dissipative(Symmetry):
+    """The law takes energy and never gives any: value times rates has one sign. sign: 1 for inner forces, which
+    resist what stretches and bends, -1 for loads, which act on what moves."""
+
+    law: str
+    rates: tuple[str, ...]
+    sign: int
+    sentence: str = "never gives energy"
+
+    def error(self, law: Callable[[Given], np.ndarray], given: Given) -> float:
+        """Largest power given, as a share of the largest taken."""
+        value = np.asarray(law(given)).reshape(len(self.rates), -1)
+        power = self.sign * sum(value[i] * given[rate] for i, rate in enumerate(self.rates))
+        return float(max(-power.min(), 0.0) / max(np.abs(power).max(), 1e-300))
+
+
+@dataclass(frozen=True)
+class Unmoved(Symmetry):
+    """The value is one argument where others are zero."""
+
+    law: str
+    sentence: str
+    name: str
+    others: tuple[str, ...]
+
+    def error(self, law: Callable[[Given], np.ndarray], given: Given) -> float:
+        """Largest difference between value and argument, relative."""
+        still = {**given, **{other: 0 * given[other] for other in self.others}}
+        return float(np.abs(law(still) - given[self.name]).max() / np.abs(given[self.name]).max())
+
+
+def odd(law: str, *names: str) -> Symmetry:
+    """The value changes sign with these arguments, all together."""
+    return Equivariant(law, f"{law} is odd in {', '.join(names)}", _negated(names), lambda value, given: -value)
+
+
+def even(law: str, *names: str) -> Symmetry:
+    """The value stays when these arguments change sign, all together."""
+    return Equivariant(law, f"{law} is even in {', '.join(names)}", _negated(names), lambda value, given: value)
+
+
+def nothing_at_zero(law: str, *names: str) -> Symmetry:
+    """The value is zero where these arguments are."""
+    zero: Callable[[Given], Given] = lambda given: {name: 0 * given[name] for name in names}  # noqa: E731
+    return Equivariant(law, f"{law} is zero at zero {', '.join(names)}", zero, lambda value, given: 0 * value)
+
+
+def unmoved(law: str, name: str, *others: str) -> Symmetry:
+    """Where the other arguments are zero, the value is this argument."""
+    return Unmoved(law, f"{law} is {name} where {', '.join(others)} are zero", name, others)
+
+
+def turns(law: str, *vectors: str) -> Symmetry:
+    """No direction is special: turn these vectors (names less their x and y), and the value turns with them."""
+
+    def before(given: Given) -> Given:
+        turned = {}
+        for name in vectors:
+            turned[f"{name}x"], turned[f"{name}y"] = _turned(given[f"{name}x"], given[f"{name}y"])
+        return turned
+
+    return Equivariant(law, f"{law} knows no direction", before, lambda value, given: np.stack(_turned(*value)))
+
+
+def mirrors(law: str, *names: str) -> Symmetry:
+    """Left and right are alike: change these arguments' sign, and the value's x changes sign."""
+    flip = np.array([-1.0, 1.0])
+    return Equivariant(
+        law, f"{law} mirrors with {', '.join(names)}", _negated(names), lambda value, given: (value.T * flip).T
+    )
+
+
+def resists(law: str, rate: str = "rate") -> Dissipative:
+    """An inner force takes energy from what stretches or bends at this rate."""
+    return Dissipative(law, (rate,), 1)
+
+
+def brakes(law: str, *velocity: str) -> Dissipative:
+    """A load takes energy from what moves at this velocity."""
+    return Dissipative(law, velocity, -1)
+
+
+def follows(law: str, name: str) -> Symmetry:
+    """No origin is special: shift this argument as a whole, and the value shifts with it."""
+    shift = 0.37
+    return Equivariant(
+        law, f"{law} follows {name}", lambda g: {name: g[name] + shift}, lambda value, given: value + shift
+    )
+
+
+def carried(law: str, name: str) -> Symmetry:
+    """No place is special: carry poses (..., 3) elsewhere, turned, and the value is carried along."""
+    return Equivariant(
+        law, f"{law} is carried with {name}", lambda g: {name: _carried(g[name])}, lambda value, given: _carried(value)
+    )
+
+
+def turns_about_centre(law: str) -> Symmetry:
+    """Turn points and velocities about the middle of the image, and what is seen turns with them."""
+
+    def turned(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+        return centre + np.stack(_turned(*np.moveaxis(points - centre, -1, 0)), axis=-1)
+
+    def before(given: Given) -> Given:
+        centre = given["camera"].centre
+        return {"points": turned(given["points"], centre), "velocity": turned(given["velocity"], 0 * centre)}
+
+    return Equivariant(
+        law, f"{law} knows no direction", before, lambda value, given: turned(value, given["camera"].centre)
+    )
+
+
+def _negated(names: tuple[str, ...]) -> Callable[[Given], Given]:
+    return lambda given: {name: -given[name] for name in names}
+
+
+def _turned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    c, s = np.cos(TURN), np.sin(TURN)
+    return c * x - s * y, s * x + c * y
+
+
+def _carried(pose: np.ndarray) -> np.ndarray:
+    x, y = _turned(pose[..., 0], pose[..., 1])
+    return np.stack([x + 0.2, y - 0.3, pose[..., 2] + TURN], axis=-1)
