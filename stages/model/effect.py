@@ -102,7 +102,13 @@ class Effect(ABC):
 
 
 class StringEffect(Effect):
-    """An effect on the string, by laws that only ever add. Subclasses are final."""
+    """An effect on the string, by laws that only ever add. Subclasses are final.
+
+    How stiff inner forces and air resistance are is found by sampling their laws. A load that
+    rises steeply with place, or with speed near rest, says so by a static method
+    `bound(**parameters)`: what it adds at most to the squared frequency [1/s^2] and the damping
+    rate [1/s] of a mass, each (C,).
+    """
 
     @classmethod
     def laws(cls) -> dict[str, Law]:
@@ -113,15 +119,6 @@ class StringEffect(Effect):
     def derived(*_: Quantity, **parameters: Quantity) -> dict[str, Quantity]:
         """What laws need of the parameters alone, computed once for each candidate and not in the loop."""
         return {}
-
-    @staticmethod
-    def stiffness(*_: Quantity, **parameters: Quantity) -> tuple[Quantity, Quantity]:
-        """What loads add at most to the squared frequency [1/s^2] and damping rate [1/s] of a mass.
-
-        Only loads that rise steeply with place, or with speed near rest, need say so: air
-        resistance and inner forces are sampled (`stages.model.stability`).
-        """
-        return 0.0, 0.0
 
     @classmethod
     def join(cls, model: Model) -> Model:

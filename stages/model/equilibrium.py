@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stages.model.effect import arguments
 from stages.model.stability import load, slot_sum, vector_sum
 
 if TYPE_CHECKING:
@@ -41,7 +42,8 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
         some, at = material[moving], pose[moving]
         force = _force(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
         lengths[moving] = _lengths(string, some, force, angles[moving])
-        turn = _newton(string, some, at[:, 2], force, angles[moving], lengths[moving])
+        place = _yielding(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
+        turn = _newton(string, some, at[:, 2], force, place, angles[moving], lengths[moving])
         angles[moving] += np.clip(turn, -LARGEST_TURN, LARGEST_TURN)
         # Each candidate ends on its own, so that its shape does not depend on its company.
         moving = moving[np.abs(turn).max(axis=1) > ENOUGH]
@@ -71,12 +73,58 @@ def _force(
     """Force over nominal mass per length on the part beyond the start of each segment, (C, n - 1, 2) [m^2/s^2]."""
     tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     places = pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
+    return _beyond(_weight(string, material, places, tangent, masses, cells))
+
+
+def _weight(
+    string: String,
+    material: np.ndarray,
+    places: np.ndarray,
+    tangent: np.ndarray,
+    masses: np.ndarray,
+    cells: np.ndarray,
+) -> np.ndarray:
+    """Force over nominal mass per length on each free point at rest, (C, n - 1, 2) [m^2/s^2]."""
     x, y = places[..., 0], places[..., 1]
     s = string.arc_lengths()[None, 1:]
     pull = load(string, material, {"x": x, "y": y, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": s})
     fall = vector_sum(string, material, "acceleration", {"x": x, "y": y, "t": np.zeros((1, 1))})
-    weight = pull * cells[None, 1:, None] + fall * masses[:, 1:, None]
-    return np.cumsum(weight[:, ::-1], axis=1)[:, ::-1]
+    return pull * cells[None, 1:, None] + fall * masses[:, 1:, None]
+
+
+def _beyond(each: np.ndarray) -> np.ndarray:
+    """Sums over a point and all beyond it. each: (C, n - 1, ...)."""
+    return np.cumsum(each[:, ::-1], axis=1)[:, ::-1]
+
+
+def _yielding(
+    string: String,
+    material: np.ndarray,
+    pose: np.ndarray,
+    angles: np.ndarray,
+    lengths: np.ndarray,
+    masses: np.ndarray,
+    cells: np.ndarray,
+) -> np.ndarray | None:
+    """How the moments of the forces change with the angles because points change place, (C, n - 1, n - 1).
+
+    Turning segment m moves all points beyond it: with K the change of a point's force with its
+    place and n a segment's normal, l_j l_m n_j . (sum of K beyond both) n_m. None where no force
+    depends on the place.
+    """
+    laws = [e.laws().get(slot) for e in string.effects for slot in ("load", "acceleration")]
+    if not any({"x", "y"} & set(arguments(law)) for law in laws if law is not None):
+        return None
+    tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    places = pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
+    change = []
+    for step in 1e-7 * np.eye(2):
+        up, down = (_weight(string, material, places + side * step, tangent, masses, cells) for side in (1, -1))
+        change.append((up - down) / 2e-7)
+    both = np.maximum.outer(np.arange(angles.shape[1]), np.arange(angles.shape[1]))
+    stiff = _beyond(np.stack(change, axis=-1))[:, both]
+    lever = lengths[..., None] * np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
+    return np.einsum("cja,cjmab,cmb->cjm", lever, stiff, lever)
 
 
 def _lengths(string: String, material: np.ndarray, force: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -95,10 +143,11 @@ def _newton(
     material: np.ndarray,
     theta: np.ndarray,
     force: np.ndarray,
+    place: np.ndarray | None,
     angles: np.ndarray,
     lengths: np.ndarray,
 ) -> np.ndarray:
-    """One step towards the balance of moments, (C, n - 1) [rad]."""
+    """One step towards the balance of moments, (C, n - 1) [rad]. place: `_yielding`."""
     moment, stiffness = _moments(string, material, theta, angles)
     across = lengths * (force[..., 1] * np.cos(angles) - force[..., 0] * np.sin(angles))
     along = lengths * (force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles))
@@ -108,7 +157,19 @@ def _newton(
     )
     diagonal = stiffness[:, :-1] + stiffness[:, 1:] + np.where(close, along, np.maximum(along, 0.0))
     diagonal = np.maximum(diagonal, 1e-9)
-    return _tridiagonal(-stiffness[:, 1:-1], diagonal, balance)
+    if place is None:
+        return _tridiagonal(-stiffness[:, 1:-1], diagonal, balance)
+    return np.linalg.solve(_full(-stiffness[:, 1:-1], diagonal) - place, balance[..., None])[..., 0]
+
+
+def _full(off: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
+    """Symmetric tridiagonal matrices, (C, N, N). off: (C, N - 1), diagonal: (C, N)."""
+    size = diagonal.shape[1]
+    matrix = np.zeros((len(diagonal), size, size))
+    before, after = np.arange(size - 1), np.arange(1, size)
+    matrix[:, np.arange(size), np.arange(size)] = diagonal
+    matrix[:, before, after] = matrix[:, after, before] = off
+    return matrix
 
 
 def _moments(

@@ -60,7 +60,8 @@ class ExplicitEuler(Integrator):
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Underdamped modes need dt < c / w^2, each kind on its own damping; overdamped ones dt < 2 / c."""
-        slowest = (damping / np.maximum(frequency2, 1e-300)).min(axis=0)
+        free = np.full_like(damping, np.inf)
+        slowest = np.divide(damping, frequency2, out=free, where=frequency2 > 0).min(axis=0)
         return np.minimum(slowest, 2.0 / np.maximum(damping.sum(axis=0) + drag, 1e-300))
 
 

@@ -89,15 +89,19 @@ class Model:
         """Times of the arm's clock at which `reported` needs points, (M,) or (C, M) [s]. times: (F,)."""
         for effect in self.clock_effects:
             times = effect.times(times, **self._given(effect, values, 2))
-        around = (-MOMENT, 0.0, MOMENT) if self.camera_effects else (0.0,)
-        return np.concatenate([times + shift for shift in around], axis=-1)
+        if not self.camera_effects:
+            return times
+        # Nothing later than the last frame: its string should not depend on whether velocities are wanted.
+        after = np.minimum(times + MOMENT, times.max(axis=-1, keepdims=True))
+        return np.concatenate([times - MOMENT, times, after], axis=-1)
 
     def reported(self, points: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """What the camera reports of true points at `moments`, (C, M, n, 2) [m]. times: (F,). Returns (C, F, n, 2)."""
         if not self.camera_effects:
             return points
         before, now, after = np.split(points, 3, axis=1)
-        velocity = (after - before) / (2 * MOMENT)
+        first, _, last = np.split(np.atleast_2d(self.moments(values, times)), 3, axis=1)
+        velocity = (after - before) / (last - first)[..., None, None]
         for effect in self.camera_effects:
             now = effect.seen(now, velocity, times, self.camera, **self._given(effect, values, 4))
         return now

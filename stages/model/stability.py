@@ -45,14 +45,25 @@ def steps_per_tick(string: String, material: np.ndarray, tick: float) -> tuple[n
 
 
 def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of squared frequency [1/s^2] and damping rate [1/s], (3, C) each: axial, bending, grasp."""
+    """Bounds of squared frequency [1/s^2] and damping rate [1/s], (3 or more, C) each: axial, bending, grasp, and
+    those that loads declare."""
     axial, bending, grasp = _operators(string, material)
     stretch, stretch_rate = slopes(string, material, "tension")
     bend, bend_rate = slopes(string, material, "moment")
     turn, turn_rate = slopes(string, material, "grasp_moment")
     length = string.segment
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
-    return np.stack([(1 + TAUT) * stretch, bend, turn]) * reach, np.stack([stretch_rate, bend_rate, turn_rate]) * reach
+    stiff = np.stack([(1 + TAUT) * stretch, bend, turn]) * reach
+    damped = np.stack([stretch_rate, bend_rate, turn_rate]) * reach
+    masses, cells = string.masses(material)
+    lightest = (cells / masses).max(axis=1)
+    for effect in string.effects:
+        if hasattr(effect, "bound"):
+            more = [lightest * part for part in effect.bound(**string.own(effect, material))]
+            stiff, damped = (
+                np.concatenate([rows, part[None]]) for rows, part in zip((stiff, damped), more, strict=True)
+            )
+    return stiff, damped
 
 
 def slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:

@@ -112,10 +112,10 @@ class String:
         reference = self.length / (self.reference_points - 1)
         material = values * reference ** np.array([p.per_length for p in self.parameters], dtype=float)
         material = self._in_series(self._in_series(material, "stiffness"), "damping")
-        derived = [column for e in self.effects for column in e.derived(**self._own(e, material)).values()]
+        derived = [column for e in self.effects for column in e.derived(**self.own(e, material)).values()]
         return np.concatenate([material, *(column[..., None] for column in derived)], axis=-1)
 
-    def _own(self, effect: type[StringEffect], material: np.ndarray) -> dict[str, np.ndarray]:
+    def own(self, effect: type[StringEffect], material: np.ndarray) -> dict[str, np.ndarray]:
         """An effect's own parameters, (...) each, by name. material: (..., P)."""
         places = {p.name: self.names.index(effect.qualified(p)) for p in effect.parameters}
         return {name: material[..., place] for name, place in places.items()}

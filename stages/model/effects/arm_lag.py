@@ -54,7 +54,10 @@ class ArmLag(HandEffect):
             behind[:, k + 1] = decay[..., k, :] * (behind[:, k] - at_start[:, k]) + at_end[:, k]
         return angles - behind
 
-    grasp = joints
+    @staticmethod
+    def grasp(t: np.ndarray, pose: np.ndarray, time_constant: Quantity) -> np.ndarray:
+        """The same for position and direction, where no joints are known."""
+        return ArmLag.joints(t, pose, time_constant)
 
 
 def _forced(spline: CubicSpline, t: np.ndarray, third: np.ndarray, tau: Quantity) -> np.ndarray:

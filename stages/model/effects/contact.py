@@ -1,0 +1,80 @@
+"""A floor or a wall that the string touches."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import nothing_at_zero
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class Contact(StringEffect):
+    """A plane pushes back what is behind it: k d (1 - a v_n), never pulling, and rubs with Coulomb's friction.
+
+    d is the depth and v_n the velocity out of the plane. Without loss a the push has a potential,
+    so that a bounce gives back what it took; loss only takes (Hunt and Crossley). Mass points
+    touch, not the segments between them. Friction is smooth below 0.1 m/s.
+    """
+
+    name = "contact"
+    parameters = (
+        Parameter("stiffness", "1/s2", "push over mass per depth", 0.0, 1.0e5, 0.0),
+        Parameter("height", "m", "distance of the plane from the world's origin, along its normal", -1.0, 1.0, 0.0),
+        Parameter("tilt", "rad", "angle of its normal from straight up: 0 is a floor, +-pi/2 a wall", -3.1, 3.1, 0.0),
+        Parameter("friction", "1", "friction coefficient", 0.0, 1.0, 0.0),
+        Parameter("loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0),
+    )
+    reference = "Hunt and Crossley, Coefficient of restitution interpreted as damping in vibroimpact (1975)"
+    symmetries = (nothing_at_zero("load", "stiffness"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        turned = np.degrees(values["tilt"])
+        return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """The push at rest over the place along the normal."""
+        place = values["height"] + np.linspace(-0.01, 0.01, 101)
+        push = cls.load(0.0, place, 0.0, 0.0, values["stiffness"], values["height"], 0.0, 0.0, 0.0, 1.0)[1]
+        line(axes, place, push, "along the normal / m", "push / (m/s2)")
+
+    @staticmethod
+    def derived(tilt: Quantity, **others: Quantity) -> dict[str, Quantity]:
+        """The plane's normal."""
+        return {"normal_x": -np.sin(tilt), "normal_y": np.cos(tilt)}
+
+    @staticmethod
+    def bound(stiffness: Quantity, friction: Quantity, loss: Quantity, **place: Quantity) -> tuple[Quantity, Quantity]:
+        """For impacts up to 10 m/s, which go as deep as speed over frequency."""
+        speed, slow = 10.0, 0.1
+        push = speed * np.sqrt(stiffness) * (1 + loss * speed)
+        return stiffness * (1 + loss * speed), loss * speed * np.sqrt(stiffness) + friction * push / slow
+
+    @staticmethod
+    def load(
+        x: Quantity,
+        y: Quantity,
+        vx: Quantity,
+        vy: Quantity,
+        stiffness: Quantity,
+        height: Quantity,
+        friction: Quantity,
+        loss: Quantity,
+        normal_x: Quantity,
+        normal_y: Quantity,
+    ) -> tuple[Quantity, Quantity]:
+        depth = np.maximum(height - normal_x * x - normal_y * y, 0.0)
+        push = stiffness * depth * np.maximum(1.0 - loss * (normal_x * vx + normal_y * vy), 0.0)
+        slide = normal_y * vx - normal_x * vy
+        rub = friction * push * slide / np.sqrt(slide * slide + 0.01)  # 0.1 m/s, squared
+        return push * normal_x - rub * normal_y, push * normal_y + rub * normal_x

@@ -1,0 +1,280 @@
+"""Every effect of the library through what it declares: symmetries, zero, units, gradient, words, picture."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import swing
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+from data.artifacts import JOINTS
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.effect import SLOTS, StringEffect, arguments
+from stages.model.hand import joint_motion
+from stages.model.library import library
+from stages.model.model import Model
+from stages.model.parameter import Parameter
+from stages.model.string import BASE, String
+
+LIBRARY = library()
+NAMES = [
+    "wind",
+    "tip_mass",
+    "density_taper",
+    "rest_curvature",
+    "nonlinear_bending",
+    "internal_friction",
+    "anisotropic_drag",
+    "resolution",
+    "contact",
+    "gravity_direction",
+    "arm_lag",
+    "joint_gain",
+    "backlash",
+    "grasp_angle",
+    "grasp_slip",
+    "time_offset",
+    "clock_drift",
+    "camera_rotation",
+    "pixel_scale",
+    "lens_distortion",
+    "rolling_shutter",
+]
+ADDED = [e for e in LIBRARY.values() if e not in BASE and e.parameters]
+PAPER = {p.name: p for e in BASE for p in e.parameters}
+NAMED = {
+    "axial_stiffness": 2e5,
+    "axial_damping": 30.0,
+    "bending_stiffness": 4.0,
+    "bending_damping": 5e-3,
+    "linear_drag": 0.3,
+    "quadratic_drag": 0.2,
+    "grasp_stiffness": 3.0,
+    "grasp_damping": 5e-3,
+}
+# Where an effect acts only if its other parameters let it: a slip that begins, a floor below the resting
+# string, and a wall to bounce from.
+FLOOR = {"contact.stiffness": 3e3, "contact.height": -0.3, "contact.friction": 0.2, "contact.loss": 0.1}
+ACTING = {"grasp_slip.onset": {"grasp_slip.speed": 0.05}}
+ACTING |= {f"contact.{name}": FLOOR for name in ("stiffness", "height", "tilt", "friction")}
+ACTING |= {"contact.loss": FLOOR | {"contact.tilt": np.pi / 2, "contact.height": -0.75}}
+LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
+SYMMETRIES = [(effect, symmetry) for effect in LIBRARY.values() for symmetry in effect.symmetries]
+SAMPLES = 40
+CAMERA = Camera(640, 480, 300.0, (200.0, 300.0), 200.0)
+
+
+def drawn(parameter: Parameter, rng: np.random.Generator, size: int) -> np.ndarray:
+    return parameter.value(rng.uniform(0, 1, size))
+
+
+def arguments_of_string(effect, rng):
+    """Samples of all a law can take: its slot's arguments, the paper's parameters, its own."""
+    sizes = {"curvature": 30.0, "rate": 300.0, "x": 1.0, "y": 1.0, "s": 0.1, "t": 1.0}
+    known = {
+        name: sizes.get(name, 3.0) * rng.normal(size=SAMPLES) for slot in SLOTS.values() for name in slot.arguments
+    }
+    turn = rng.uniform(0, 2 * np.pi, SAMPLES)
+    known |= {"tx": np.cos(turn), "ty": np.sin(turn), "length": np.full(SAMPLES, 0.3)}
+    own = {p.name: drawn(p, rng, SAMPLES) for p in effect.parameters}
+    known |= {name: drawn(p, rng, SAMPLES) for name, p in PAPER.items()} | own
+    return known | effect.derived(**own)
+
+
+def arguments_elsewhere(effect, rng):
+    """Samples of a motion, of frame times and of points in view, a candidate a sample."""
+    t = np.arange(60) * 0.005
+    wave = np.cumsum(np.cumsum(rng.normal(size=(1, 60, 3)), axis=1), axis=1) * 0.02
+    known = {"t": t, "angles": wave, "pose": wave, "times": t[:4], "camera": CAMERA}
+    known |= {"points": rng.uniform(-0.5, 1, (SAMPLES, 4, 5, 2)), "velocity": 5 * rng.normal(size=(SAMPLES, 4, 5, 2))}
+    dimensions = {"joints": 3, "grasp": 3, "times": 2, "seen": 4}[next(iter(effect.laws()))]
+    shape = (SAMPLES, *[1] * (dimensions - 1))
+    return known | {p.name: drawn(p, rng, SAMPLES).reshape(shape) for p in effect.parameters}
+
+
+def samples(effect, seed):
+    rng = np.random.default_rng(seed)
+    return (arguments_of_string if issubclass(effect, StringEffect) else arguments_elsewhere)(effect, rng)
+
+
+def law_of(effect, name):
+    """The law as a function of all samples, its value an array."""
+    law = effect.laws()[name]
+    return lambda known: np.asarray(law(**{a: known[a] for a in arguments(law)}))
+
+
+def test_the_library_holds_every_name_and_no_file_needs_an_entry():
+    assert set(NAMES) <= set(LIBRARY)
+
+
+@pytest.mark.parametrize(
+    ("effect", "symmetry"), SYMMETRIES, ids=lambda each: getattr(each, "name", None) or each.sentence
+)
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_laws_keep_the_symmetries_they_declare(effect, symmetry, seed):
+    assert symmetry.error(law_of(effect, symmetry.law), samples(effect, seed)) < 1e-9
+
+
+@pytest.mark.parametrize("effect", ADDED, ids=lambda e: e.name)
+def test_at_their_start_laws_add_nothing(effect):
+    known = samples(effect, 0)
+    still = {p.name: 0 * known[p.name] + p.start for p in effect.parameters}
+    known |= still
+    if issubclass(effect, StringEffect):
+        known |= effect.derived(**still)
+    absent = {"joints": "angles", "grasp": "pose", "times": "t", "seen": "points"}
+    for name in effect.laws():
+        value = law_of(effect, name)(known)
+        np.testing.assert_allclose(value - known.get(absent.get(name), 0.0), 0.0, atol=1e-15, err_msg=name)
+
+
+# --- units: measured in other metres and seconds, a law gives the same, in those -----------------------
+
+# Laws with a constant of nature or of smoothing inside: only units in which that keeps its number.
+CONSTANTS = {
+    "contact": "m/s",
+    "gravity": "m/s2",
+    "gravity_direction": "m/s2",
+    "internal_friction": "1/(m s)",
+    "grasp_slip": "s",
+}
+ELSEWHERE = {
+    **{"joints": "rad", "times": "s", "seen": "m", "t": "s", "angles": "rad", "points": "m", "velocity": "m/s"},
+    **dict.fromkeys(["x", "y", "s", "length"], "m"),
+}
+
+
+def exponents(unit: str) -> np.ndarray:
+    """Powers of metre and second in a unit like 'N s2/(m kg)'; mass cancels in all of ours."""
+    known = {"m": (1, 0, 0), "s": (0, 1, 0), "kg": (0, 0, 1), "N": (1, -2, 1), "rad": (0, 0, 0)}
+    total = np.zeros(3)
+    for sign, part in zip((1, -1), f"{unit}/1".split("/"), strict=False):
+        for name, power in re.findall(r"([a-zA-Z]+)(\d?)", part):
+            total += sign * int(power or 1) * np.array(known[name])
+    assert total[2] == 0, unit
+    return total[:2]
+
+
+def scales(effect) -> list[tuple[float, float]]:
+    """Sizes of the new metre and second."""
+    if effect.name not in CONSTANTS:
+        return [(1 / 3.0, 1.0), (1.0, 1 / 7.0)]
+    metre, second = exponents(CONSTANTS[effect.name])
+    return [(1 / 3.0**second, 3.0**metre)]
+
+
+@pytest.mark.parametrize(("effect", "law"), LAWS, ids=lambda each: getattr(each, "name", each))
+def test_laws_do_not_depend_on_the_units_they_are_measured_in(effect, law):
+    known = samples(effect, 1)
+    slot = SLOTS.get(law)
+    units = ELSEWHERE | (dict(slot.arguments) | {"value": slot.unit} if slot else {"value": ELSEWHERE.get(law, "")})
+    powers = {name: exponents(unit) for name, unit in units.items() if unit}
+    powers |= {p.name: exponents(p.unit) + [p.per_length, 0] for p in (*PAPER.values(), *effect.parameters)}
+    pose = np.stack([[1, 0], [1, 0], [0, 0]]).astype(float)
+    powers |= {"pose": pose} | ({"value": pose} if law == "grasp" else {})
+    for metre, second in scales(effect):
+        size = {name: np.prod(np.array([metre, second]) ** power, axis=-1) for name, power in powers.items()}
+        other = {name: value / size[name] if name in size else value for name, value in known.items()}
+        other["camera"] = replace(CAMERA, px_per_m=CAMERA.px_per_m * metre)
+        if issubclass(effect, StringEffect):
+            other |= effect.derived(**{p.name: other[p.name] for p in effect.parameters})
+        expected = law_of(effect, law)(known) / size["value"]
+        np.testing.assert_allclose(law_of(effect, law)(other), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+# --- in the whole model --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def swung(arm, camera):
+    """A swing seen by the plain model and by one with every effect; both at the base values."""
+    plain = Model(String(0.3), arm, camera)
+    motion = swing()
+    moved = joint_motion(motion.commands["t"].to_numpy(), motion.commands[list(JOINTS)].to_numpy())
+    return plain, plain.with_effects(*ADDED), moved, np.linspace(-0.05, 0.6, 66)
+
+
+def test_absent_is_present_with_zero(swung):
+    plain, full, motion, t = swung
+    expected = plain.seen(motion, plain.values(NAMED)[None], t).points
+    found = full.seen(motion, full.values(NAMED)[None], t).points
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("parameter", [e.qualified(p) for e in ADDED for p in e.parameters])
+def test_every_parameter_moves_the_string_smoothly(swung, parameter):
+    """Central differences at a tenth of the range agree with those of half the step, and are not zero."""
+    _, full, motion, t = swung
+    place = full.names.index(parameter)
+    known = full.parameters[place]
+    acting = ACTING.get(parameter, {})
+    base = full.values(NAMED | acting)
+    base[place] += 0.0 if parameter in acting else 0.1 * (known.high - known.start)
+    step = 1e-4 * (known.high - known.low)
+    values = np.tile(base, (4, 1))
+    values[:, place] += np.array([1, -1, 0.5, -0.5]) * step
+    seen = full.seen(motion, values, t)
+    assert seen.finite.all()
+    coarse = (seen.points[0] - seen.points[1]) / (2 * step)
+    fine = (seen.points[2] - seen.points[3]) / step
+    share = np.linalg.norm(coarse - fine) / np.linalg.norm(fine)
+    assert np.abs(fine).max() * (known.high - known.low) > 1e-3
+    assert share < 0.02
+
+
+def test_strings_with_every_effect_at_once_stay_finite(swung):
+    """Anywhere in all ranges: what is rejected must be said to be impractical by the bound, not blow up."""
+    _, full, motion, t = swung
+    rng = np.random.default_rng(0)
+    values = np.array([drawn(p, rng, 64) for p in full.parameters]).T
+    values[:, :8] = full.values(NAMED)[:8]
+    assert full.seen(motion, values, t).finite.all()
+
+
+# --- for people --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("effect", LIBRARY.values(), ids=lambda e: e.name)
+def test_effects_speak_and_draw(effect):
+    small, large = ({p.name: float(p.value(np.asarray(chi))) for p in effect.parameters} for chi in (0.6, 0.9))
+    sentence = effect.words(small)
+    assert len(sentence) > 10
+    assert not sentence.endswith(".")
+    assert not effect.parameters or sentence != effect.words(large)
+    assert effect.reference
+    axes = Figure().add_subplot()
+    effect.plot(axes, small)
+    assert axes.has_data()
+    assert axes.get_xlabel()
+
+
+@pytest.mark.parametrize("effect", ADDED, ids=lambda e: e.name)
+def test_parameters_have_bounds_around_their_absence(effect):
+    for p in effect.parameters:
+        assert p.low <= p.start <= p.high
+        assert p.low in (0.0, -p.high)
+        assert p.meaning
+
+
+# --- one file and nothing else -----------------------------------------------------------------------------
+
+
+def test_arguments_of_laws_are_known():
+    """A law may take its slot's arguments, the paper's parameters, its own, and what it derives."""
+    for effect, law in LAWS:
+        if law in SLOTS:
+            own = {p.name: p.start for p in effect.parameters}
+            known = {*SLOTS[law].arguments, *PAPER, *own, *effect.derived(**own)}
+            assert set(arguments(effect.laws()[law])) <= known, effect.name
+
+
+def test_an_effect_is_at_work_once(arm: Arm, camera: Camera):
+    model = Model(String(0.3), arm, camera).with_effects(LIBRARY["tip_mass"])
+    for twice in ("tip_mass", "gravity"):
+        with pytest.raises(ValueError, match=f"'{twice}' is at work already"):
+            model.with_effects(LIBRARY[twice])
