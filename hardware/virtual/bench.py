@@ -8,7 +8,7 @@ is really so is written by `envelope`, for tests to open after the verdict.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -22,10 +22,11 @@ from hardware.virtual.render import Look, noisy, render, scenery
 from hardware.virtual.servo import Servo
 from stages.model.arm import Arm
 from stages.model.camera import Camera
-from stages.model.effect import StringEffect
-from stages.model.hand import hand_motion
+from stages.model.hand import joint_motion
 from stages.model.integrator import RungeKutta4
-from stages.model.string import BASE, String, simulate
+from stages.model.library import named
+from stages.model.model import Model
+from stages.model.string import String
 from stages.roles import HardwareError, Performance, Recording
 
 EXPOSURES = 5  # moments drawn in one exposure
@@ -33,19 +34,36 @@ EXPOSURES = 5  # moments drawn in one exposure
 
 @dataclass(frozen=True)
 class Specimen:
-    """The string on the bench. parameters: the paper's, per mass point at n = 10; hidden: effects beyond them."""
+    """What is on the bench. parameters: the paper's, per mass point at n = 10. hidden: what is so beyond them, on the
+    string, in the hand, the camera or their clocks: effects by name, each with its parameters."""
 
     length: float
     parameters: Mapping[str, float]
     points: int = 40
-    hidden: tuple[type[StringEffect], ...] = ()
+    hidden: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse to hide what is not known."""
+        for effect in named(list(self.hidden)):
+            unknown = set(self.hidden[effect.name]) - {p.name for p in effect.parameters}
+            if unknown:
+                known = ", ".join(p.name for p in effect.parameters)
+                raise ValueError(f"effect '{effect.name}' has no parameter '{unknown.pop()}'. Known are: {known}")
+
+    def model(self, arm: Arm, camera: Camera) -> Model:
+        """What really happens: the fine string, and all that is hidden."""
+        return Model(self.string(), arm, camera).with_effects(*named(list(self.hidden)))
+
+    def values(self, model: Model) -> np.ndarray:
+        """Its parameters in the order of the model's, (1, P)."""
+        sizes = {f"{effect}.{name}": size for effect, own in self.hidden.items() for name, size in own.items()}
+        return model.values({**self.parameters, **sizes})[None]
 
     def string(self) -> String:
         """The fine string that hangs from the hand."""
         return String(
             self.length,
             points=self.points,
-            effects=(*BASE, *self.hidden),
             tip_cell=0.5,
             grasp_cell=0.5,
             integrator=RungeKutta4(),
@@ -75,21 +93,29 @@ class Bench:
         """The true string at times, (F, n, 2) [m]."""
         if self.performed is None:
             raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
-        t, angles = self.performed
-        string = self.specimen.string()
-        values = string.values(self.specimen.parameters)[None]
-        return simulate(string, hand_motion(self.arm, t, angles, tick=0.001), values, times).points[0]
+        model = self.specimen.model(self.arm, self.camera)
+        motion = joint_motion(*self.performed, tick=0.001)
+        return model.true(motion, self.specimen.values(model), times).points[0]
 
     def joints_at(self, times: np.ndarray) -> np.ndarray:
         """The true arm at times, (F, J + 1, 2) [m]."""
         if self.performed is None:
             raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
-        t, angles = self.performed
-        return self.arm.joints(np.stack([np.interp(times, t, angles[:, j]) for j in range(angles.shape[1])], axis=-1))
+        model = self.specimen.model(self.arm, self.camera)
+        motion = model.joints(joint_motion(*self.performed, tick=self.servo.step), self.specimen.values(model))
+        t = motion.start + motion.tick * np.arange(motion.angles.shape[1])
+        return self.arm.joints(np.stack([np.interp(times, t, angle) for angle in motion.angles[0].T], axis=-1))
+
+    def in_view(self, true: Callable[[np.ndarray], np.ndarray], times: np.ndarray) -> np.ndarray:
+        """Where the camera has points at its own times, (F, n, 2) [m]. true: the points at true times (M,)."""
+        model = self.specimen.model(self.arm, self.camera)
+        values = self.specimen.values(model)
+        points = true(model.moments(values, times).ravel())
+        return model.reported(points[None], values, times)[0]
 
     def envelope(self, path: Path) -> None:
         """Write what is really so. No stage opens this."""
-        truth = asdict(self.specimen) | {"hidden": [e.name for e in self.specimen.hidden], "seed": self.seed}
+        truth = asdict(self.specimen) | {"seed": self.seed}
         path.write_text(json.dumps(truth, indent=2, default=str))
 
 
@@ -152,8 +178,8 @@ class VirtualCamera:
         t = np.arange(np.ceil(first * camera.fps - 1e-6), np.floor(last * camera.fps + 1e-6) + 1) / camera.fps
         open_shutter = np.linspace(-0.5, 0.5, EXPOSURES) * camera.exposure
         moments = np.clip(t[:, None] + open_shutter, first, last).ravel()
-        strings = bench.string_at(moments).reshape(len(t), EXPOSURES, -1, 2)
-        joints = bench.joints_at(moments).reshape(len(t), EXPOSURES, -1, 2)
+        strings = bench.in_view(bench.string_at, moments).reshape(len(t), EXPOSURES, -1, 2)
+        joints = bench.in_view(bench.joints_at, moments).reshape(len(t), EXPOSURES, -1, 2)
         wall = scenery(camera, bench.look, bench.seed)
         rng = bench.generator(3)
         images = [

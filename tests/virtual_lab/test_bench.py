@@ -57,3 +57,49 @@ def test_execute_films_rest_around_the_movement(filmed):
     assert abs(t[-1] - 0.4) < 1e-9
     assert np.ptp(trial.arm[list(JOINTS)].to_numpy()[trial.arm["t"] < 0], axis=0).max() < 1e-3
     assert np.isfinite(true).all()
+
+
+HIDDEN = {
+    "tip_mass": {"ratio": 0.1},
+    "arm_lag": {"time_constant": 0.02},
+    "rolling_shutter": {"readout": 0.004},
+    "time_offset": {"offset": 0.006},
+}
+
+
+def test_what_is_hidden_happens_and_what_is_reported_does_not_tell(arm, camera):
+    """Each world for itself: the string, the hand, the camera, the clocks."""
+    from dataclasses import replace
+
+    from conftest import specimen, swing
+
+    def performed(hidden):
+        bench = Bench(arm, camera, replace(specimen("A"), points=12, hidden=hidden), seed=1)
+        device = VirtualArm(bench)
+        commands = swing(duration=0.2).commands
+        device.move_to(commands[list(JOINTS)].iloc[0].tolist())
+        return bench, device.perform(commands)
+
+    times = np.linspace(0.02, 0.15, 8)
+    plain, told = performed({})
+    for name, size in HIDDEN.items():
+        bench, also_told = performed({name: size})
+        pd.testing.assert_frame_equal(told.arm, also_told.arm, check_exact=True)
+        moved = np.abs(bench.in_view(bench.string_at, times) - plain.in_view(plain.string_at, times)).max()
+        assert moved > 1e-3, name
+    late, _ = performed({"time_offset": {"offset": 0.006}})
+    np.testing.assert_allclose(late.in_view(late.joints_at, times), plain.joints_at(times + 0.006), atol=1e-12)
+    lagging, _ = performed({"arm_lag": {"time_constant": 0.02}})
+    np.testing.assert_allclose(lagging.string_at(times)[:, 0], lagging.joints_at(times)[:, -1], atol=2e-5)
+
+
+def test_hiding_what_is_not_known_is_refused():
+    from dataclasses import replace
+
+    import pytest
+    from conftest import specimen
+
+    with pytest.raises(ValueError, match="Did you mean 'tip_mass'"):
+        replace(specimen("A"), hidden={"tipmass": {}})
+    with pytest.raises(ValueError, match="no parameter 'mass'. Known are: ratio"):
+        replace(specimen("A"), hidden={"tip_mass": {"mass": 1.0}})
