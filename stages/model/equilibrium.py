@@ -38,18 +38,28 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     angles = _guess(string, material, pose[:, 2])
     lengths = np.full_like(angles, string.segment)
     moving = np.arange(len(material))
+    limit, last = np.full((len(material), 1), LARGEST_TURN), np.zeros_like(angles)
     for _ in range(ITERATIONS):
         some, at = material[moving], pose[moving]
         force = _force(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
         lengths[moving] = _lengths(string, some, force, angles[moving])
         place = _yielding(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
         turn = _newton(string, some, at[:, 2], force, place, angles[moving], lengths[moving])
-        angles[moving] += np.clip(turn, -LARGEST_TURN, LARGEST_TURN)
+        if place is not None:
+            limit[moving] = _cautious(limit[moving], turn, last[moving])
+            last[moving] = turn
+        angles[moving] += np.clip(turn, -limit[moving], limit[moving])
         # Each candidate ends on its own, so that its shape does not depend on its company.
         moving = moving[np.abs(turn).max(axis=1) > ENOUGH]
         if moving.size == 0:
             break
     return angles, lengths
+
+
+def _cautious(limit: np.ndarray, turn: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Smaller turns where a string goes back and forth between touching and not, larger ones again where it goes on."""
+    back = np.sum(turn * last, axis=1, keepdims=True) < 0
+    return np.where(back, 0.4 * limit, np.minimum(1.3 * limit, LARGEST_TURN))
 
 
 def _guess(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -177,7 +187,7 @@ def _moments(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moments at the hinges and their slope with the hinge angle, (C, n) each; the free end has none."""
     zero = np.zeros((1, 1))
-    hinge = angles[:, :1] - theta[:, None]
+    hinge = angles[:, :1] - theta[:, None] - grasp_set(string, material)
     first = slot_sum(string, material, "grasp_moment", {"angle": hinge, "rate": zero})
     first_slope = _slope(string, material, "grasp_moment", "angle", hinge)
     s = string.arc_lengths()[None, 1:-1]
@@ -186,6 +196,12 @@ def _moments(
     slope = _slope(string, material, "moment", "curvature", bend) / string.segment
     end = np.zeros((len(material), 1))
     return np.concatenate([first, others, end], axis=1), np.concatenate([first_slope, slope, end], axis=1)
+
+
+def grasp_set(string: String, material: np.ndarray) -> np.ndarray:
+    """Angle at rest of the hinge at the grasp, from its share of the first segment's curvature, (C, 1) [rad]."""
+    at_grasp = slot_sum(string, material, "rest_curvature", {"s": np.zeros((1, 1))})
+    return string.grasp_cell * string.segment * at_grasp
 
 
 def _slope(string: String, material: np.ndarray, slot: str, name: str, at: np.ndarray) -> np.ndarray:

@@ -45,7 +45,7 @@ ROWS = (
     *("X", "Y", "VX", "VY", "ANGLE", "SX", "SY", "INERTIA", "WEIGHT"),
     *("TX", "TY", "INVERSE", "PULL", "OMEGA", "MOMENT", "FX", "FY"),
     *("R0", "R1", "R2", "R3", "R4", "R5", "R6", "R7"),
-    *("HA", "HW"),
+    *("HA", "HW", "SET"),
 )
 
 # What a law's argument is in the text of the loop.
@@ -92,6 +92,7 @@ def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrat
         "tension": _sum(slots, "tension", names),
         "moment": _sum(slots, "moment", names),
         "rest": _sum(slots, "rest_curvature", names),
+        "set": "B[SET + j]" if slots["rest_curvature"] else "0.0",
         "grasp_moment": _sum(slots, "grasp_moment", names),
         "turn": _horner("d2", [repr(float(c)) for c in turn_coefficients()]),
         "flow": _vector(slots, "flow", names, "air"),
@@ -230,7 +231,7 @@ B[OMEGA + k] = omega
 B[PULL + k] = <<tension>>
 """,
     "grasped": """
-curvature = angle - B[HA + j]
+curvature = angle - B[HA + j] - <<set>>
 bend = omega - B[HW + j]
 B[MOMENT + k] = <<grasp_moment>>
 """,

@@ -43,7 +43,7 @@ def named(names: Sequence[str]) -> tuple[type[Effect], ...]:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"Did you mean '{near[0]}'? " if near else ""
-            raise UnknownEffectError(f"there is no effect '{name}'. {hint}Known are: {', '.join(known)}.")
+            raise UnknownEffectError(f"there is no effect '{name}'. {hint}Known are: {', '.join(known)}")
     return tuple(known[name] for name in names)
 
 

@@ -24,7 +24,7 @@ from stages.model.effects.grasp_spring import GraspSpring
 from stages.model.effects.gravity import Gravity
 from stages.model.effects.hinge_damper import HingeDamper
 from stages.model.effects.hinge_spring import HingeSpring
-from stages.model.equilibrium import hanging
+from stages.model.equilibrium import grasp_set, hanging
 from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
@@ -255,6 +255,7 @@ def _buffers(
         "SY": vectors[..., 1],
         "INERTIA": 1.0 / masses,
         "WEIGHT": cells / masses,
+        "SET": grasp_set(string, material),
     }
     buffers = np.zeros((blocks, kernel.buffer_size()))
     for name, data in rows.items():

@@ -101,5 +101,5 @@ def test_hiding_what_is_not_known_is_refused():
 
     with pytest.raises(ValueError, match="Did you mean 'tip_mass'"):
         replace(specimen("A"), hidden={"tipmass": {}})
-    with pytest.raises(ValueError, match="no parameter 'mass'. Known are: ratio"):
+    with pytest.raises(ValueError, match=r"no parameter 'mass'\. Known are: ratio"):
         replace(specimen("A"), hidden={"tip_mass": {"mass": 1.0}})

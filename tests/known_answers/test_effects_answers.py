@@ -1,0 +1,428 @@
+"""Each effect against an answer known from elsewhere. All in one model with every effect, one of them present."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_bvp, solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.linalg import eigh
+
+from stages.model.camera import Camera
+from stages.model.effects.arm_lag import ArmLag
+from stages.model.effects.backlash import Backlash
+from stages.model.effects.contact import Contact
+from stages.model.effects.grasp_slip import GraspSlip
+from stages.model.effects.internal_friction import InternalFriction
+from stages.model.effects.nonlinear_bending import NonlinearBending
+from stages.model.effects.resolution import Resolution
+from stages.model.equilibrium import hanging
+from stages.model.hand import HandMotion, hand_motion_from_grasp
+from stages.model.library import library
+from stages.model.model import Model
+from stages.model.string import BASE, String
+
+LENGTH = 0.3
+MANY = tuple(
+    e for e in library().values() if e not in BASE and e.parameters and e.join.__func__ is Contact.join.__func__
+)
+SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
+LIMP = {
+    "axial_stiffness": 9e5,
+    "axial_damping": 100.0,
+    **dict.fromkeys(["bending_stiffness", "bending_damping", "linear_drag", "quadratic_drag"], 1e-9),
+    **dict.fromkeys(["grasp_stiffness", "grasp_damping"], 1e-12),
+}
+ROD = LIMP | {"bending_stiffness": 4e3, "bending_damping": 0.05}
+CLAMPED = LIMP | {"bending_stiffness": 4e4, "grasp_stiffness": 1e9, "axial_stiffness": 1e9}
+PER_LENGTH = LENGTH / 9  # the paper's segment: bending stiffness over mass per length is k_h times its square
+
+
+def at_rest(named, theta=-np.pi / 2, points=41, **settings):
+    """Angles (n - 1,) and lengths of the segments in static equilibrium."""
+    string = String(LENGTH, points=points, effects=(*BASE, *MANY), **SECOND_ORDER | settings)
+    material = string.material(string.values(named)[None])
+    angles, lengths = hanging(string, material, np.array([[0.0, 0.0, theta]]))
+    return angles[0], lengths[0]
+
+
+def swinging(named, offset, t, points=41, theta=-np.pi / 2):
+    """A string whose grasp moves sideways, (F, n, 2) [m]."""
+    string = String(LENGTH, points=points, effects=(*BASE, *MANY), **SECOND_ORDER)
+    hand = hand_motion_from_grasp(t, np.stack([offset, 0 * t, 0 * t + theta], axis=-1))
+    return Model(string, None, None).true(hand, string.values(named)[None], t).points[0]
+
+
+def frequency(t, x):
+    """Mean frequency [rad/s] from rising zero crossings, interpolated."""
+    up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
+    crossing = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
+    return 2 * np.pi * (len(crossing) - 1) / (crossing[-1] - crossing[0])
+
+
+# --- string --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.5])
+def test_a_weight_at_the_tip_slows_a_pendulum(ratio):
+    """omega^2 = g / L (1/2 + m) / (1/3 + m)."""
+    t = np.arange(0, 4, 0.005)
+    offset = 1e-3 / (1 + np.exp(-(t - 0.3) / 0.05))
+    x = swinging(ROD | {"tip_mass.ratio": ratio}, offset, t, points=21)[:, -1, 0] - 1e-3
+    expected = np.sqrt(9.81 / LENGTH * (0.5 + ratio) / (1 / 3 + ratio))
+    assert frequency(t[200:], x[200:]) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("taper", [-1.2, 1.2])
+def test_a_tapered_chain_swings_at_its_own_frequency(taper):
+    """(T x')' + omega^2 rho x = 0, T the weight beyond, by Ritz with polynomials that vanish at the grasp."""
+    powers = np.arange(1, 9)
+    rho = lambda z: 1 + taper * (z - 0.5)  # noqa: E731
+    weight = lambda z: quad(rho, z, 1)[0]  # noqa: E731
+    z, w = np.polynomial.legendre.leggauss(40)
+    z, w = (z + 1) / 2, w / 2
+    shape, slope = z[:, None] ** powers, powers * z[:, None] ** (powers - 1)
+    stiff = slope.T @ ((w * np.array([weight(a) for a in z]))[:, None] * slope)
+    mass = shape.T @ ((w * rho(z))[:, None] * shape)
+    expected = np.sqrt(eigh(stiff, mass, eigvals_only=True)[0] * 9.81 / LENGTH)
+    t = np.arange(0, 6, 0.005)
+    drive = 1e-4 * np.sin(expected * t) * (t < 2 * np.pi / expected * 3)
+    free = t > 2 * np.pi / expected * 3 + 0.1
+    x = swinging(LIMP | {"density_taper.taper": taper}, drive, t)[free, -1, 0]
+    plain = swinging(LIMP, drive, t)[free, -1, 0]
+    assert frequency(t[free], x - x.mean()) == pytest.approx(expected, rel=0.01)
+    assert abs(frequency(t[free], plain - plain.mean()) / expected - 1) > 0.03  # without taper it would not be found
+
+
+def test_wind_holds_a_limp_string_at_an_angle():
+    """tan of the angle from the vertical is (C_c1 + C_c2 w) w / g."""
+    wind, c1, c2 = 1.7, 2.0, 0.5
+    angles, _ = at_rest(LIMP | {"linear_drag": c1, "quadratic_drag": c2, "wind.along_x": wind})
+    np.testing.assert_allclose(np.tan(angles + np.pi / 2), (c1 + c2 * wind) * wind / 9.81, rtol=1e-6)
+
+
+def test_wind_acts_more_across_a_string_than_along_it():
+    """Only the drag across holds it: tan of the angle is (1 + e) C_c1 w / g."""
+    named = LIMP | {"linear_drag": 2.0, "wind.along_x": 1.7, "anisotropic_drag.excess": 0.8}
+    angles, _ = at_rest(named)
+    np.testing.assert_allclose(np.tan(angles + np.pi / 2), 1.8 * 2.0 * 1.7 / 9.81, rtol=1e-4)
+
+
+@pytest.mark.parametrize("curvature", [3.0, -8.0])
+def test_a_stiff_string_with_a_set_rests_on_a_circle(curvature):
+    """Half the difference of both signs is free of gravity, which bends it by 2e-4."""
+    shapes = [at_rest(CLAMPED | {"rest_curvature.curvature": sign * curvature}, points=61)[0] for sign in (1, -1)]
+    middle = (np.arange(60) + 0.5) * LENGTH / 60
+    np.testing.assert_allclose((shapes[0] - shapes[1]) / 2, curvature * middle, atol=3e-4 * abs(curvature))
+
+
+@pytest.mark.parametrize("hardening", [-1e-3, 2e-3])
+def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
+    """Clamped level: dM/ds = -g (L - s) cos(theta), kappa'(s) from the slope of the law. A clamped first segment
+    of the chain is a rod clamped at its middle."""
+    stiffness, first = 30.0 * PER_LENGTH**2, LENGTH / 240
+
+    def law(k):
+        return stiffness * k + NonlinearBending.moment(k, stiffness, hardening)
+
+    def slopes(s, y):
+        steep = (law(y[1] + 1e-4) - law(y[1] - 1e-4)) / 2e-4
+        return np.stack([y[1], 9.81 * (LENGTH - s) * np.cos(y[0]) / steep])
+
+    s = np.linspace(first, LENGTH, 61)
+    guess = np.stack([-(1 - np.exp(-s / 0.1)), -10 * (1 - s / LENGTH)])
+    exact = solve_bvp(slopes, lambda a, b: np.array([a[0], b[1]]), s, guess, tol=1e-8, max_nodes=20000)
+    assert exact.success
+    named = LIMP | {"bending_stiffness": 30.0, "grasp_stiffness": 1e9, "axial_stiffness": 1e9}
+    angles, _ = at_rest(named | {"nonlinear_bending.hardening": hardening}, theta=0.0, points=121, grasp_cell=0.0)
+    middle = (np.arange(120) + 0.5) * LENGTH / 120
+    np.testing.assert_allclose(angles, exact.sol(middle)[0], atol=3e-3)
+    linear, _ = at_rest(named, theta=0.0, points=121, grasp_cell=0.0)
+    assert np.abs(linear - exact.sol(middle)[0]).max() > 0.03
+
+
+@pytest.mark.parametrize("cycles", [20.0, 80.0])
+def test_dry_friction_takes_the_same_from_a_cycle_at_any_rate(cycles):
+    """4 times friction times amplitude; 2 % less at the slower rate, where it passes through rest smoothly."""
+    t = np.linspace(0, 1 / cycles, 4001)
+    curvature, rate = 20 * np.sin(2 * np.pi * cycles * t), 40 * np.pi * cycles * np.cos(2 * np.pi * cycles * t)
+    moment = InternalFriction.moment(rate, 0.01)
+    assert np.trapezoid(moment, curvature) == pytest.approx(4 * 0.01 * 20, rel=0.02)
+
+
+def test_tilted_gravity_is_the_whole_experiment_turned():
+    t = np.arange(0, 0.4, 0.005)
+    pose = np.stack([0.1 * np.sin(9 * t) ** 2, 0.1 * np.sin(5 * t) ** 2, 0.3 + 1.5 * np.sin(7 * t) ** 2], axis=-1)
+    tilt = 0.25
+    rotation = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
+    turned = np.concatenate([pose[:, :2] @ rotation.T, pose[:, 2:] + tilt], axis=1)
+    string = String(LENGTH, effects=(*BASE, *MANY))
+    named = LIMP | {"bending_stiffness": 4.0, "bending_damping": 5e-3, "grasp_stiffness": 3.0, "linear_drag": 0.3}
+
+    def moved(pose, **more):
+        values = string.values(named | more)[None]
+        return Model(string, None, None).true(hand_motion_from_grasp(t, pose), values, t).points[0]
+
+    found = moved(turned, **{"gravity_direction.tilt": tilt})
+    np.testing.assert_allclose(found, moved(pose) @ rotation.T, atol=1e-9)
+
+
+# --- contact ---------------------------------------------------------------------------------------------------
+
+FLOOR = {"contact.stiffness": 2e4, "contact.height": -0.2}
+
+
+def test_a_floor_carries_what_lies_on_it():
+    """The floor's push is the weight of the string less what still hangs from the hand, L - 0.2 to a few per cent."""
+    angles, lengths = at_rest(LIMP | FLOOR | {"bending_stiffness": 0.05, "grasp_stiffness": 0.01}, -1.2, points=61)
+    y = np.concatenate([[0.0], np.cumsum(lengths * np.sin(angles))])
+    cells = np.full(61, LENGTH / 60)
+    cells[-1] /= 2
+    carried = (2e4 * np.maximum(-0.2 - y, 0) * cells).sum() / 9.81
+    assert y.min() > -0.2 - 2e-3
+    assert carried == pytest.approx(LENGTH - 0.2, rel=0.1)
+
+
+def test_the_engine_leaves_a_string_on_the_floor_alone():
+    """Statics and dynamics know the same floor. (A string straight above it would stand, but not for long.)"""
+    t = np.linspace(0, 0.3, 61)
+    named = (
+        LIMP | FLOOR | {"bending_stiffness": 1.0, "bending_damping": 0.01, "grasp_stiffness": 1.0, "linear_drag": 1.0}
+    )
+    named |= {"contact.friction": 0.3, "contact.loss": 0.2}
+    points = swinging(named, 0 * t, t, points=21, theta=-1.2)
+    assert points[..., 1].min() < -0.2
+    assert np.abs(points - points[:1]).max() < 1e-8
+
+
+@pytest.mark.parametrize(("loss", "tilt"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.1)])
+def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
+    """A mass on the plane: without loss it leaves as fast as it came, with loss slower, as Hunt and Crossley say."""
+    normal = np.array([-np.sin(tilt), np.cos(tilt)])
+    given = {"stiffness": 2e4, "height": 0.1, "friction": 0.0, "loss": loss}
+    given |= Contact.derived(tilt=tilt)
+
+    def law(_, y):
+        return np.concatenate([y[2:], Contact.load(*y, **given)])
+
+    along = np.array([normal[1], -normal[0]])
+    speed = 2.0
+    start = np.concatenate([0.1 * normal, -speed * normal + 0.7 * along])
+    end = solve_ivp(law, (0, 0.05), start, rtol=1e-10, atol=1e-12).y[:, -1]
+    out = end[2:] @ normal
+    assert end[2:] @ along == pytest.approx(0.7, abs=1e-9)
+    if loss == 0:
+        assert out == pytest.approx(speed, rel=1e-8)
+    else:
+        # m dv/dt = -k d (1 - loss v)...: v dv / (1 - a v) over depth integrates to log terms
+        left, right = (-(np.log1p(-loss * v) + loss * v) for v in (out, -speed))
+        assert left == pytest.approx(right, rel=1e-6)
+        assert 0.5 * speed < out < speed
+
+
+def test_a_string_dropped_on_a_floor_gains_no_energy():
+    """The engine's own steps: the hand is lowered, and height, speed, bending and floor together never rise again."""
+    t = np.arange(0, 1.0, 0.001)
+    string = String(LENGTH, effects=(*BASE, *MANY), points=10)
+    named = LIMP | {"axial_stiffness": 2e4, "axial_damping": 5.0, "bending_stiffness": 1.0, "bending_damping": 1e-2}
+    named |= {"contact.stiffness": 2e4, "contact.height": -0.32, "contact.friction": 0.3, "contact.loss": 0.1}
+    down = -0.15 * (1 - np.cos(np.pi * np.clip(t / 0.2, 0, 1))) / 2
+    hand = hand_motion_from_grasp(t, np.stack([0 * t, down, 0 * t - 1.4], axis=-1), 0.001)
+    points = Model(string, None, None).true(hand, string.values(named)[None], t).points[0]
+    velocity = np.gradient(points, t, axis=0)
+    segment = np.diff(points, axis=1)
+    size = np.linalg.norm(segment, axis=-1)
+    bend = np.diff(np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1), axis=1)
+    energy = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2)) + 9.81 * points[:, 1:, 1].sum(axis=1)
+    energy += 0.5 * 2e4 * ((size - string.segment) ** 2).sum(axis=1) + 0.5 * (bend**2).sum(axis=1)
+    energy += 0.5 * 2e4 * (np.maximum(-0.32 - points[..., 1], 0) ** 2).sum(axis=1)
+    free = energy[t > 0.21]
+    assert points[..., 1].min() < -0.32
+    assert free[0] - free[-1] > 0.1
+    assert np.diff(free[5:-5:5]).max() < 0.01 * (free[0] - free[-1])
+
+
+# --- hand --------------------------------------------------------------------------------------------------------
+
+T = np.arange(0, 1.0, 0.005)
+WAVES = np.stack([np.sin(7 * T) ** 2, 0.5 * np.sin(4 * T), 0.2 * np.cos(11 * T)], axis=-1)[None]
+
+
+@pytest.mark.parametrize("constant", [1e-3, 0.02, 0.1])
+def test_lag_is_the_differential_equation_of_first_order(constant):
+    spline = CubicSpline(T, WAVES[0], bc_type="natural")
+    exact = solve_ivp(
+        lambda t, y: (spline(t) - y) / constant,
+        (0, T[-1]),
+        WAVES[0, 0],
+        t_eval=T,
+        method="Radau",
+        rtol=1e-9,
+        atol=1e-11,
+    )
+    found = ArmLag.joints(T, WAVES, np.full((1, 1, 1), constant))[0]
+    np.testing.assert_allclose(found, exact.y.T, atol=1e-7)
+
+
+def test_a_ramp_is_followed_at_a_distance():
+    """u - y = v tau (1 - exp(-t / tau)), two candidates side by side."""
+    ramp = np.maximum(T - 0.1, 0)[None, :, None] * np.ones(3) * 2.0
+    real = ArmLag.joints(T, ramp, np.array([0.01, 0.05])[:, None, None])
+    behind = ramp[:, -1, 0] - real[:, -1, 0]
+    np.testing.assert_allclose(behind, 2.0 * np.array([0.01, 0.05]), rtol=1e-3)
+
+
+def test_play_leaves_a_joint_where_it_is_at_reversals():
+    """It turns half a gap less to either side, and stands still over a whole gap after each reversal."""
+    gap = 0.06
+    wave = 0.2 * np.sin(2 * np.pi * T)[None, :, None]
+    real = Backlash.joints(T, wave, np.full((1, 1, 1), gap))[0, :, 0]
+    assert real.max() == pytest.approx(0.2 - gap / 2, abs=1e-12)
+    assert real.min() == pytest.approx(-0.2 + gap / 2, abs=1e-12)
+    still = (T > 0.25) & (wave[0, :, 0] > 0.2 - gap) & (T < 0.5)
+    np.testing.assert_allclose(real[still], 0.2 - gap / 2, atol=1e-12)
+    assert np.abs(real - wave[0, :, 0]).max() <= gap / 2 + 1e-12
+
+
+def hand_model(*names, points=10):
+    return Model(String(LENGTH, points=points), None, None).with_effects(*(library()[name] for name in names))
+
+
+def grasped(motion: HandMotion, **named) -> HandMotion:
+    model = hand_model(*{name.split(".")[0]: None for name in named})
+    return model.hand(motion, model.values(named)[None])
+
+
+POSE = np.stack([0.4 + 0.1 * np.sin(9 * T), 0.3 * np.cos(5 * T), 1.5 * np.sin(7 * T) ** 2], axis=-1)
+
+
+def test_a_string_held_askew_leaves_the_hand_at_that_angle():
+    plain = hand_motion_from_grasp(T, POSE)
+    found = grasped(plain, **{"grasp_angle.angle": 0.4})
+    np.testing.assert_allclose(found.pose - plain.pose, np.broadcast_to([0, 0, 0.4], plain.pose.shape), atol=1e-12)
+    np.testing.assert_allclose(found.rate, plain.rate, atol=1e-9)
+
+
+def test_a_string_that_slips_comes_out_along_the_grasp():
+    plain = hand_motion_from_grasp(T, POSE)
+    found = grasped(plain, **{"grasp_slip.speed": 0.1, "grasp_slip.onset": 0.3})
+    out = np.sum((found.pose - plain.pose)[0, :, :2] * np.stack([np.cos(POSE[:, 2]), np.sin(POSE[:, 2])], -1), axis=-1)
+    late = T > 0.35
+    np.testing.assert_allclose(out[late], 0.1 * (T[late] - 0.3), atol=1e-6)
+    np.testing.assert_allclose(out[T < 0.2], 0.0, atol=1e-6)
+    real = found.rate[0, late] - plain.rate[0, late]
+    direction = np.stack([np.cos(POSE[late, 2]), np.sin(POSE[late, 2])], -1)
+    np.testing.assert_allclose(np.sum(real[:-2, :2] * direction[:-2], axis=-1), 0.1, atol=1e-3)
+    assert GraspSlip.parameters[0].start == 0.0
+
+
+def test_a_gain_turns_joints_about_where_they_began(arm, camera):
+    from stages.model.hand import joint_motion
+
+    model = Model(String(LENGTH), arm, camera).with_effects(library()["joint_gain"])
+    plain = joint_motion(T, WAVES[0])
+    found = model.joints(plain, model.values({"joint_gain.gain": 0.1})[None])
+    np.testing.assert_allclose(
+        found.angles - plain.angles[:, :1], 1.1 * (plain.angles - plain.angles[:, :1]), atol=1e-12
+    )
+    np.testing.assert_allclose(found.speeds[:, 3:-3], 1.1 * plain.speeds[:, 3:-3], atol=2e-4)
+
+
+def test_what_acts_on_joints_is_refused_where_only_the_grasp_is_known():
+    from data.schema import DataError
+
+    with pytest.raises(DataError, match=r"'backlash' acts on joint angles.*Add arm.parquet"):
+        grasped(hand_motion_from_grasp(T, POSE), **{"backlash.gap": 0.01})
+
+
+# --- clocks and camera ---------------------------------------------------------------------------------------------
+
+VIEW = Camera(640, 480, 300.0, (250.0, 380.0), 200.0)
+
+
+def views(*names):
+    model = Model(String(LENGTH), None, VIEW).with_effects(*(library()[name] for name in names))
+    known = LIMP | {"bending_stiffness": 4.0, "bending_damping": 5e-3, "grasp_stiffness": 3.0, "linear_drag": 0.3}
+    return model, known, hand_motion_from_grasp(T, POSE)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "there"),
+    [("time_offset.offset", 0.0123, lambda t: t + 0.0123), ("clock_drift.rate", -0.02, lambda t: 0.98 * t)],
+)
+def test_other_clocks_show_the_string_at_other_moments(name, size, there):
+    """Candidates each at times of their own, the same whatever the company."""
+    model, known, motion = views(name.split(".")[0])
+    t = np.linspace(0.05, 0.9, 23)
+    values = np.stack([model.values(known), model.values(known | {name: size})])
+    seen = model.seen(motion, values, t).points
+    np.testing.assert_allclose(seen[0], model.true(motion, values[:1], t).points[0], atol=1e-12)
+    np.testing.assert_allclose(seen[1], model.true(motion, values[:1], there(t)).points[0], atol=1e-12)
+    np.testing.assert_array_equal(seen[1], model.seen(motion, values[1:], t).points[0])
+
+
+REAL = {
+    "lens_distortion.radial": replace(VIEW, distortion=0.08),
+    "pixel_scale.excess": replace(VIEW, px_per_m=VIEW.px_per_m * 1.08),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_cameras_that_are_not_what_they_are_taken_for(name):
+    """Pixels of the real camera, read with the one it is taken for."""
+    model, known, motion = views(name.split(".")[0])
+    t = np.linspace(0, 0.9, 7)
+    values = model.values(known | {name: 0.08})[None]
+    expected = VIEW.world(REAL[name].pixels(model.true(motion, values, t).points))
+    np.testing.assert_allclose(model.seen(motion, values, t).points, expected, atol=1e-12)
+
+
+def test_a_rolled_camera_turns_the_picture_about_its_middle():
+    model, known, motion = views("camera_rotation")
+    t = np.linspace(0, 0.9, 7)
+    values = model.values(known | {"camera_rotation.angle": 0.1})[None]
+    true, seen = (VIEW.pixels(find(motion, values, t).points) - [319.5, 239.5] for find in (model.true, model.seen))
+    c, s = np.cos(0.1), np.sin(0.1)  # v points down: counter-clockwise to the eye
+    np.testing.assert_allclose(seen, true @ np.array([[c, -s], [s, c]]), atol=1e-9)
+
+
+def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
+    """And is right for points that cross rows: it sees each where it is when its row is exposed."""
+    law = library()["rolling_shutter"].seen
+    readout = np.full((1, 1, 1, 1), 0.01)
+    line = np.stack([0 * np.linspace(0, 1, 9), np.linspace(-0.2, 0.8, 9)], axis=-1)[None, None]
+    sideways = law(line, np.broadcast_to([3.0, 0.0], line.shape), np.zeros(1), VIEW, readout)
+    row = VIEW.pixels(line)[..., 1] / 480 - 0.5
+    np.testing.assert_allclose(sideways[..., 0], 3.0 * 0.01 * row, atol=1e-12)
+    falling = law(line, np.broadcast_to([1.0, -4.0], line.shape), np.zeros(1), VIEW, readout)
+    when = 0.01 * (VIEW.pixels(falling)[..., 1:] / 480 - 0.5)
+    np.testing.assert_allclose(falling, line + when * np.array([1.0, -4.0]), atol=1e-12)
+
+
+def test_the_camera_knows_how_fast_the_string_goes():
+    """A rolling shutter is the string at the moments of its rows, to second order in the readout."""
+    model, known, motion = views("rolling_shutter")
+    t = np.linspace(0.1, 0.9, 9)
+    errors = []
+    for readout in (0.002, 0.001):
+        values = model.values(known | {"rolling_shutter.readout": readout})[None]
+        seen = model.seen(motion, values, t).points[0]
+        when = t[:, None] + readout * (VIEW.pixels(seen)[..., 1] / 480 - 0.5)
+        exact = np.stack([model.true(motion, values, when[:, i]).points[0, :, i] for i in range(10)], axis=1)
+        errors.append(np.abs(seen - exact).max())
+    assert errors[0] < 1e-3
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_more_mass_points_are_nearer_to_the_string():
+    coarse, known, motion = views()
+    t = np.linspace(0, 0.9, 31)
+
+    def tip(model):
+        return model.true(motion, model.values(known)[None], t).tip[0]
+
+    finer = coarse.with_effects(Resolution, Resolution)
+    assert finer.string.points == 37
+    steps = [tip(coarse), tip(coarse.with_effects(Resolution)), tip(finer)]
+    near, far = np.abs(steps[1] - steps[2]).mean(), np.abs(steps[0] - steps[2]).mean()
+    assert near < 0.6 * far
