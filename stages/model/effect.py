@@ -22,6 +22,7 @@ import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -91,6 +92,7 @@ class Effect(ABC):
         """The model with this effect at work."""
 
     @classmethod
+    @cache
     def laws(cls) -> dict[str, Law]:
         """The laws this effect defines, by name."""
         return {}
@@ -111,6 +113,7 @@ class StringEffect(Effect):
     """
 
     @classmethod
+    @cache
     def laws(cls) -> dict[str, Law]:
         """The laws this effect defines, by slot."""
         return {slot: getattr(cls, slot) for slot in SLOTS if hasattr(cls, slot)}
@@ -136,6 +139,7 @@ class HandEffect(Effect):
     """
 
     @classmethod
+    @cache
     def laws(cls) -> dict[str, Law]:
         """`joints` and `grasp`, where defined."""
         return {law: getattr(cls, law) for law in ("joints", "grasp") if hasattr(cls, law)}
@@ -155,6 +159,7 @@ class ClockEffect(Effect):
         """Times of the arm's clock, (C, F) [s], at times t of the camera's, (F,) or (C, F). Parameters are (C, 1)."""
 
     @classmethod
+    @cache
     def laws(cls) -> dict[str, Law]:
         """`times`."""
         return {"times": cls.times}
@@ -185,6 +190,7 @@ class CameraEffect(Effect):
         """
 
     @classmethod
+    @cache
     def laws(cls) -> dict[str, Law]:
         """`seen`."""
         return {"seen": cls.seen}
@@ -199,6 +205,7 @@ class ModelChange(Effect):
     """Something wrong with the model's own making: no law and no parameter, but another model (`join`)."""
 
 
+@cache
 def arguments(law: Callable[..., object]) -> tuple[str, ...]:
     """Names of a law's arguments, in order."""
     return tuple(inspect.signature(law).parameters)

@@ -81,11 +81,6 @@ def odd(law: str, *names: str) -> Symmetry:
     return Equivariant(law, f"{law} is odd in {', '.join(names)}", _negated(names), lambda value, given: -value)
 
 
-def even(law: str, *names: str) -> Symmetry:
-    """The value stays when these arguments change sign, all together."""
-    return Equivariant(law, f"{law} is even in {', '.join(names)}", _negated(names), lambda value, given: value)
-
-
 def nothing_at_zero(law: str, *names: str) -> Symmetry:
     """The value is zero where these arguments are."""
     zero: Callable[[Given], Given] = lambda given: {name: 0 * given[name] for name in names}  # noqa: E731
@@ -107,14 +102,6 @@ def turns(law: str, *vectors: str) -> Symmetry:
         return turned
 
     return Equivariant(law, f"{law} knows no direction", before, lambda value, given: np.stack(_turned(*value)))
-
-
-def mirrors(law: str, *names: str) -> Symmetry:
-    """Left and right are alike: change these arguments' sign, and the value's x changes sign."""
-    flip = np.array([-1.0, 1.0])
-    return Equivariant(
-        law, f"{law} mirrors with {', '.join(names)}", _negated(names), lambda value, given: (value.T * flip).T
-    )
 
 
 def resists(law: str, rate: str = "rate") -> Dissipative:

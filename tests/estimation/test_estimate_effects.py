@@ -1,0 +1,176 @@
+"""Effects in estimation and generation: found where they are, added from elsewhere, free where absent."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data.artifacts import MASKS, READINGS, Observation
+from pipeline.settings import UserError
+from pipeline.world import _with_effects
+from stages.estimate import least_squares
+from stages.estimate.forward import case
+from stages.estimate.matching import Matching
+from stages.generate import Box, generate
+from stages.model.hand import hand_motion, hand_motion_from_grasp, joint_motion
+from stages.model.library import VARIABLE, library, named
+from stages.model.model import Model
+from stages.model.string import String, simulate
+
+MATCHING = Matching(20, 2, 3.0, 0.25)
+STRING = String(0.3)
+T = np.arange(0, 0.7, 0.005)
+POSE = np.stack([0.4 + 0.15 * np.sin(9 * T) ** 2, 0.4 + 0.15 * np.sin(7 * T) ** 2, -1 + 2 * np.sin(6 * T) ** 2], -1)
+TRUTH = {
+    "axial_stiffness": 9e4,
+    "axial_damping": 30.0,
+    "bending_stiffness": 2.0,
+    "bending_damping": 0.02,
+    "linear_drag": 0.4,
+    "quadratic_drag": 0.2,
+    "grasp_stiffness": 1.0,
+    "grasp_damping": 5e-3,
+}
+MAGNET = '''
+"""A magnet in the floor pulls the string down, the more the lower it is."""
+
+import numpy as np
+
+from stages.model.effect import StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+
+
+class Magnet(StringEffect):
+    """An acceleration that decays with height."""
+
+    name = "magnet"
+    parameters = (Parameter("pull", "m/s2", "acceleration at the height of the base", 0.0, 20.0, 0.0),)
+    reference = "a test"
+
+    @staticmethod
+    def words(values):
+        """What is so."""
+        return f"a magnet pulls with {values['pull']:.1f} m/s2"
+
+    @classmethod
+    def plot(cls, axes, values):
+        """Over the height."""
+        y = np.linspace(0, 1, 11)
+        line(axes, y, cls.acceleration(y, values["pull"])[1], "height / m", "acceleration / (m/s2)")
+
+    @staticmethod
+    def acceleration(y, pull):
+        return 0.0, -pull / (1.0 + 25.0 * y * y)
+'''
+
+
+def observed(model, size, noise=7e-4):
+    """A swing as the camera of a model reports it, with noise."""
+    t = T[::4] + 0.0013
+    seen = model.seen(hand_motion_from_grasp(T, POSE), model.values(TRUTH | size)[None], t).points[0]
+    s = np.tile(STRING.arc_lengths(), len(t))
+    place = seen.reshape(-1, 2) + noise * np.random.default_rng(0).standard_normal((len(s), 2))
+    points = pd.DataFrame({"t": np.repeat(t, 10), "s": s, "x": place[:, 0], "y": place[:, 1], "sigma": noise})
+    grasp = pd.DataFrame({"t": T, "x": POSE[:, 0], "y": POSE[:, 1], "theta": POSE[:, 2]})
+    return Observation("t01", points.assign(valid=True), READINGS.empty(), MASKS.empty(), grasp=grasp)
+
+
+def recovered(model, observation):
+    """The estimate, by name."""
+    settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
+    found = least_squares.estimate(model, [observation], None, seed=0, manipulation=1, **settings)
+    return found.parameters.set_index("name"), found.fit.iloc[0]
+
+
+def test_effects_of_three_worlds_are_recovered_together(arm, camera):
+    """A weight at the tip, clocks 8 ms apart, a rolled camera, at 0.7 mm of noise: within their intervals or 3 %."""
+    size = {"tip_mass.ratio": 0.2, "time_offset.offset": 0.008, "camera_rotation.angle": -0.03}
+    plain = Model(STRING, arm, camera)
+    model = plain.with_effects(*named([name.split(".")[0] for name in size]))
+    observation = observed(model, size)
+    table, fit = recovered(model, observation)
+    assert fit["rms_after"] == pytest.approx(7e-4 * np.sqrt(2), rel=0.05)
+    for name, value in size.items():
+        assert table.loc[name, "determined"], name
+        assert table.loc[name, "value"] == pytest.approx(value, rel=0.03)
+    _, without = recovered(plain, observation)
+    assert without["rms_after"] > 3 * fit["rms_after"]
+
+
+def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(tmp_path, monkeypatch, arm, camera):
+    (tmp_path / "magnet.py").write_text(MAGNET)
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    magnet = library()["magnet"]
+    assert magnet.words({"pull": 3.0}) == "a magnet pulls with 3.0 m/s2"
+    model = Model(STRING, arm, camera).with_effects(magnet)
+    t = np.linspace(0, 1, 21)
+    values = np.stack([model.values(TRUTH | {"magnet.pull": pull}) for pull in (0.0, 5.0)])
+    weak, strong = model.true(hand_motion_from_grasp(T, POSE), values, t).points
+    assert (strong[:, -1, 1] - weak[:, -1, 1]).min() < -0.01
+    table, _ = recovered(model, observed(model, {"magnet.pull": 5.0}))
+    assert table.loc["magnet.pull", "value"] == pytest.approx(5.0, rel=0.03)
+
+
+def test_files_that_are_no_effect_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    (tmp_path / "compass.py").write_text(MAGNET)
+    with pytest.raises(ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"):
+        library()
+    (tmp_path / "compass.py").unlink()
+    (tmp_path / "wind.py").write_text(MAGNET.replace('"magnet"', '"wind"'))
+    with pytest.raises(ValueError, match="there is an effect 'wind' already"):
+        library()
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "nowhere"))
+    with pytest.raises(ValueError, match="there is no folder"):
+        library()
+
+
+def test_without_effects_the_model_is_the_string_to_the_bit(arm, camera):
+    rng = np.random.default_rng(0)
+    values = np.array([p.value(rng.random(20)) for p in STRING.parameters]).T
+    model, t = Model(STRING, arm, camera), np.linspace(0, 1.1, 40)
+    angles = rng.normal(size=3) + np.stack([np.sin(9 * T) ** 2, np.sin(5 * T) ** 2, np.cos(7 * T)], axis=-1)
+    for motion, hand in [
+        (joint_motion(T, angles), hand_motion(arm, T, angles)),
+        (hand_motion_from_grasp(T, POSE), hand_motion_from_grasp(T, POSE)),
+    ]:
+        expected = simulate(STRING, hand, values, t)
+        found = model.seen(motion, values, t)
+        np.testing.assert_array_equal(found.points, expected.points)
+        np.testing.assert_array_equal(found.finite, expected.finite)
+    ready = case(model, observed(model, {}))
+    (_, motion), *_ = ready.simulate(values)
+    np.testing.assert_array_equal(motion.points, simulate(STRING, hand, values, ready.times).points)
+
+
+def test_generation_knows_a_hand_that_lags(arm, camera):
+    """What is hit is hit by the model with the lag, and not by the one without."""
+    model = Model(STRING, arm, camera).with_effects(*named(["arm_lag", "tip_mass"]))
+    settings = {
+        "attempts": 20000,
+        "together": 256,
+        "shortest": 0.4,
+        "longest": 0.6,
+        "alpha": 150.0,
+        "fraction": 0.25,
+        "hits": 1,
+    }
+    known = TRUTH | {"arm_lag.time_constant": 0.05, "tip_mass.ratio": 0.3}
+    box = Box(0.4, 0.7, 0.04, 0.04)
+    motion = generate(model, box, (), None, known, seed=1, **settings)
+    commands = motion.commands
+    joints = joint_motion(commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy())
+    t = np.arange(0, motion.duration, 0.0005)
+    values = np.stack([model.values(known), model.values(TRUTH)])
+    tips = model.true(joints, values, t).tip
+    assert box.crossed(tips[0, :-1], tips[0, 1:]).any()
+    assert not box.crossed(tips[1, :-1], tips[1, 1:]).any()
+
+
+def test_a_wrong_name_in_the_settings_is_answered(arm, camera):
+    plain = Model(STRING, arm, camera)
+    with pytest.raises(UserError, match=r"effects \(here\): there is no effect 'tipmass'\. Did you mean 'tip_mass'\?"):
+        _with_effects(plain, ["tipmass"], "here")
+    with pytest.raises(UserError, match="must be a list"):
+        _with_effects(plain, "tip_mass", "here")
+    assert _with_effects(plain, ["resolution", "wind"], "here").string.points == 19
