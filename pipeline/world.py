@@ -58,7 +58,7 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     target = build(Box, config["target"], "target", where("target"))
     string = _string(config["string"], where("string"))
     camera = build(Camera, config["camera"], "camera", where("camera"))
-    model = _with_effects(Model(string, arm, camera), config["effects"], where("effects"))
+    model = with_effects(Model(string, arm, camera), config["effects"], where("effects"))
     if "generate" in config["steps"]:
         check_reach(target, arm, string.length)
     boxes = config["obstacles"]["boxes"]
@@ -90,7 +90,7 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
         raise UserError(f"steps = {config['steps']} ({where('steps')}): {rule} it must be {choices}. Change it.")
 
 
-def _with_effects(model: Model, names: Any, where: str) -> Model:
+def with_effects(model: Model, names: Any, where: str) -> Model:
     """The model with the effects of these names."""
     if not isinstance(names, list):
         raise UserError(f"effects = {names!r} ({where}): it must be a list, such as [tip_mass, arm_lag]. Change it.")

@@ -63,6 +63,9 @@ def _effect(path: Path) -> type[Effect]:
     effects = [c for c in mine if issubclass(c, Effect)]
     if [getattr(e, "name", "") for e in effects] != [path.stem]:
         raise ValueError(f"{path}: it must hold one effect, with name = '{path.stem}'. See stages/model/effect.py.")
+    if effects[0].__abstractmethods__ or not hasattr(effects[0], "reference"):
+        missing = ", ".join(sorted(effects[0].__abstractmethods__)) or "reference"
+        raise ValueError(f"{path}: the effect lacks {missing}. See stages/model/effect.py.")
     return effects[0]
 
 

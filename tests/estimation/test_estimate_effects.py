@@ -6,7 +6,7 @@ import pytest
 
 from data.artifacts import MASKS, READINGS, Observation
 from pipeline.settings import UserError
-from pipeline.world import _with_effects
+from pipeline.world import with_effects
 from stages.estimate import least_squares
 from stages.estimate.forward import case
 from stages.estimate.matching import Matching
@@ -117,6 +117,10 @@ def test_files_that_are_no_effect_are_refused(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"):
         library()
     (tmp_path / "compass.py").unlink()
+    (tmp_path / "mute.py").write_text(MAGNET.replace('"magnet"', '"mute"').replace("def words", "def said"))
+    with pytest.raises(ValueError, match="the effect lacks words"):
+        library()
+    (tmp_path / "mute.py").unlink()
     (tmp_path / "wind.py").write_text(MAGNET.replace('"magnet"', '"wind"'))
     with pytest.raises(ValueError, match="there is an effect 'wind' already"):
         library()
@@ -170,7 +174,7 @@ def test_generation_knows_a_hand_that_lags(arm, camera):
 def test_a_wrong_name_in_the_settings_is_answered(arm, camera):
     plain = Model(STRING, arm, camera)
     with pytest.raises(UserError, match=r"effects \(here\): there is no effect 'tipmass'\. Did you mean 'tip_mass'\?"):
-        _with_effects(plain, ["tipmass"], "here")
+        with_effects(plain, ["tipmass"], "here")
     with pytest.raises(UserError, match="must be a list"):
-        _with_effects(plain, "tip_mass", "here")
-    assert _with_effects(plain, ["resolution", "wind"], "here").string.points == 19
+        with_effects(plain, "tip_mass", "here")
+    assert with_effects(plain, ["resolution", "wind"], "here").string.points == 19
