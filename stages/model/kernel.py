@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
+import math
 import os
 import sys
 import tempfile
@@ -114,6 +115,17 @@ def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrat
 def buffer_size() -> int:
     """Numbers in the buffer B of one block."""
     return len(ROWS) * CAPACITY * W
+
+
+def aligned(shape: tuple[int, ...]) -> np.ndarray:
+    """Zeros whose first number begins a cache line.
+
+    numpy aligns to 16 bytes only; a vector of 64 that crosses a line is read and written twice.
+    """
+    line = 64
+    memory = np.zeros(8 * math.prod(shape) + line, dtype=np.uint8)
+    first = -memory.ctypes.data % line
+    return memory[first : first + 8 * math.prod(shape)].view(np.float64).reshape(shape)
 
 
 def row(name: str) -> int:

@@ -257,7 +257,7 @@ def _buffers(
         "WEIGHT": cells / masses,
         "SET": grasp_set(string, material),
     }
-    buffers = np.zeros((blocks, kernel.buffer_size()))
+    buffers = kernel.aligned((blocks, kernel.buffer_size()))
     for name, data in rows.items():
         first, count = kernel.row(name), data.shape[1] * width
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1).reshape(blocks, count)
