@@ -2,6 +2,7 @@
 
 run [OVERRIDES]    the main job: `python -m pipeline OVERRIDES`, by default +experiment=stringB
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
+bench              how fast strings are simulated, beside MuJoCo and PyElastica; see tests/speed
 setup              only make the environment
 
 The environment is `.venv`, made from `requirements.lock` and made again when that changes.
@@ -19,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 ENVIRONMENT = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
-MARK = ENVIRONMENT / "locked"
+BENCH_LOCK = ROOT / "tests" / "speed" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 CHECKS = (
     ("ruff", "check", "."),
@@ -44,15 +45,33 @@ def setup() -> None:
         sys.exit(
             f"stringcast needs Python 3.11 or newer; this is {sys.version.split()[0]}. Run tasks.py with a newer one."
         )
-    digest = hashlib.sha256(LOCK.read_bytes() + sys.version.encode()).hexdigest()
-    if MARK.exists() and MARK.read_text() == digest:
-        return
-    print("Setting up .venv (once; a minute or two) ...", flush=True)
-    venv.create(ENVIRONMENT, with_pip=True, clear=True)
-    install = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--require-hashes", "-r", LOCK]
-    if subprocess.run(install, check=False).returncode:
-        sys.exit("The packages of requirements.lock could not be installed; see above. Is a package registry in reach?")
-    MARK.write_text(digest)
+    if not installed(LOCK):
+        print("Setting up .venv (once; a minute or two) ...", flush=True)
+        venv.create(ENVIRONMENT, with_pip=True, clear=True)
+        install(LOCK)
+
+
+def mark(lock: Path) -> Path:
+    """A file in the environment that names the lock it was made from."""
+    return ENVIRONMENT / ("locked" if lock == LOCK else f"locked-{lock.parent.name}")
+
+
+def digest(lock: Path) -> str:
+    """Of a lock and this Python."""
+    return hashlib.sha256(lock.read_bytes() + sys.version.encode()).hexdigest()
+
+
+def installed(lock: Path) -> bool:
+    """Whether the environment holds this lock as it is now."""
+    return mark(lock).exists() and mark(lock).read_text() == digest(lock)
+
+
+def install(lock: Path) -> None:
+    """Install what a lock says, and note it."""
+    pip = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--require-hashes", "-r", lock]
+    if subprocess.run(pip, check=False).returncode:
+        sys.exit(f"The packages of {lock.name} could not be installed; see above. Is a package registry in reach?")
+    mark(lock).write_text(digest(lock))
 
 
 def call(*command: str) -> int:
@@ -71,7 +90,14 @@ def test(rest: list[str]) -> int:
     return max(*results, call("pytest", *rest))
 
 
-TASKS = {"run": run, "test": test, "setup": lambda rest: 0}
+def bench(rest: list[str]) -> int:
+    """The benchmark, with the packages it compares with."""
+    if not installed(BENCH_LOCK):
+        install(BENCH_LOCK)
+    return call("tests.speed", *rest)
+
+
+TASKS = {"run": run, "test": test, "bench": bench, "setup": lambda rest: 0}
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,110 @@
+"""`python3 tasks.py bench`: measure, print the table, and keep it as Parquet and as a picture."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import fields
+from pathlib import Path
+
+import numba
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.table import Table as Printed
+
+from data.schema import Column, Table
+from data.store import write_table
+from pipeline.origin import PACKAGES, code, versions
+from tests.speed.measures import Row, table
+from tests.speed.picture import picture
+
+FOLDER = Path(__file__).resolve().parents[2] / "data" / "results" / "speed"
+COMMAND = "python3 tasks.py bench"
+MEANING = {
+    "measure": "what is measured",
+    "subject": "of what",
+    "value": "median over the rounds, or the one value",
+    "unit": "of value, low, high and goals",
+    "low": "smallest of the rounds",
+    "high": "largest of the rounds",
+    "points": "mass points, links or elements",
+    "threads": "threads at work",
+    "batch": "candidates simulated at once",
+    "at_least": "goal: not less than this",
+    "at_most": "goal: not more than this",
+}
+NUMBERS = {field.name for field in fields(Row)} - {"measure", "subject", "unit"}
+SPEED = Table(
+    "speed",
+    "How fast strings are simulated, and beside what",
+    tuple(Column(name, "", meaning, "float" if name in NUMBERS else "text") for name, meaning in MEANING.items()),
+)
+
+
+def main() -> None:
+    """Measure, print, keep."""
+    rows = table()
+    Console(width=150).print(printed(rows))
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    write_table(SPEED, rows, FOLDER / "speed.parquet", origin())
+    picture(rows, FOLDER / "speed.png")
+    print(f"Kept in {FOLDER}")
+
+
+def printed(rows: pd.DataFrame) -> Printed:
+    """The table for people: a measure's name once, goals marked as met or not."""
+    out = Printed(title=f"Speed of the string engine on {processor()}")
+    for name in ("measure", "subject", "n", "threads", "batch"):
+        out.add_column(name, justify="left" if name in ("measure", "subject") else "right")
+    for name in ("median", "range", "unit", "goal"):
+        out.add_column(name, justify="right" if name != "unit" else "left")
+    last = ""
+    for row in rows.itertuples():
+        if row.measure != last and last:
+            out.add_section()
+        counts = ["" if np.isnan(count) else f"{count:.0f}" for count in (row.points, row.threads, row.batch)]
+        spread = "" if np.isnan(row.low) else f"{row.low:.3g} to {row.high:.3g}"
+        name = "" if row.measure == last else row.measure
+        out.add_row(name, row.subject, *counts, f"{row.value:.3g}", spread, row.unit, goal(row))
+        last = row.measure
+    return out
+
+
+def goal(row) -> str:  # type: ignore[no-untyped-def]
+    """The goal in words, and whether it is met."""
+    if not np.isnan(row.at_least):
+        return f"≥ {row.at_least:g}: " + ("[green]met" if row.value >= row.at_least else "[red]missed")
+    if not np.isnan(row.at_most):
+        return f"≤ {row.at_most:g}: " + ("[green]met" if row.value <= row.at_most else "[red]missed")
+    return ""
+
+
+def origin() -> dict[str, object]:
+    """What made the table."""
+    return {
+        "command": COMMAND,
+        "machine": {"processor": processor(), "cores": os.cpu_count(), "load": os.getloadavg()[0]},
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "threading": numba.threading_layer(),
+        "packages": versions((*PACKAGES, "llvmlite", "mujoco", "pyelastica")),
+        "code": code(),
+    }
+
+
+def processor() -> str:
+    """The processor's name, and what LLVM takes it for."""
+    import llvmlite.binding
+
+    names = [line.split(":")[1].strip() for line in _lines("/proc/cpuinfo") if line.startswith("model name")]
+    return f"{names[0] if names else platform.processor()} ({llvmlite.binding.get_host_cpu_name()})"
+
+
+def _lines(path: str) -> list[str]:
+    file = Path(path)
+    return file.read_text().splitlines() if file.exists() else []
+
+
+if __name__ == "__main__":
+    main()

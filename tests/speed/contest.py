@@ -1,0 +1,97 @@
+"""The same cord at equal accuracy: each contender at the cheapest resolution that shows the tip within a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from stages.model.string import simulate
+from tests.speed.mujoco_chain import Chain
+from tests.speed.pyelastica_rod import Rods
+from tests.speed.trial import PIXEL, TIMES, cord_string, engine_tip, hand, limit, tip_error
+
+Resolution = tuple[int, float]  # points, links or elements; step [s]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One way to simulate the cord.
+
+    tip: at a resolution, (F, 2) [m]. converged: two resolutions for its limit. choices: to
+    choose from. work: simulate so many cords at a resolution on so many threads. count: how
+    many at once.
+    """
+
+    name: str
+    tip: Callable[[int, float], np.ndarray]
+    converged: tuple[Resolution, Resolution]
+    choices: Sequence[Resolution]
+    work: Callable[[Resolution, int, int], object]
+    count: int
+
+    def limit(self) -> np.ndarray:
+        """(F, 2) the tip that it converges to [m]."""
+        return limit(*(self.tip(*resolution) for resolution in self.converged))
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A contender at its chosen resolution. error: of the tip [m]; apart: of its limit from the engine's [m]."""
+
+    contender: Contender
+    resolution: Resolution
+    error: float
+    apart: float
+
+    def run(self, threads: int = 1) -> None:
+        """Simulate its cords."""
+        self.contender.work(self.resolution, self.contender.count, threads)
+
+    @property
+    def cord_seconds(self) -> float:
+        """Simulated in one run [s]."""
+        return self.contender.count * float(TIMES[-1])
+
+
+def _engine(resolution: Resolution, count: int, threads: int) -> object:
+    string, values = cord_string(*resolution)
+    return simulate(string, hand(), np.tile(values, (count, 1)), TIMES)
+
+
+STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
+ENGINE = Contender("engine", engine_tip, ((25, 5e-5), (49, 5e-5)), list(product(range(12, 33, 2), STEPS)), _engine, 256)
+MUJOCO = Contender(
+    "MuJoCo",
+    lambda links, step: Chain(links, step).rollout(1, 1)[0],
+    ((20, 2.5e-5), (40, 2.5e-5)),
+    list(product(range(12, 33, 2), STEPS)),
+    lambda resolution, count, threads: Chain(*resolution).rollout(count, threads),
+    16,
+)
+PYELASTICA = Contender(
+    "PyElastica",
+    lambda elements, step: Rods(elements, step).rollout(1)[0],
+    ((20, 5e-5), (40, 5e-5)),
+    list(product(range(6, 17, 2), STEPS[2:])),
+    lambda resolution, count, threads: Rods(*resolution).rollout(count),
+    8,
+)
+
+
+def entries() -> list[Entry]:
+    """Engine, MuJoCo and PyElastica, each at its cheapest resolution with a tip error of at most PIXEL."""
+    common = ENGINE.limit()
+    return [_entered(contender, common) for contender in (ENGINE, MUJOCO, PYELASTICA)]
+
+
+def _entered(contender: Contender, common: np.ndarray) -> Entry:
+    """The first choice, in order of parts times steps, that is accurate enough."""
+    own = contender.limit()
+    for resolution in sorted(contender.choices, key=lambda r: r[0] / r[1]):
+        error = tip_error(contender.tip(*resolution), own)
+        if error <= PIXEL:
+            return Entry(contender, resolution, error, tip_error(own, common))
+    raise RuntimeError(f"{contender.name}: no resolution shows the tip within {PIXEL * 1e3:.0f} mm; offer finer ones")

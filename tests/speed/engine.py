@@ -1,0 +1,60 @@
+"""The engine's step loop by itself: the very call that `simulate` makes, to be made again and timed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from unittest.mock import patch
+
+import numpy as np
+
+from stages.model import kernel
+from stages.model.hand import HandMotion
+from stages.model.stability import steps_per_tick
+from stages.model.string import String, simulate
+
+
+@dataclass(frozen=True)
+class StepLoop:
+    """A compiled step loop and the arguments it was called with. point_steps: how many mass points it moves one step."""
+
+    run: Callable[..., None]
+    arguments: tuple[object, ...]
+    point_steps: int
+
+    def __call__(self) -> None:
+        """Run it from the initial state, which lies in the first argument and is overwritten."""
+        self.run(_copied(self.arguments[0]), *self.arguments[1:])
+
+
+def step_loop(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> StepLoop:
+    """The step loop of `simulate` with these arguments; the candidates must share a step."""
+    calls = []
+    compiled = kernel.kernel_for
+
+    def caught(*key: object) -> Callable[..., None]:
+        run = compiled(*key)
+
+        def noted(buffers: np.ndarray, *rest: object) -> None:
+            calls.append((run, (_copied(buffers), *rest)))
+            run(buffers, *rest)
+
+        return noted
+
+    with patch.object(kernel, "kernel_for", caught):
+        simulate(string, hand, values, times)
+    ((run, arguments),) = calls
+    return StepLoop(run, arguments, point_steps(string, hand, values, times))
+
+
+def point_steps(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> int:
+    """Steps of all mass points of all candidates."""
+    steps, _ = steps_per_tick(string, string.material(values), hand.tick)
+    ticks = int(np.ceil((times[-1] - hand.start) / hand.tick - 1e-9))
+    return int(steps.sum()) * ticks * string.points * len(string.integrator.nodes)
+
+
+def _copied(buffers: np.ndarray) -> np.ndarray:
+    copy = kernel.aligned(buffers.shape)
+    copy[:] = buffers
+    return copy

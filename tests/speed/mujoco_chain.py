@@ -1,0 +1,101 @@
+"""The cord in MuJoCo: a planar chain of rigid links on hinges with stiffness and damping, rolled out on its threads.
+
+The hand is a carriage on two slides and a hinge, a million times as heavy as the cord, so
+that the cord does not move it; at each step it is pushed so that it lands on the next pose.
+That costs less than a weld to a moving frame, and is exact. Contacts and constraints are off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from mujoco.rollout import Rollout
+
+from tests.speed.trial import CORD, TIMES, pose
+
+CARRIAGE = 1e4  # [kg], [kg m^2]
+
+MODEL = """
+<mujoco>
+  <option timestep="{step}" integrator="{integrator}" gravity="0 -9.81 0">
+    <flag contact="disable" constraint="disable"/>
+  </option>
+  <worldbody>
+    <body gravcomp="1">
+      <inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/>
+      <joint name="x" type="slide" axis="1 0 0" armature="{carriage}"/>
+      <joint name="y" type="slide" axis="0 1 0" armature="{carriage}"/>
+      <joint name="theta" type="hinge" axis="0 0 1" armature="{carriage}"/>
+      {chain}
+    </body>
+  </worldbody>
+  <actuator><motor joint="x"/><motor joint="y"/><motor joint="theta"/></actuator>
+  <sensor><framepos objtype="site" objname="tip"/></sensor>
+</mujoco>
+"""
+
+LINK = """
+<body pos="{start} 0 0">
+  <joint type="hinge" axis="0 0 1" stiffness="{stiffness}" damping="{damping}"/>
+  <inertial pos="{middle} 0 0" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>
+"""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """links: how many. step: [s], a whole part of a camera frame."""
+
+    links: int
+    step: float
+    integrator: str = "implicitfast"
+
+    @cached_property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model; its positions are the carriage's pose and the hinges' angles."""
+        length = CORD.length / self.links
+        chain = "".join(self._link(i, length) for i in range(self.links))
+        chain += f'<site name="tip" pos="{length} 0 0"/>' + "</body>" * self.links
+        return mujoco.MjModel.from_xml_string(
+            MODEL.format(step=self.step, integrator=self.integrator, carriage=CARRIAGE, chain=chain)
+        )
+
+    def _link(self, i: int, length: float) -> str:
+        """One link; the hinge at the clamp has only half a link to bend."""
+        cell = length / 2 if i == 0 else length
+        return LINK.format(
+            start=0.0 if i == 0 else length,
+            middle=length / 2,
+            stiffness=CORD.bending * CORD.mass / cell,
+            damping=CORD.bending_damping * CORD.mass / cell,
+            mass=CORD.mass * length,
+            inertia=CORD.mass * length**3 / 12,
+        )
+
+    @cached_property
+    def pushes(self) -> np.ndarray:
+        """(1, steps, 3) forces that land the carriage on its poses: M (p_+1 - 2 p + p_-1) / dt^2."""
+        steps = round(TIMES[-1] / self.step)
+        poses = pose(np.arange(-1, steps + 1) * self.step)
+        return CARRIAGE * np.diff(poses, n=2, axis=0)[None] / self.step**2
+
+    @cached_property
+    def start(self) -> np.ndarray:
+        """(state,) the chain at rest in the hand, straight down."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:3] = pose(0.0)
+        kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+        state = np.empty(mujoco.mj_stateSize(self.model, kind))
+        mujoco.mj_getState(self.model, data, state, kind)
+        return state
+
+    def rollout(self, count: int, threads: int) -> np.ndarray:
+        """Simulate `count` cords on so many threads. (count, F, 2) their tips at TIMES [m]."""
+        data = [mujoco.MjData(self.model) for _ in range(threads)]
+        with Rollout(nthread=threads if threads > 1 else 0) as pool:
+            start = np.tile(self.start, (count, 1))
+            _, seen = pool.rollout(self.model, data, start, self.pushes)
+        every = round((TIMES[1] - TIMES[0]) / self.step)
+        return np.concatenate([seen[:, :1], seen[:, every - 1 :: every]], axis=1)[..., :2]

@@ -1,0 +1,120 @@
+"""The cord in PyElastica: Cosserat rods, several in one simulator so that its kernels work on all at once.
+
+The first element is centred on the clamp, so that the rod is clamped where the cord is, and
+not half an element further. Bending damping, which PyElastica has not, is a couple of ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import elastica
+import numpy as np
+
+from tests.speed.trial import CORD, TIMES, pose, stretched
+
+NORMAL = np.array([0.0, 0.0, 1.0])  # out of the plane of motion: the first director of every element
+
+
+class Simulator(
+    elastica.BaseSystemCollection,
+    elastica.Constraints,
+    elastica.Forcing,
+):
+    """What of PyElastica the cord needs."""
+
+
+class Hand(elastica.ConstraintBase):
+    """Holds the middle of the first element at the pose of each step."""
+
+    def __init__(self, poses: np.ndarray, rates: np.ndarray, step: float, half: float, **given: Any) -> None:
+        """poses, rates: (2 steps + 1, 3) at half steps; half: of an element's length [m]."""
+        super().__init__(**given)
+        self.poses, self.rates, self.every, self.half = poses, rates, step / 2, half
+
+    def constrain_values(self, system: Any, time: float) -> None:
+        """First node and first element's directors."""
+        x, y, theta = self.poses[min(round(time / self.every), len(self.poses) - 1)]
+        c, s = np.cos(theta), np.sin(theta)
+        system.position_collection[:, 0] = (x - self.half * c, y - self.half * s, 0.0)
+        system.director_collection[:, :, 0] = ((0.0, 0.0, 1.0), (s, -c, 0.0), (c, s, 0.0))
+
+    def constrain_rates(self, system: Any, time: float) -> None:
+        """Their velocities."""
+        x, y, theta = self.rates[min(round(time / self.every), len(self.rates) - 1)]
+        now = self.poses[min(round(time / self.every), len(self.poses) - 1), 2]
+        c, s = np.cos(now), np.sin(now)
+        system.velocity_collection[:, 0] = (x + self.half * s * theta, y - self.half * c * theta, 0.0)
+        system.omega_collection[:, 0] = (theta, 0.0, 0.0)
+
+
+class BendingDamping(elastica.NoForces):
+    """A couple proportional to the rate of curvature, about the normal of the plane."""
+
+    def __init__(self, damping: float) -> None:
+        """damping: [N m^2 s]."""
+        super().__init__()
+        self.damping = damping
+
+    def apply_torques(self, system: Any, time: float = 0.0) -> None:
+        """Add it to both elements that meet at a node."""
+        couple = self.damping * np.diff(system.omega_collection[0]) / system.rest_voronoi_lengths
+        system.external_torques[0, :-1] += couple
+        system.external_torques[0, 1:] -= couple
+
+
+@dataclass(frozen=True)
+class Rods:
+    """elements: between grasp and tip, and a half. step: [s], a whole part of a camera frame."""
+
+    elements: int
+    step: float
+
+    def rollout(self, count: int, duration: float = float(TIMES[-1])) -> np.ndarray:
+        """Simulate `count` cords at once. (count, F, 2) their tips at TIMES, up to `duration` [m]."""
+        simulator, rods = self._assembled(count)
+        stepper = elastica.PositionVerlet()
+        every, frames = round((TIMES[1] - TIMES[0]) / self.step), round(duration / TIMES[1])
+        tips = np.empty((count, frames + 1, 2))
+        time = np.float64(0.0)
+        for frame in range(frames + 1):
+            tips[:, frame] = [rod.position_collection[:2, -1] for rod in rods]
+            for _ in range(every if frame < frames else 0):
+                time = stepper.step(simulator, time, self.step)
+        return tips
+
+    def _assembled(self, count: int) -> tuple[Simulator, list[Any]]:
+        """A simulator with its rods, at rest in the hand."""
+        simulator = Simulator()
+        length = CORD.length / (self.elements - 0.5)
+        halves = pose(np.arange(2 * round(TIMES[-1] / self.step) + 1) * self.step / 2)
+        rates = np.gradient(halves, self.step / 2, axis=0)
+        rods = [self._rod(length) for _ in range(count)]
+        for rod in rods:
+            simulator.append(rod)
+            simulator.constrain(rod).using(Hand, halves, rates, self.step, length / 2)
+            simulator.add_forcing_to(rod).using(elastica.GravityForces, acc_gravity=np.array([0.0, -9.81, 0.0]))
+            simulator.add_forcing_to(rod).using(BendingDamping, CORD.bending_damping * CORD.mass)
+        simulator.finalize()
+        return simulator, rods
+
+    def _rod(self, length: float) -> Any:
+        """One rod as the cord hangs at first: straight down, stretched by its weight."""
+        area = np.pi * CORD.radius**2
+        modulus = CORD.axial * CORD.mass / area
+        s = (np.arange(self.elements + 1) - 0.5) * length
+        x, y, _ = pose(0.0)
+        rod = elastica.CosseratRod.straight_rod(
+            self.elements,
+            np.array([x, y - s[0], 0.0]),
+            np.array([0.0, -1.0, 0.0]),
+            NORMAL.copy(),
+            base_length=length * self.elements,
+            base_radius=CORD.radius,
+            density=CORD.mass / area,
+            youngs_modulus=modulus,
+            shear_modulus=modulus / 3,
+        )
+        rod.position_collection[1, 1:] = y - stretched(s[1:])
+        return rod
