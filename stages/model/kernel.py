@@ -9,7 +9,8 @@ Layout: W candidates side by side. Every quantity of a mass point or a segment i
 W numbers; the innermost loop runs over the row, branch-free, so that LLVM fills the vector
 units. It does so only where it sees that rows do not overlap: all rows lie in one buffer B
 at distances known at compile time, and even what is needed only once (a segment's tension,
-say) has a row for each segment. Indices are unsigned, so that none can be negative.
+say) has a row for each segment. The rows of a point lie together, and so spread evenly over
+the sets of the first cache. Indices are unsigned, so that none can be negative.
 
 Each pass goes along the string once, a segment ahead of the point it moves: segment i + 1
 needs points i + 1 and i + 2 as they were, point i + 1 needs the forces of segments i and
@@ -40,7 +41,6 @@ from stages.model.effect import StringEffect, arguments
 from stages.model.integrator import Integrator
 
 W = 16  # candidates side by side: two AVX-512 or four AVX2 registers of float64
-CAPACITY = 129  # mass points at most; odd, so that rows of different kinds do not share cache sets
 
 ROWS = (
     *("X", "Y", "VX", "VY", "ANGLE", "SX", "SY", "INERTIA", "WEIGHT"),
@@ -87,7 +87,8 @@ def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], 
 def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator) -> str:
     """The module's text."""
     slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
-    constants = {name: number * CAPACITY * W for number, name in enumerate(ROWS)}
+    constants = {name: number * W for number, name in enumerate(ROWS)} | {"NEXT": len(ROWS) * W}
+    constants |= {f"H{i}": i * W for i in range(12)}
     heavy = any({"density", "tip_mass"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
@@ -112,9 +113,9 @@ def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrat
     return _fill(TEMPLATE, fill)
 
 
-def buffer_size() -> int:
-    """Numbers in the buffer B of one block."""
-    return len(ROWS) * CAPACITY * W
+def rows(blocks: int, points: int) -> np.ndarray:
+    """Zeros for the rows of every point, (blocks, points, kinds, W), kinds as in ROWS."""
+    return aligned((blocks, points, len(ROWS), W))
 
 
 def aligned(shape: tuple[int, ...]) -> np.ndarray:
@@ -126,11 +127,6 @@ def aligned(shape: tuple[int, ...]) -> np.ndarray:
     memory = np.zeros(8 * math.prod(shape) + line, dtype=np.uint8)
     first = -memory.ctypes.data % line
     return memory[first : first + 8 * math.prod(shape)].view(np.float64).reshape(shape)
-
-
-def row(name: str) -> int:
-    """Where the rows of a kind begin in B."""
-    return ROWS.index(name) * CAPACITY * W
 
 
 def _law_text(effect: type[StringEffect], slot: str) -> str:
@@ -215,14 +211,14 @@ def cache_folder() -> Path:
     return folder if usable else Path(tempfile.gettempdir()) / f"stringcast-{os.getuid()}"
 
 
-# The parts of a pass: k is the row of the segment that is measured, p = k - W that of the
+# The parts of a pass: k is the row of the segment that is measured, p = k - NEXT that of the
 # segment whose forces are then known, and of the point at its start, which then moves.
 PIECES = {
     "segment": """
-ex = B[X + k + W] - B[X + k]
-ey = B[Y + k + W] - B[Y + k]
-wx = B[VX + k + W] - B[VX + k]
-wy = B[VY + k + W] - B[VY + k]
+ex = B[X + k + NEXT] - B[X + k]
+ey = B[Y + k + NEXT] - B[Y + k]
+wx = B[VX + k + NEXT] - B[VX + k]
+wy = B[VY + k + NEXT] - B[VY + k]
 d = (B[SX + k] * ey - B[SY + k] * ex) / (B[SX + k] * ex + B[SY + k] * ey)
 d2 = d * d
 angle = B[ANGLE + k] + d * <<turn>>
@@ -265,13 +261,13 @@ px = B[X + p]
 py = B[Y + p]
 qx = B[VX + p]
 qy = B[VY + p]
-lx = 0.5 * (B[TX + p - W] + B[TX + p])
-ly = 0.5 * (B[TY + p - W] + B[TY + p])
+lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
+ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
 <<flow>>
 <<load>>
 <<acceleration>>
-ax = (B[FX + p - W] - fx) * B[INERTIA + p] + <<weight>> * loadx + fallx
-ay = (B[FY + p - W] - fy) * B[INERTIA + p] + <<weight>> * loady + fally
+ax = (B[FX + p - NEXT] - fx) * B[INERTIA + p] + <<weight>> * loadx + fallx
+ay = (B[FY + p - NEXT] - fy) * B[INERTIA + p] + <<weight>> * loady + fally
 <<update>>
 B[X + p] = px
 B[Y + p] = py
@@ -298,16 +294,18 @@ TWO = np.uintp(2)
 
 
 @njit(**LAW)
-def grasp(B, H, lane, u, tick):
-    # Pose and rate of the grasp at fraction u of a tick, from cubic coefficients H (12, lanes).
+def grasp(B, H, u, tick):
+    # Pose and rate of the grasp at fraction u of a tick, from the tick's cubic coefficients H (12 rows).
     for j in range(W):
-        m = j * lane
-        B[X + j] = H[0, m] + u * (H[1, m] + u * (H[2, m] + u * H[3, m]))
-        B[Y + j] = H[4, m] + u * (H[5, m] + u * (H[6, m] + u * H[7, m]))
-        B[HA + j] = H[8, m] + u * (H[9, m] + u * (H[10, m] + u * H[11, m]))
-        B[VX + j] = (H[1, m] + u * (2.0 * H[2, m] + 3.0 * u * H[3, m])) / tick
-        B[VY + j] = (H[5, m] + u * (2.0 * H[6, m] + 3.0 * u * H[7, m])) / tick
-        B[HW + j] = (H[9, m] + u * (2.0 * H[10, m] + 3.0 * u * H[11, m])) / tick
+        x1, x2, x3 = H[H1 + j], H[H2 + j], H[H3 + j]
+        y1, y2, y3 = H[H5 + j], H[H6 + j], H[H7 + j]
+        a1, a2, a3 = H[H9 + j], H[H10 + j], H[H11 + j]
+        B[X + j] = H[j] + u * (x1 + u * (x2 + u * x3))
+        B[Y + j] = H[H4 + j] + u * (y1 + u * (y2 + u * y3))
+        B[HA + j] = H[H8 + j] + u * (a1 + u * (a2 + u * a3))
+        B[VX + j] = (x1 + u * (2.0 * x2 + 3.0 * u * x3)) / tick
+        B[VY + j] = (y1 + u * (2.0 * y2 + 3.0 * u * y3)) / tick
+        B[HW + j] = (a1 + u * (2.0 * a2 + 3.0 * u * a3)) / tick
 
 
 @njit(**LAW)
@@ -323,7 +321,7 @@ def along(B, P, n, length, dt, t, stage):
     s_hinge = length
     for j in range(W):
         p = j
-        k = W + j
+        k = NEXT + j
         <<segment>>
         <<hinge>>
         <<force>>
@@ -332,23 +330,23 @@ def along(B, P, n, length, dt, t, stage):
         s_hinge = i * length
         s_point = (i - 1.0) * length
         for j in range(W):
-            k = i * W + j
-            p = k - W
+            k = i * NEXT + j
+            p = k - NEXT
             <<segment>>
             <<hinge>>
             <<force>>
             <<point>>
     s_point = (n - 2.0) * length
     for j in range(W):
-        p = (n - TWO) * W + j
+        p = (n - TWO) * NEXT + j
         couple = 0.0
         <<force>>
         <<point>>
     s_point = (n - 1.0) * length
     for j in range(W):
-        p = (n - ONE) * W + j
-        B[TX + p] = B[TX + p - W]
-        B[TY + p] = B[TY + p - W]
+        p = (n - ONE) * NEXT + j
+        B[TX + p] = B[TX + p - NEXT]
+        B[TY + p] = B[TY + p - NEXT]
         fx = 0.0
         fy = 0.0
         <<point>>
@@ -359,31 +357,30 @@ def record(B, n, out, alive):
     # Positions at a tick; a lane that is no longer finite is given up.
     for i in range(n):
         for j in range(W):
-            out[0, i, j] = B[X + i * W + j]
-            out[1, i, j] = B[Y + i * W + j]
+            out[0, i, j] = B[X + i * NEXT + j]
+            out[1, i, j] = B[Y + i * NEXT + j]
     for j in range(W):
-        size = abs(B[X + (n - ONE) * W + j]) + abs(B[Y + (n - ONE) * W + j])
+        size = abs(B[X + (n - ONE) * NEXT + j]) + abs(B[Y + (n - ONE) * NEXT + j])
         alive[j] = alive[j] and size < 1e3
 
 
 @njit(parallel=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
-def run(buffers, P, H, per_block, per_lane, points, length, steps, tick, start, out, alive):
-    # buffers (blocks, size), P (blocks, parameters * W), H (ticks, 12, blocks or 1, W or 1),
+def run(buffers, P, H, per_block, points, length, steps, tick, start, out, alive):
+    # buffers (blocks, size), P (blocks, parameters * W), H (ticks, blocks or 1, 12 * W),
     # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W).
     for b in prange(buffers.shape[0]):
         B = buffers[b]
         n = np.uintp(points)
-        hand = H[:, :, b * per_block]
-        lane = np.uintp(per_lane)
         dt = tick / steps[b]
         record(B, n, out[b, 0], alive[b])
-        for c in range(hand.shape[0]):
+        for c in range(H.shape[0]):
+            hand = H[c, b * per_block]
             for q in range(steps[b]):
                 for stage in range(len(NODES)):
                     u = (q + NODES[stage]) / steps[b]
-                    grasp(B, hand[c], lane, u, tick)
+                    grasp(B, hand, u, tick)
                     along(B, P[b], n, length, dt, start + (c + u) * tick, stage)
-            grasp(B, hand[c], lane, 1.0, tick)
+            grasp(B, hand, 1.0, tick)
             record(B, n, out[b, c + 1], alive[b])
             if not alive[b].any():
                 break

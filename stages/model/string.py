@@ -67,8 +67,8 @@ class String:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated."""
-        if not 3 <= self.points < kernel.CAPACITY:
-            raise ValueError(f"string.points is {self.points}; it must be from 3 to {kernel.CAPACITY - 1}")
+        if self.points < 3:
+            raise ValueError(f"string.points is {self.points}; it must be at least 3")
         unknown = set(self.ranges) - {e.qualified(p) for e in self.effects for p in e.parameters}
         if unknown:
             raise ValueError(f"ranges for unknown parameters: {', '.join(sorted(unknown))}")
@@ -222,15 +222,16 @@ def _run(
     own = pose if len(pose) == 1 else pose[index]
     angles, lengths = hanging(string, material, pose[:, 0])
     buffers = _buffers(string, material[index], own[:, 0], angles[index], lengths[index])
-    cubic = _cubic(own, rate if len(rate) == 1 else rate[index], hand.tick)
     shared = len(pose) == 1
-    cubic = cubic.reshape(*cubic.shape[:2], 1 if shared else blocks, 1 if shared else width)
+    cubic = _cubic(own, rate if shared else rate[index], hand.tick)
+    if shared:
+        cubic = np.repeat(cubic, width, axis=2)  # as wide as the lanes, so that the kernel loads vectors
+    cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
     out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
     alive = np.ones((blocks, width), dtype=bool)
     run = kernel.kernel_for(string.effects, string.rows, string.integrator)
-    per = 0 if shared else 1
     run(
-        *(buffers, parameters.reshape(blocks, -1), cubic, per, per, string.points, string.segment),
+        *(buffers, parameters.reshape(blocks, -1), cubic, 0 if shared else 1, string.points, string.segment),
         *(np.full(blocks, steps), hand.tick, hand.start, out, alive),
     )
     ticks = out.transpose(0, 4, 1, 3, 2).reshape(blocks * width, out.shape[1], string.points, 2)
@@ -257,12 +258,11 @@ def _buffers(
         "WEIGHT": cells / masses,
         "SET": grasp_set(string, material),
     }
-    buffers = kernel.aligned((blocks, kernel.buffer_size()))
+    buffers = kernel.rows(blocks, string.points)
     for name, data in rows.items():
-        first, count = kernel.row(name), data.shape[1] * width
-        lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1).reshape(blocks, count)
-        buffers[:, first : first + count] = lanes
-    return buffers
+        lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
+        buffers[:, : data.shape[1], kernel.ROWS.index(name)] = lanes
+    return buffers.reshape(blocks, -1)
 
 
 def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:

@@ -131,7 +131,7 @@ def test_a_sweep_runs_every_job(tmp_path):
         (["estimate.beta=abc"], "valid number"),
         (["camera.fps=-3"], "camera.fps"),
         (["target.x=2"], "out of reach"),
-        (["string.points=2"], "from 3 to"),
+        (["string.points=2"], "at least 3"),
         (["arm.links=[0.3,0.2]"], "arm.*lowest has 3 values, links has 2"),
         (["generate.shortest=2"], "generate.shortest = 2.0 is above generate.longest"),
         (["seed=true"], "seed = True .*whole number"),
