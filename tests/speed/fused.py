@@ -32,8 +32,7 @@ def segment(B, P, k, j, length):  # type: ignore[no-untyped-def]
     rx, ry = B[NEXT + VX + k] - B[VX + k], B[NEXT + VY + k] - B[VY + k]
     cross, dot = B[EX + k] * ey - B[EY + k] * ex, B[EX + k] * ex + B[EY + k] * ey
     size = np.sqrt(ex * ex + ey * ey)
-    both = 1.0 / (size * dot)
-    inverse, d = both * dot, cross * (both * size)
+    inverse, d = 1.0 / size, cross / dot
     d2 = d * d
     turn = d * (A0 + d2 * (A1 + d2 * (A2 + d2 * (A3 + d2 * (A4 + d2 * (A5 + d2 * (A6 + d2 * A7)))))))
     angle = B[ANGLE + k] + turn
