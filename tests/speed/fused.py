@@ -1,9 +1,8 @@
 """Eq. 1 by hand, for many candidates side by side: what the engine's generated loop is measured against.
 
-Written for these eight forces and nothing else, with what one knows of them: material
-constants made per step, masses all alike, one division where the text of Eq. 1 has two. A
-point's quantities lie together (rows of W candidates), so that the distance of any two is
-known at compile time and LLVM fills the vector units.
+Written for these eight forces and nothing else: masses are all alike, the hand's poses are
+looked up. A point's quantities lie together (rows of W candidates), so that the distance of
+any two is known at compile time and LLVM fills the vector units.
 """
 
 from __future__ import annotations

@@ -132,15 +132,20 @@ def batches() -> list[Row]:
 
 
 def threads() -> list[Row]:
-    """Two threads against one, by the wall clock: other work on the machine shows here."""
-    loop = _step_loop(10, 512)
+    """Two threads against one, by the wall clock: other work on the machine shows here.
+
+    The fastest rounds are those that it left alone; many short ones, so that some are.
+    """
+    loop = _step_loop(10, 128)
     string, values = string_b(10)
-    whole = partial(simulate, string, hand(), np.tile(values, (512, 1)), TIMES)
+    whole = partial(simulate, string, hand(), np.tile(values, (128, 1)), TIMES)
     names = {"engine, step loop": loop, "engine, simulate": whole}
     calls = {(name, count): partial(_on, count, call) for name, call in names.items() for count in (1, 2)}
-    wall = in_turns(calls, ROUNDS, time.perf_counter)
-    more = {"points": 10, "threads": 2, "batch": 512, "at_least": 1.9}
-    return [seen("speed on two threads over one", name, wall[name, 1] / wall[name, 2], "1", **more) for name in names]
+    wall = in_turns(calls, 40, time.perf_counter)
+    measure, more = "speed on two threads over one", {"points": 10, "threads": 2, "batch": 128}
+    rows = [seen(measure, name, wall[name, 1] / wall[name, 2], "1", **more, at_least=1.9) for name in names]
+    fastest = {name: wall[name, 1].min() / wall[name, 2].min() for name in names}
+    return rows + [Row(measure, f"{name}, fastest rounds", ratio, "1", **more) for name, ratio in fastest.items()]
 
 
 def _on(count: int, call) -> None:  # type: ignore[no-untyped-def]
@@ -182,7 +187,10 @@ def _on_all_threads(engine: contest.Entry, chain: contest.Entry) -> list[Row]:
 
 
 def estimation() -> list[Row]:
-    """The paper's estimation, as in conf/: 2,000 candidates on a trial of 1.5 s, on two threads, by the wall clock."""
+    """The paper's estimation, as in conf/: 2,000 candidates on a trial of 1.5 s.
+
+    On two threads by the wall clock, and what it costs one thread without other work's share.
+    """
     string, values = string_b(10)
     motion = simulate(string, hand(), values[None], TIMES).points[0]
     columns = {"t": np.repeat(TIMES, 10), "s": np.tile(string.arc_lengths(), len(TIMES))}
@@ -194,8 +202,12 @@ def estimation() -> list[Row]:
     arm, camera = Arm(**_conf("arm/paper.yaml")), Camera(**_conf("camera/highspeed.yaml"))
     call = partial(random_search.estimate, string, arm, camera, [trial], None, seed=1, manipulation=1, **settings)
     wall = in_turns({"wall": partial(_on, 2, call)}, 3, time.perf_counter)["wall"]
-    count = settings["candidates"]
-    return [seen("one estimation", "random search", wall, "s", points=10, threads=2, batch=count, at_most=2)]
+    alone = in_turns({"processor": call}, 3)["processor"]
+    more = {"points": 10, "batch": settings["candidates"]}
+    return [
+        seen("one estimation", "random search, wall clock", wall, "s", threads=2, **more, at_most=2),
+        seen("one estimation", "random search, processor time", alone, "s", threads=1, **more),
+    ]
 
 
 def _conf(path: str) -> dict:  # type: ignore[type-arg]
@@ -236,4 +248,5 @@ def table() -> pd.DataFrame:
     numba.set_num_threads(1)
     limit = limits.measured()
     rows = [*machine(limit), *loops(limit), *batches(), *threads(), *equals(), *estimation(), *compilation()]
-    return pd.DataFrame([asdict(row) for row in rows])
+    together = {row.measure: None for row in rows}  # in the order in which each first appears
+    return pd.DataFrame([asdict(row) for measure in together for row in rows if row.measure == measure])

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 
 from stages.report.picture import LIGHT, STYLE
 
+TICKS = (0.2, 0.5, 1, 2, 5)
 COST = "ns per mass-point-step and core"
 
 
@@ -30,6 +31,9 @@ def picture(rows: pd.DataFrame, path: Path) -> None:
                 "limit of this machine", (0.98, limit), xycoords=("axes fraction", "data"), ha="right", va="top"
             )
             axes.set_yscale("log")
+            axes.set_ylim(1, None)
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter("")
         _goals(goals, rows)
         figure.savefig(path, dpi=150, facecolor="white")
         plt.close(figure)
@@ -47,12 +51,14 @@ def _cost(axes: Axes, rows: pd.DataFrame, over: str) -> None:
 def _goals(axes: Axes, rows: pd.DataFrame) -> None:
     """How far each goal is reached or missed, on a scale where 1 is the goal."""
     some = rows[rows[["at_least", "at_most"]].notna().any(axis=1)].iloc[::-1]
-    reached = some["value"] / some["at_least"].fillna(1) * 1.0
+    reached = some["value"] / some["at_least"]
     reached = reached.where(some["at_least"].notna(), some["at_most"] / some["value"])
-    names = some["measure"] + some["subject"].map(lambda s: f" ({s.split(', ')[-1]})")
+    names = some["measure"] + ": " + some["subject"].str.split(", ").str[-1]
     colours = [LIGHT["measured"] if r >= 1 else LIGHT["before"] for r in reached]
     axes.barh(names, reached - 1, left=1, color=colours)
     axes.axvline(1, color=LIGHT["ink"], lw=1)
     axes.set_xscale("log")
+    axes.set_xticks(TICKS, [f"{tick:g}" for tick in TICKS])
+    axes.minorticks_off()
     axes.set(title="goals: right of the line is met", xlabel="reached / goal")
     axes.tick_params(axis="y", labelsize=7)
