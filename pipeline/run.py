@@ -139,7 +139,7 @@ def _iterate(world: World, folder: Path, before: list[Iteration], bar: Bar) -> I
         current.done[name] = _step(world, folder, name, past, bar)
     motion: Motion = current.done["generate"]
     points: Points = current.done["extract"]
-    return Iteration(current.number, current.done, judge(points.readings, world.target, motion.duration))
+    return Iteration(current.number, current.done, judge(points, world.target, world.obstacles, motion.duration))
 
 
 def _step(world: World, folder: Path, name: str, past: Past, bar: Bar) -> Any:
@@ -221,6 +221,7 @@ def _ended(folder: Path, iterations: list[Iteration], sentence: str) -> Result:
         row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
         if i.verdict is not None:
             row |= {"hit": i.verdict.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
+            row |= {"touched": i.verdict.touched}
         row = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
         rows.append(row)
     store.write_text(

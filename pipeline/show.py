@@ -46,11 +46,12 @@ def summary(result: Result) -> Group:
 
 
 def faults(result: Result) -> list[str]:
-    """What went wrong on the way to the arm, trial by trial."""
+    """What went wrong, cast by cast: on the way to the arm, and with obstacles."""
     links = {i.number: i.done["execute"].link.iloc[0] for i in result.iterations if "execute" in i.done}
-    return [
-        f"Cast {number} is not to be trusted: {link['reason']}." for number, link in links.items() if not link["valid"]
-    ]
+    late = {n: f"it is not to be trusted: {link['reason']}" for n, link in links.items() if not link["valid"]}
+    touched = {i.number: i.verdict.touched for i in result.iterations if i.verdict is not None and i.verdict.touched}
+    lay = {n: f"the string lay in an obstacle in {frames} frame(s)" for n, frames in touched.items()}
+    return [f"Cast {number}: {words}." for fault in (late, lay) for number, words in fault.items()]
 
 
 def _row(iteration: Iteration) -> list[str]:

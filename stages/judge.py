@@ -1,13 +1,15 @@
-"""Judge: did the real tip enter the target box during the movement?"""
+"""Judge: did the real tip enter the target box during the movement, with the string clear of obstacles?"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
+from data.artifacts import Points
 from stages.generate.space import Box
 
 FINE = 0.0005  # [s]
@@ -16,34 +18,53 @@ LONGEST_GAP = 0.02  # [s] between readings over which the tip's way is still gue
 
 @dataclass(frozen=True)
 class Verdict:
-    """hit: the tip was in the box. t: time of the closest approach to its centre [s], and the
-    distance there [m]; NaN where no tip was read."""
+    """hit: the tip was in the box, and until then the string touched no obstacle. t: time of the closest
+    approach to the box's centre [s], and the distance there [m]; NaN where no tip was read.
+    touched: frames of the movement in which the string lies in an obstacle."""
 
     hit: bool
     t: float
     distance: float
+    touched: int = 0
 
 
-def judge(readings: pd.DataFrame, target: Box, duration: float) -> Verdict:
+def judge(seen: Points, target: Box, obstacles: Sequence[Box], duration: float) -> Verdict:
     """Follow the tip between frames (a cubic through the readings) for 0 <= t <= duration [s].
 
-    readings: table READINGS. At 20 m/s and 200 frames a second the tip moves 100 mm from
-    frame to frame, so frames alone would miss a hit.
+    At 20 m/s and 200 frames a second the tip moves 100 mm from frame to frame, so frames
+    alone would miss a hit. Obstacles are judged by the frames alone.
     """
+    touched = touching(seen.points, obstacles, duration)
+    fine, way = _way(seen.readings, duration)
+    if not np.isfinite(way).any():
+        return Verdict(False, np.nan, np.nan, len(touched))
+    inside = np.concatenate([[False], target.crossed(way[:-1], way[1:])])
+    entered = fine[np.argmax(inside)] if inside.any() else -np.inf
+    away = np.where(np.isfinite(way[:, 0]), target.away(way), np.inf)
+    nearest = int(np.argmin(away))
+    clear = not (touched <= entered).any()
+    return Verdict(bool(inside.any() and clear), float(fine[nearest]), float(away[nearest]), len(touched))
+
+
+def touching(points: pd.DataFrame, obstacles: Sequence[Box], duration: float) -> np.ndarray:
+    """Times of the movement's frames in which the string lies in an obstacle [s]. points: table POINTS."""
+    moving = points[(points["t"] >= 0) & (points["t"] <= duration)].sort_values(["t", "s"])
+    place, t = moving[["x", "y"]].to_numpy(), moving["t"].to_numpy()
+    joined = t[1:] == t[:-1]
+    crossed = [box.crossed(place[:-1], place[1:]) & joined for box in obstacles]
+    return np.unique(t[1:][np.any(crossed, axis=0)]) if crossed and len(t) else np.empty(0)
+
+
+def _way(readings: pd.DataFrame, duration: float) -> tuple[np.ndarray, np.ndarray]:
+    """Fine times of the movement (K,) [s] and the tip there (K, 2) [m], NaN where it is not known."""
     good = readings[readings["valid"].astype(bool)]
     t, tip = good["t"].to_numpy(), good[["tip_x", "tip_y"]].to_numpy()
     if len(t) < 2:
-        return Verdict(False, np.nan, np.nan)
+        return np.empty(0), np.empty((0, 2))
     fine = np.arange(max(t[0], 0.0), min(t[-1], duration) + FINE / 2, FINE)
     gap = np.diff(t)[np.clip(np.searchsorted(t, fine, side="right") - 1, 0, len(t) - 2)]
     known = gap <= longest_gap(readings)
-    if not known.any():
-        return Verdict(False, np.nan, np.nan)
-    way = CubicSpline(t, tip)(fine)
-    inside = target.crossed(way[:-1], way[1:]) & known[1:] & known[:-1]
-    away = np.where(known, target.away(way), np.inf)
-    nearest = int(np.argmin(away))
-    return Verdict(bool(inside.any()), float(fine[nearest]), float(away[nearest]))
+    return fine, np.where(known[:, None], CubicSpline(t, tip)(fine), np.nan)
 
 
 def longest_gap(readings: pd.DataFrame) -> float:

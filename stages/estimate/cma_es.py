@@ -14,7 +14,7 @@ from pydantic import Field
 
 from data.artifacts import Estimate, Observation
 from stages.estimate.matching import Matching, matching_rate, targets
-from stages.estimate.result import Search, estimate_of, spread, start_chi, values_of
+from stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
 from stages.model.model import Model
 
 
@@ -53,4 +53,4 @@ def estimate(
         rates.append(rate)
         progress((number + 1) / rounds)
     found = Search("CMA-ES", np.concatenate(tried), np.concatenate(rates))
-    return estimate_of(goals, before, found.chi[found.best], found, spread(goals, found))
+    return estimate_of(goals, before, found.chi[found.best], found, unmoved(goals, found))

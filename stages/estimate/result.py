@@ -18,6 +18,7 @@ BROAD = 0.5  # an undetermined parameter's good values spread over this share of
 SCAN = np.linspace(0, 1, 21)  # chi at which a parameter is tried for that
 TIED = 0.95  # correlation beyond which two parameters are known only together
 POOR = 0.6  # E below which the model does not explain the data, whatever its parameters
+FAR = 0.1  # of the string's length: a residual beyond that is no fit either
 EDGE = 0.01  # of the range: a value this close to an end sits on it
 
 
@@ -79,7 +80,7 @@ def estimate_of(
         "rms_before": rms[0],
         "rms_after": rms[1],
         "rejected": int(np.isnan(search.matching_rate).sum()),
-        "sentence": interval.sentence if matching["after"].mean() >= POOR else poor(matching["after"].mean()),
+        "sentence": poor(matching["after"].mean(), rms[1], goals[0].case.model.string.length) or interval.sentence,
     }
     return Estimate(
         PARAMETERS.check(_parameters(parameters, pair[1], after, interval)),
@@ -89,11 +90,11 @@ def estimate_of(
     )
 
 
-def spread(goals: Sequence[Target], search: Search) -> Interval:
-    """Which parameters E singles out: their values as good as the best cover less than BROAD of the range.
+def unmoved(goals: Sequence[Target], search: Search) -> Interval:
+    """What a search on E can say of its best string: which parameters E does not depend on there.
 
-    A search narrows by itself, so where its candidates lie says little. Each parameter is also
-    moved through its range with the others held; a trade-off between two can still go unseen.
+    It cannot say that a parameter is determined: a search narrows by itself, and may end beside
+    a string that is better still. Each parameter is moved through its range, the others held.
     """
     parameters = goals[0].case.model.parameters
     best = search.chi[search.best]
@@ -103,10 +104,11 @@ def spread(goals: Sequence[Target], search: Search) -> Interval:
     chi = np.concatenate([search.chi, moved])
     rate = np.concatenate([search.matching_rate, matching_rate(goals, values_of(parameters, moved))])
     width = np.ptp(chi[rate >= search.matching_rate[search.best] - NEAR], axis=0)
-    determined = (width < BROAD) & (best > EDGE) & (best < 1 - EDGE)
+    found = (width < BROAD) & (best > EDGE) & (best < 1 - EDGE)
     unknown = np.full(len(best), np.nan)
-    clear = "Near the best string found, E depends on every parameter."
-    return Interval(unknown, unknown, determined, words(parameters, determined, clear))
+    loose = words(parameters, found, "Near the best string found, E depends on every parameter.")
+    sentence = f"{loose} How sure the others are, a search on E cannot say; least squares can."
+    return Interval(unknown, unknown, np.zeros(len(best), dtype=bool), sentence)
 
 
 def words(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -> str:
@@ -129,9 +131,14 @@ def tied(parameters: Sequence[Parameter], determined: np.ndarray, correlation: n
     return f" It knows only together: {', '.join(pairs)}." if pairs else ""
 
 
-def poor(rate: float) -> str:
-    """What to say of parameters of a model that does not fit."""
-    return f"The model does not explain this data (E = {rate:.2f}): its parameters mean little."
+def poor(rate: float, rms: float, length: float) -> str:
+    """What to say of parameters of a model that does not fit; empty if it does. rms, length [m]."""
+    if rate >= POOR and rms < FAR * length:
+        return ""
+    return (
+        f"The model does not explain this data (E = {rate:.2f}, {rms * 1e3:.0f} mm between the simulated string and "
+        "the measured one): its parameters mean little."
+    )
 
 
 def _matching(goal: Target, pair: np.ndarray) -> pd.DataFrame:

@@ -8,7 +8,8 @@ import pytest
 from data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
 from stages.estimate import cma_es, least_squares, random_search
 from stages.estimate.forward import case
-from stages.estimate.matching import Matching, match
+from stages.estimate.matching import Matching, match, targets
+from stages.extract.score import rasterise, score_map
 from stages.model.hand import hand_motion_from_grasp
 from stages.model.model import Model
 from stages.model.string import String, simulate
@@ -61,6 +62,48 @@ def test_matching_rate_is_equations_5_and_6():
         p[5] = max(7 - np.linalg.norm(pixels[c, f, 5] - tips[f]) // 3.0, 0)
         literal[c, f] = (p * weights[f]).sum() / (7 * weights[f].sum())
     np.testing.assert_allclose(match(pixels, maps, tips, 3.0, 7.0, weights), literal, rtol=1e-12)
+
+
+def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camera):
+    """w_i = 1 + (i - 1) delta_w, maps dilated by step_px at a time: E of a candidate, word for word."""
+    model, matching = Model(STRING, arm, camera), Matching(6, 2, 3.0, 0.5)
+    seen = observed(1)
+    (goal,) = targets(model, [seen], matching)
+    np.testing.assert_allclose(goal.weights[7], 1 + 0.5 * np.arange(10))
+    t = np.unique(seen.points["t"])[7]
+    line = camera.pixels(seen.points[seen.points["t"] == t][["x", "y"]].to_numpy())
+    mask = rasterise(line, (camera.height, camera.width), 3)
+    np.testing.assert_array_equal(goal.maps[7], score_map(mask, 6, 2))
+    assert set(np.unique(goal.maps[7])) == set(range(7))
+    rates, finite = goal.per_frame(STRING.start()[None])
+    strings = camera.pixels(next(goal.case.simulate(STRING.start()[None]))[1].points[0, 7])
+    inside = [goal.maps[7][int(v + 0.5), int(u + 0.5)] for u, v in strings[:9]]
+    tip = max(6 - np.linalg.norm(strings[9] - line[9]) // 3.0, 0)
+    weights = 1 + 0.5 * np.arange(10)
+    assert finite.all()
+    assert rates[0, 7] == pytest.approx(weights @ [*inside, tip] / (6 * weights.sum()), abs=1e-12)
+
+
+def test_the_next_manipulation_begins_where_the_last_one_ended(arm, camera):
+    model = Model(STRING, arm, camera)
+    settings = {"candidates": 64, "matching": MATCHING}
+    walk = {"chi_0": 0.5, "beta": 0.99, "together": 16}
+    first = random_search.estimate(model, [observed(1)], None, seed=2, manipulation=1, **settings, **walk)
+    second = random_search.estimate(model, [observed(2)], first, seed=3, manipulation=2, **settings, **walk)
+    begun = second.candidates.iloc[0]
+    assert {name: begun[name] for name in STRING.names} == pytest.approx(first.values(), rel=1e-9)
+    assert second.fit["before"].iloc[0] == pytest.approx(begun["matching_rate"], abs=1e-12)
+
+
+def test_cma_es_looks_closer_with_every_manipulation(arm, camera):
+    model = Model(STRING, arm, camera)
+    widths = []
+    for manipulation in (1, 4):
+        settings = {"candidates": 33, "sigma": 0.1, "population": 32, "matching": MATCHING}
+        found = cma_es.estimate(model, [observed(1)], None, seed=2, manipulation=manipulation, **settings)
+        chi = np.stack([p.chi(found.candidates[p.name].to_numpy()[1:]) for p in STRING.parameters], axis=-1)
+        widths.append(chi.std(axis=0).mean())
+    assert widths[0] / widths[1] == pytest.approx(4, rel=0.1)
 
 
 def test_candidates_narrow_as_equation_4_says(arm, camera):

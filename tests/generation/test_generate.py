@@ -1,5 +1,7 @@
 """Motions: what the paper prescribes, what the arm allows, and that they hit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
@@ -52,6 +54,8 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
     bound = 150.0 * first.duration[:, None, None] / 5
     assert np.all(np.abs(first.control[..., 1:-1]) <= bound)
     assert np.abs(first.control[..., 1:-1] / bound).max() > 0.99
+    assert 0.2 <= first.duration.min() < 0.22
+    assert 1.48 < first.duration.max() <= 1.5
     last = first.only(np.array([0]))
     later = next_curves(arm, rng, 500, (0.2, 1.5), 150.0, last, 0.25)
     assert np.all(later.start == last.start)
@@ -63,8 +67,8 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     """Checked again from the commands alone, with another sampling."""
-    wall = Box(0.75, 0.2, 0.05, 0.3)
-    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, {}, seed=seed, **SETTINGS)
+    wall = Box(0.6, 0.35, 0.05, 0.3)  # in the way of most
+    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, {}, seed=seed, **SETTINGS | {"hits": 20})
     commands = motion.commands
     q, w = commands[["q1", "q2", "q3"]].to_numpy(), commands[["w1", "w2", "w3"]].to_numpy()
     assert np.all((q >= arm.lowest) & (q <= arm.highest))
@@ -77,7 +81,31 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     points = simulate(STRING, hand, STRING.start()[None], times).points[0]
     assert TARGET.crossed(points[:-1, -1], points[1:, -1]).any()
     assert not wall.crossed(points[:, :-1], points[:, 1:]).any()
-    assert motion.attempts["count"].sum() == motion.outcome["tried"].iloc[0]
+    attempts = motion.attempts.set_index("outcome")["count"]
+    assert attempts.sum() == motion.outcome["tried"].iloc[0]
+    assert attempts["the arm touches an obstacle"] > 0
+    assert attempts["the string touches an obstacle"] > 0
+
+
+def test_a_slower_hand_is_obeyed_throughout(arm, camera):
+    slow = replace(arm, hand_speed=4.0)
+    motion = generate(Model(STRING, slow, camera), TARGET, (), None, {}, seed=1, **SETTINGS)
+    q, w = (motion.commands[names].to_numpy() for names in (["q1", "q2", "q3"], ["w1", "w2", "w3"]))
+    assert np.linalg.norm(slow.grasp_velocity(q, w)[:, :2], axis=1).max() <= 4.0 * 1.01
+    assert motion.attempts.set_index("outcome")["count"]["the hand is too fast"] > 0
+
+
+def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
+    def stay(hits, seed):
+        motion = generate(Model(STRING, arm, camera), TARGET, (), None, {}, seed=seed, **SETTINGS | {"hits": hits})
+        t = np.arange(0, motion.duration, 0.0005)
+        hand = hand_motion(arm, motion.commands["t"].to_numpy(), motion.commands[["q1", "q2", "q3"]].to_numpy())
+        tip = simulate(STRING, hand, STRING.start()[None], t).tip[0]
+        return TARGET.crossed(tip[:-1], tip[1:]).mean() * motion.duration
+
+    first, best = ([stay(hits, seed) for seed in range(3)] for hits in (1, 6))
+    assert all(b >= f - 0.0011 for f, b in zip(first, best, strict=True))
+    assert sum(best) > sum(first) + 0.002
 
 
 def test_failures_say_why(arm, camera):

@@ -4,19 +4,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data.artifacts import MASKS, POINTS, Points
 from stages.generate import Box
 from stages.judge import judge
 
 BOX = Box(0.5, 0.5, 0.02, 0.04)
 
 
-def readings(t, x, y):
-    return pd.DataFrame({"t": t, "tip_x": x, "tip_y": y, "valid": np.isfinite(x)})
+def seen(t, x, y, points=None):
+    readings = pd.DataFrame({"t": t, "tip_x": x, "tip_y": y, "valid": np.isfinite(x)})
+    return Points(POINTS.empty() if points is None else points, readings, MASKS.empty())
 
 
 def test_a_tip_that_flies_through_between_two_frames_hits():
     t = np.arange(0, 0.1, 0.005) + 0.0005
-    verdict = judge(readings(t, 0.5 + 20 * (t - 0.0505), 0.5 + 0 * t), BOX, 0.1)
+    verdict = judge(seen(t, 0.5 + 20 * (t - 0.0505), 0.5 + 0 * t), BOX, (), 0.1)
     assert verdict.hit
     assert verdict.t == pytest.approx(0.0505, abs=5e-4)
     assert verdict.distance < 0.006
@@ -27,7 +29,7 @@ def test_a_tip_that_flies_through_between_two_frames_hits():
 )
 def test_the_box_is_0_02_by_0_04(dx, dy, hit):
     t = np.arange(0, 0.1, 0.005)
-    verdict = judge(readings(t, 0.5 + dx + 0 * t, 0.5 + dy + 0 * t), BOX, 0.1)
+    verdict = judge(seen(t, 0.5 + dx + 0 * t, 0.5 + dy + 0 * t), BOX, (), 0.1)
     assert verdict.hit == hit
     assert verdict.distance == pytest.approx(np.hypot(dx, dy), abs=1e-9)
 
@@ -35,26 +37,39 @@ def test_the_box_is_0_02_by_0_04(dx, dy, hit):
 def test_only_the_movement_counts():
     t = np.arange(-0.2, 0.4, 0.005)
     inside = np.where((t < -0.05) | (t > 0.25), 0.5, 0.8)
-    assert not judge(readings(t, inside, 0.5 + 0 * t), BOX, 0.2).hit
+    assert not judge(seen(t, inside, 0.5 + 0 * t), BOX, (), 0.2).hit
 
 
 def test_nothing_is_guessed_in_a_gap():
     t = np.arange(0, 0.1, 0.005)
     x = 0.3 + 4 * t
     x[(x > 0.4) & (x < 0.6)] = np.nan
-    verdict = judge(readings(t, x, 0.5 + 0 * t), BOX, 0.1)
+    verdict = judge(seen(t, x, 0.5 + 0 * t), BOX, (), 0.1)
     assert not verdict.hit
     assert verdict.distance > 0.09
-    assert not judge(readings(t[:1], x[:1], t[:1]), BOX, 0.1).hit
+    assert not judge(seen(t[:1], x[:1], t[:1]), BOX, (), 0.1).hit
 
 
 def test_a_tip_seen_only_outside_the_movement_has_no_distance():
     t = np.array([0.3, 0.305, 0.31])
-    verdict = judge(readings(t, t, t), BOX, 0.2)
+    verdict = judge(seen(t, t, t), BOX, (), 0.2)
     assert not verdict.hit
     assert np.isnan(verdict.distance)
 
 
 def test_a_slow_camera_can_see_a_hit():
     t = np.arange(0, 1, 1 / 30)
-    assert judge(readings(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, 1.0).hit
+    assert judge(seen(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, (), 1.0).hit
+
+
+def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
+    """A straight string of three points sweeps to the right; a wall stands where it passes at t = 0.05."""
+    t = np.arange(0, 0.1, 0.005)
+    x = 0.5 + 4 * (t - 0.08)
+    rows = [{"t": a, "s": s, "x": b, "y": 0.5 - s} for a, b in zip(t, x, strict=True) for s in (0.0, 0.1, 0.2)]
+    wall = Box(0.38, 0.35, 0.021, 0.02)  # between two of the points
+    struck = judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (wall,), 0.1)
+    assert (struck.hit, struck.touched) == (False, 1)
+    behind = judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (Box(0.57, 0.35, 0.021, 0.02),), 0.1)
+    assert (behind.hit, behind.touched) == (True, 1)  # only after it had hit
+    assert judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1).hit

@@ -59,6 +59,25 @@ def test_inner_forces_do_not_push_the_string_as_a_whole():
     np.testing.assert_allclose(points[-20:], straight[-20:], atol=1e-7)
 
 
+def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
+    """Weightless and airless, spun about the grasp at an even rate, it points where the grasp does."""
+    string = String(0.3, effects=tuple(e for e in WEIGHTLESS if e.__name__ != "AirDrag"))
+    t = np.arange(0, 1.5, 0.005)
+    theta = np.cumsum(np.clip(t / 0.2, 0, 1)) * 0.005 * 8
+    pose = np.stack([0 * t, 0 * t, theta], axis=-1)
+    named = NAMED | {
+        "bending_stiffness": 400.0,
+        "grasp_stiffness": 900.0,
+        "bending_damping": 10.0,
+        "grasp_damping": 20.0,
+    }
+    points = simulate(string, hand_motion_from_grasp(t, pose), string.values(named)[None], t).points[0, -1]
+    along = points @ [np.cos(theta[-1]), np.sin(theta[-1])]
+    across = points @ [-np.sin(theta[-1]), np.cos(theta[-1])]
+    assert along[-1] > 0.3
+    np.testing.assert_allclose(across, 0, atol=1e-5)
+
+
 def test_candidates_do_not_notice_each_other_nor_the_threads():
     numba = pytest.importorskip("numba")
     string = String(0.3)

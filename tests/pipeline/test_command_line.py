@@ -54,6 +54,16 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert ended["sentence"] in page
 
 
+def test_the_second_motion_is_the_first_slightly_changed(quick):
+    """III: the same start, and control points near the last ones."""
+    first, second = (pd.read_parquet(quick / f"iterations/{n}/motion/commands.parquet") for n in ("01", "02"))
+    joints = ["q1", "q2", "q3"]
+    pd.testing.assert_series_equal(first[joints].iloc[0], second[joints].iloc[0])
+    last, now = (pd.read_parquet(quick / f"iterations/{n}/motion/control_points.parquet") for n in ("01", "02"))
+    duration = second["t"].iloc[-1]
+    assert (now["velocity"] - last["velocity"]).abs().max() <= 0.25 * min(150 * duration / 5, 20.66) + 1e-9
+
+
 def test_every_number_has_its_unit_and_every_file_its_origin(quick):
     for file in sorted(quick.rglob("*.parquet")):
         for column in pq.read_schema(file):

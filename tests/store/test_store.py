@@ -1,6 +1,8 @@
 """What is stored comes back to the bit, with units, origin and a hash of its content."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -60,6 +62,22 @@ def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(poin
     renamed = replace(points, points=points.points.rename(columns={"held": "kept"}))
     store.save(renamed, tmp_path / "c", {"seed": 1})
     assert store.content_hash(tmp_path / "c") != store.content_hash(tmp_path / "a")
+
+
+def test_everything_is_on_the_disk_before_it_has_its_name(points, tmp_path, monkeypatch):
+    """A power cut after the name appears must find the content: files and folders are synced before the rename."""
+    done = []
+    true_sync, true_rename = os.fsync, os.replace
+    monkeypatch.setattr(
+        os, "fsync", lambda handle: (done.append(os.readlink(f"/proc/self/fd/{handle}")), true_sync(handle))[1]
+    )
+    monkeypatch.setattr(os, "replace", lambda a, b: (done.append("rename"), true_rename(a, b))[1])
+    store.save(points, tmp_path / "p", {})
+    before = done[: done.index("rename")]
+    assert {Path(name).name for name in before} >= {"masks.parquet", "points.parquet", "readings.parquet"}
+    aside = str(Path(before[0]).parent)
+    assert aside in before
+    assert str(tmp_path) in done[done.index("rename") :]
 
 
 def test_saving_again_replaces_the_whole_folder(points, tmp_path):
