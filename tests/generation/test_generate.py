@@ -68,7 +68,7 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
 def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     """Checked again from the commands alone, with another sampling."""
     wall = Box(0.6, 0.35, 0.05, 0.3)  # in the way of most
-    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, {}, seed=seed, **SETTINGS | {"hits": 20})
+    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, {}, seed=seed, **SETTINGS | {"hits": 5})
     commands = motion.commands
     q, w = commands[["q1", "q2", "q3"]].to_numpy(), commands[["w1", "w2", "w3"]].to_numpy()
     assert np.all((q >= arm.lowest) & (q <= arm.highest))
