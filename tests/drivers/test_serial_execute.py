@@ -1,0 +1,92 @@
+"""The execute stage on the real driver and the OpenCV camera: an emulated arm, and a film played to it."""
+
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from data.artifacts import JOINTS, SPEEDS
+from hardware.opencv_camera import OpenCvCamera
+from hardware.serial import open_lab
+from hardware.serial.arm import SerialArm
+from hardware.serial.protocol import VELOCITY
+from stages.execute import execute
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+
+ARM = Arm((0.25, 0.2, 0.135), (0.0, 0.0), (-2.0,) * 3, (2.0,) * 3, (20.0,) * 3, (300.0,) * 3, 21.8, 0.005)
+CAMERA = Camera(64, 48, 50.0, (32.0, 24.0), 100.0)
+LINK = {"baud": 1_000_000, "misses": 20, "late": 0.1, "most_missed": 0.5, "approach": 2.0, "settle": 0.0, "delay": 0.0}
+
+
+@pytest.fixture
+def port(tmp_path):
+    command = [sys.executable, "-m", "hardware.serial.emulator", "--log", str(tmp_path / "state.json"), "--until", "30"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    yield process.stdout.readline().strip()
+    process.kill()
+    process.wait()
+
+
+@pytest.fixture
+def film(tmp_path):
+    """Eight seconds at 100 frames a second, each as bright as its number says."""
+    path = tmp_path / "film.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
+    for number in range(800):
+        video.write(np.full((48, 64, 3), 20 + number // 4, np.uint8))
+    video.release()
+    return str(path)
+
+
+def motion(duration=0.3):
+    t = np.arange(0, duration + 1e-9, 0.005)
+    q = np.stack([a * (1 - np.cos(np.pi * t / duration)) / 2 for a in (0.5, -0.4, 0.6)], axis=-1)
+    w = np.concatenate([np.diff(q, axis=0) / 0.005, np.zeros((1, 3))])
+    columns = {"t": t} | dict(zip(JOINTS, q.T, strict=True)) | dict(zip(SPEEDS, w.T, strict=True))
+    return SimpleNamespace(commands=pd.DataFrame(columns), duration=duration)
+
+
+def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
+    lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
+    trial = execute(motion(), lab.arm, lab.camera, before=0.1, after=0.1)
+    t = trial.frames["t"].to_numpy()
+    assert t[0] == pytest.approx(-0.1, abs=0.011)
+    assert t[-1] == pytest.approx(0.4, abs=0.011)
+    assert np.median(np.diff(t)) == pytest.approx(0.01, abs=1e-3)
+    assert len(trial.images) == len(t) >= 45
+    assert trial.ticks["t_due"].iloc[20] == pytest.approx(0.0, abs=1e-9)
+    turned = trial.arm.iloc[-1][list(JOINTS)] - trial.arm.iloc[0][list(JOINTS)]
+    np.testing.assert_allclose(turned, [0.5, -0.4, 0.6], atol=0.03)
+
+
+def test_the_camera_is_told_when_the_arm_began_to_move(port, monkeypatch):
+    """Not when it was asked to: pings and checks lie between, and differ from cast to cast."""
+    sent, told = [], []
+    send = SerialArm._send
+
+    def watched(self, kind, speeds=()):
+        if kind == VELOCITY and any(speeds):
+            sent.append(time.monotonic())
+        return send(self, kind, speeds)
+
+    class Watch(OpenCvCamera):
+        def __enter__(self):
+            return self
+
+        def start(self):
+            sent.clear()
+
+        def stop(self, moved_at):
+            told.append(moved_at)
+            return SimpleNamespace(t=np.zeros(0), images=[])
+
+    monkeypatch.setattr(SerialArm, "_send", watched)
+    lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=0, **LINK)
+    execute(motion(), lab.arm, Watch(CAMERA, 0, 0.0), before=0.1, after=0.1)
+    assert told[0] == pytest.approx(sent[0], abs=0.004)  # less than a tick, on a machine that may be busy
