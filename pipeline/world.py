@@ -6,12 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from hydra.utils import instantiate
 
 from pipeline.settings import UserError, build, stage
 from stages.generate import Box, check_reach
+from stages.generate.curves import plain_cast
+from stages.model.accuracy import ToleranceError, accurate
 from stages.model.arm import Arm
 from stages.model.camera import Camera
+from stages.model.hand import JointMotion
 from stages.model.library import named
 from stages.model.model import Model
 from stages.model.parameter import Parameter
@@ -56,7 +60,7 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     _check_run(config, where)
     arm = build(Arm, config["arm"], "arm", where("arm"))
     target = build(Box, config["target"], "target", where("target"))
-    string = _string(config["string"], where("string"))
+    string = _accurate(_string(config["string"], where("string")), arm, config, where("string"))
     camera = build(Camera, config["camera"], "camera", where("camera"))
     model = with_effects(Model(string, arm, camera), config["effects"], where("effects"))
     if "generate" in config["steps"]:
@@ -102,10 +106,28 @@ def with_effects(model: Model, names: Any, where: str) -> Model:
 
 def _string(block: Mapping[str, Any], where: str) -> String:
     """The string model, with the ranges of its parameters."""
-    settings = {key: value for key, value in block.items() if key not in ("ranges", "integrator")}
+    settings = {key: value for key, value in block.items() if key not in ("ranges", "integrator", "tolerance")}
     plain = build(String, settings, "string", where)
     known = {p.name: p for p in plain.parameters}
     return replace(plain, ranges=_ranges(block["ranges"], known, where), integrator=instantiate(block["integrator"]))
+
+
+def _accurate(string: String, arm: Arm, config: Mapping[str, Any], where: str) -> String:
+    """The string with points and step that keep `string.tolerance`, if there is one.
+
+    Measured on one plain cast of the arm, with all parameters in the middle of their ranges.
+    """
+    tolerance = config["string"]["tolerance"]
+    if tolerance is None:
+        return string
+    if not isinstance(tolerance, float | int) or tolerance <= 0:
+        raise UserError(f"string.tolerance = {tolerance!r} ({where}): it must be metres above 0, or null. Change it.")
+    cast = plain_cast(arm, float(np.sqrt(config["generate"]["shortest"] * config["generate"]["longest"])))
+    hand = JointMotion(0.0, arm.tick, *cast.sampled(arm.tick, float(cast.duration[0]))).grasp(arm)
+    try:
+        return accurate(string, hand, np.array([p.value(np.array(0.5)) for p in string.parameters]), tolerance).string
+    except ToleranceError as error:
+        raise UserError(f"string.tolerance = {tolerance} ({where}): {error}") from error
 
 
 def _ranges(

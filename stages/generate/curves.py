@@ -68,6 +68,16 @@ def next_curves(
     return Curves(np.repeat(last.start, count, axis=0), duration, control)
 
 
+def plain_cast(arm: Arm, duration: float) -> Curves:
+    """One swing of all joints together, through the middle third of their ranges in `duration` [s]."""
+    lowest, highest = np.asarray(arm.lowest), np.asarray(arm.highest)
+    sweep = (highest - lowest) / 3
+    whole = _whole(np.array([duration]), arm.tick)
+    control = np.zeros((1, len(sweep), INTERVALS + 1))
+    control[0, :, 1:-1] = (sweep / whole * (INTERVALS + 1) / (INTERVALS - 1))[:, None]
+    return Curves(((lowest + highest - sweep) / 2)[None], whole, control)
+
+
 def _whole(duration: np.ndarray, tick: float) -> np.ndarray:
     """Rounded to ticks, at least as many as there are intervals."""
     return np.maximum(np.round(duration / tick), INTERVALS) * tick

@@ -2,25 +2,40 @@
 
 A step is one or more passes over the string. `update` is source text that the kernel
 generator places where the acceleration (ax, ay) of a point is known; it sees its position
-px, py, its velocity qx, qy, the step dt, and rows of its own (R0..R7) to keep things in.
+px, py, its velocity qx, qy, the step dt, and rows of its own to keep things in. A method that
+moves the points together only keeps the acceleration, and moves them after the pass (`solver`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from stages.model import turn
+
+if TYPE_CHECKING:
+    from stages.model.string import String
 
 
 @dataclass(frozen=True)
 class Integrator:
     """nodes: when in a step the forces are evaluated, in steps, one for each pass. order: of
-    convergence. update: source text, a line a string."""
+    convergence. update: source text, a line a string. rows: names of rows of its own.
+    velocity: source text of the velocity qx, qy that loads see. turned: how a segment's turn in a
+    step is measured. solver: source text of what runs after each pass, and solve: its call."""
 
     name: str
     nodes: tuple[float, ...]
     order: int
     update: tuple[str, ...]
+    rows: tuple[str, ...] = ()
+    velocity: tuple[str, ...] = ("qx = B[VX + p]", "qy = B[VY + p]")
+    turned: str = field(default=turn.SMALL, repr=False)
+    solver: str = field(default="", repr=False)
+    solve: str = ""
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Largest stable step [s], (C,).
@@ -29,6 +44,14 @@ class Integrator:
         all together. drag [1/s]: (C,) the most that air adds.
         """
         raise NotImplementedError
+
+    def explicit(self, steepest: np.ndarray, gentlest: np.ndarray) -> np.ndarray:
+        """What of a law's slope limits the step: all of it. steepest, gentlest: (C,) over the string's range."""
+        return steepest
+
+    def constants(self, string: String, material: np.ndarray, dt: float) -> Mapping[str, np.ndarray]:
+        """What to fill own rows with before the first step [s] of dt, (C, 1 to n) each. material: (C, P)."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -72,6 +95,7 @@ class RungeKutta4(Integrator):
     name: str = "runge_kutta_4"
     nodes: tuple[float, ...] = (0.0, 0.5, 0.5, 1.0)
     order: int = 4
+    rows: tuple[str, ...] = ("R0", "R1", "R2", "R3", "R4", "R5", "R6", "R7")
     update: tuple[str, ...] = (
         "first = stage == 0",
         "last = stage == 3",

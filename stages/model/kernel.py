@@ -40,14 +40,14 @@ import numpy as np
 from stages.model.effect import StringEffect, arguments
 from stages.model.integrator import Integrator
 
+BEYOND = 2  # points after the tip that nothing is written to, for what looks further than the string goes
 W = 16  # candidates side by side: two AVX-512 or four AVX2 registers of float64
 
 ROWS = (
     *("X", "Y", "VX", "VY", "ANGLE", "SX", "SY", "INERTIA", "WEIGHT"),
     *("TX", "TY", "INVERSE", "PULL", "OMEGA", "MOMENT", "FX", "FY"),
-    *("R0", "R1", "R2", "R3", "R4", "R5", "R6", "R7"),
     *("HA", "HW", "SET"),
-)
+)  # and after them the integrator's own
 
 # What a law's argument is in the text of the loop.
 EXPRESSIONS = {
@@ -66,14 +66,6 @@ EXPRESSIONS = {
 Run = Callable[..., None]
 
 
-def turn_coefficients(degree: int = 8, limit: float = 0.5) -> np.ndarray:
-    """Coefficients a_k of atan(d) = d * sum a_k d^(2k), fitted for |d| <= limit (relative error 1e-12)."""
-    nodes = np.polynomial.chebyshev.chebpts1(200)
-    d2 = (nodes + 1.0) / 2.0 * limit**2
-    d = np.sqrt(d2)
-    return np.polynomial.polynomial.polyfit(d2, np.arctan(d) / d, degree - 1)
-
-
 @cache
 def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator) -> Run:
     """The compiled step loop for these effects.
@@ -87,8 +79,8 @@ def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], 
 def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator) -> str:
     """The module's text."""
     slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
-    constants = {name: number * W for number, name in enumerate(ROWS)} | {"NEXT": len(ROWS) * W}
-    constants |= {f"H{i}": i * W for i in range(12)}
+    constants = {name: kind * W for name, kind in kinds(integrator).items()}
+    constants |= {"NEXT": len(constants) * W} | {f"H{i}": i * W for i in range(12)}
     heavy = any({"density", "tip_mass"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
@@ -96,26 +88,34 @@ def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrat
         "rest": _sum(slots, "rest_curvature", names),
         "set": "B[SET + j]" if slots["rest_curvature"] else "0.0",
         "grasp_moment": _sum(slots, "grasp_moment", names),
-        "turn": _horner("d2", [repr(float(c)) for c in turn_coefficients()]),
         "flow": _vector(slots, "flow", names, "air"),
         "load": _vector(slots, "load", names, "load"),
         "acceleration": _vector(slots, "acceleration", names, "fall"),
         "weight": "B[WEIGHT + p]" if heavy else "1.0",
+        "velocity": "\n".join(integrator.velocity),
         "update": "\n".join(integrator.update),
     }
     fill = {
         "constants": "\n".join(f"{name} = np.uintp({value})" for name, value in constants.items()),
         "laws": "\n\n\n".join(_law_text(e, slot) for slot in slots for e in slots[slot]),
         "nodes": repr(tuple(map(float, integrator.nodes))),
+        "turned": integrator.turned,
+        "solver": integrator.solver,
+        "solve": integrator.solve,
         "W": str(W),
         **{name: _fill(text, pieces) for name, text in PIECES.items()},
     }
     return _fill(TEMPLATE, fill)
 
 
-def rows(blocks: int, points: int) -> np.ndarray:
-    """Zeros for the rows of every point, (blocks, points, kinds, W), kinds as in ROWS."""
-    return aligned((blocks, points, len(ROWS), W))
+def kinds(integrator: Integrator) -> dict[str, int]:
+    """Which of a point's rows is which, by name."""
+    return {name: number for number, name in enumerate((*ROWS, *integrator.rows))}
+
+
+def rows(blocks: int, points: int, integrator: Integrator) -> np.ndarray:
+    """Zeros for the rows of every point, (blocks, points + BEYOND, kinds, W)."""
+    return aligned((blocks, points + BEYOND, len(kinds(integrator)), W))
 
 
 def aligned(shape: tuple[int, ...]) -> np.ndarray:
@@ -160,13 +160,6 @@ def _vector(slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequen
     calls = [f"{prefix}{i}x, {prefix}{i}y = {_call(e, slot, names)}" for i, e in enumerate(slots[slot])]
     total = [f"{prefix}{c} = " + (" + ".join(f"{prefix}{i}{c}" for i in range(len(calls))) or "0.0") for c in "xy"]
     return "\n".join([*calls, *total])
-
-
-def _horner(variable: str, coefficients: Sequence[str]) -> str:
-    text = coefficients[-1]
-    for coefficient in reversed(coefficients[:-1]):
-        text = f"({coefficient} + {variable} * {text})"
-    return text
 
 
 def _fill(template: str, values: dict[str, str]) -> str:
@@ -219,9 +212,7 @@ ex = B[X + k + NEXT] - B[X + k]
 ey = B[Y + k + NEXT] - B[Y + k]
 wx = B[VX + k + NEXT] - B[VX + k]
 wy = B[VY + k + NEXT] - B[VY + k]
-d = (B[SX + k] * ey - B[SY + k] * ex) / (B[SX + k] * ex + B[SY + k] * ey)
-d2 = d * d
-angle = B[ANGLE + k] + d * <<turn>>
+angle = B[ANGLE + k] + turned(B[SX + k] * ey - B[SY + k] * ex, B[SX + k] * ex + B[SY + k] * ey)
 size = np.sqrt(ex * ex + ey * ey)
 inverse = 1.0 / size
 tx = ex * inverse
@@ -259,8 +250,7 @@ B[FY + p] = fy
     "point": """
 px = B[X + p]
 py = B[Y + p]
-qx = B[VX + p]
-qy = B[VY + p]
+<<velocity>>
 lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
 ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
 <<flow>>
@@ -292,6 +282,7 @@ TWO = np.uintp(2)
 
 <<laws>>
 
+<<turned>>
 
 @njit(**LAW)
 def grasp(B, H, u, tick):
@@ -352,6 +343,9 @@ def along(B, P, n, length, dt, t, stage):
         <<point>>
 
 
+<<solver>>
+
+
 @njit(**LAW)
 def record(B, n, out, alive):
     # Positions at a tick; a lane that is no longer finite is given up.
@@ -380,6 +374,7 @@ def run(buffers, P, H, per_block, points, length, steps, tick, start, out, alive
                     u = (q + NODES[stage]) / steps[b]
                     grasp(B, hand, u, tick)
                     along(B, P[b], n, length, dt, start + (c + u) * tick, stage)
+                    <<solve>>
             grasp(B, hand, 1.0, tick)
             record(B, n, out[b, c + 1], alive[b])
             if not alive[b].any():

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 SAFETY = 0.9
 FASTEST = 30.0  # [m/s] speed up to which air resistance is covered
 TAUT = 0.2  # stretch whose tension stiffens the string sideways
+LEVEL = 1.2  # ratio of one size of step to the next
 MOST_STEPS = 5000  # in a tick; more is impractical, and the candidate is rejected
 
 SAMPLES: dict[str, tuple[tuple[str, np.ndarray], ...]] = {
@@ -40,21 +41,20 @@ def steps_per_tick(string: String, material: np.ndarray, tick: float) -> tuple[n
     step = np.minimum(SAFETY * stable, string.largest_step)
     needed = tick / np.maximum(step, 1e-300)
     possible = np.isfinite(needed) & (needed <= MOST_STEPS)
-    level = np.ceil(np.log(np.maximum(np.where(possible, needed, 1.0), 1.0)) / np.log(1.2) - 1e-9)
-    return np.ceil(1.2**level - 1e-9).astype(int), possible
+    level = np.ceil(np.log(np.maximum(np.where(possible, needed, 1.0), 1.0)) / np.log(LEVEL) - 1e-9)
+    return np.ceil(LEVEL**level - 1e-9).astype(int), possible
 
 
 def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of squared frequency [1/s^2] and damping rate [1/s], (3 or more, C) each: axial, bending, grasp, and
-    those that loads declare."""
+    those that loads declare. Of what the string's integrator leaves explicit.
+    """
     axial, bending, grasp = _operators(string, material)
-    stretch, stretch_rate = slopes(string, material, "tension")
-    bend, bend_rate = slopes(string, material, "moment")
-    turn, turn_rate = slopes(string, material, "grasp_moment")
+    stiffness, damping = string.integrator.explicit(*slopes(string, material))
     length = string.segment
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
-    stiff = np.stack([(1 + TAUT) * stretch, bend, turn]) * reach
-    damped = np.stack([stretch_rate, bend_rate, turn_rate]) * reach
+    taut = np.array([[1 + TAUT], [1.0], [1.0]])
+    stiff, damped = taut * stiffness * reach, damping * reach
     masses, cells = string.masses(material)
     lightest = (cells / masses).max(axis=1)
     for effect in string.effects:
@@ -66,8 +66,20 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return stiff, damped
 
 
-def slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
-    """Steepest rise of the slot's laws with their first and second argument, (C,) each."""
+def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steepest and gentlest rise of the laws of tension, moment and grasp moment, (2, 3, C) each.
+
+    [0]: with stretch, curvature, angle (stiffness); [1]: with their rates (damping). The
+    steepest is the largest magnitude; the gentlest is what rises everywhere, at least 0.
+    """
+    sampled = [_sampled_slopes(string, material, slot) for slot in SAMPLES]
+    steepest = [[np.abs(rise).max(axis=1) for rise in both] for both in sampled]
+    gentlest = [[np.maximum(rise.min(axis=1), 0.0) for rise in both] for both in sampled]
+    return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
+
+
+def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
+    """Rise of the slot's laws with their first and second argument over the samples, (C, M) each."""
     (first, values), (second, speeds) = SAMPLES[slot]
     a, b = (grid.ravel()[None] for grid in np.meshgrid(values, speeds, indexing="ij"))
     da, db = 1e-4 * np.ptp(values), 1e-4 * np.ptp(speeds)
@@ -75,9 +87,9 @@ def slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray,
     def total(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return slot_sum(string, material, slot, {first: x, second: y})
 
-    steep = np.abs(total(a + da, b) - total(a - da, b)).max(axis=1) / (2 * da)
-    damped = np.abs(total(a, b + db) - total(a, b - db)).max(axis=1) / (2 * db)
-    return steep, damped
+    stiff = (total(a + da, b) - total(a - da, b)) / (2 * da)
+    damped = (total(a, b + db) - total(a, b - db)) / (2 * db)
+    return stiff, damped
 
 
 def slot_sum(string: String, material: np.ndarray, slot: str, given: dict[str, np.ndarray]) -> np.ndarray:

@@ -221,7 +221,8 @@ def _run(
     parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1))
     own = pose if len(pose) == 1 else pose[index]
     angles, lengths = hanging(string, material, pose[:, 0])
-    buffers = _buffers(string, material[index], own[:, 0], angles[index], lengths[index])
+    constants = string.integrator.constants(string, material[index], hand.tick / steps)
+    buffers = _buffers(string, material[index], own[:, 0], angles[index], lengths[index], constants)
     shared = len(pose) == 1
     cubic = _cubic(own, rate if shared else rate[index], hand.tick)
     if shared:
@@ -239,9 +240,17 @@ def _run(
 
 
 def _buffers(
-    string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray
+    string: String,
+    material: np.ndarray,
+    pose: np.ndarray,
+    angles: np.ndarray,
+    lengths: np.ndarray,
+    constants: Mapping[str, np.ndarray],
 ) -> np.ndarray:
-    """The kernel's rows, filled with the initial state: at rest, in equilibrium."""
+    """The kernel's rows, filled with the initial state: at rest, in equilibrium.
+
+    constants: further rows, those of the integrator, (C, 1 to n) each.
+    """
     width = kernel.W
     blocks = len(material) // width
     vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -258,10 +267,11 @@ def _buffers(
         "WEIGHT": cells / masses,
         "SET": grasp_set(string, material),
     }
-    buffers = kernel.rows(blocks, string.points)
-    for name, data in rows.items():
+    buffers = kernel.rows(blocks, string.points, string.integrator)
+    kinds = kernel.kinds(string.integrator)
+    for name, data in {**rows, **constants}.items():
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
-        buffers[:, : data.shape[1], kernel.ROWS.index(name)] = lanes
+        buffers[:, : data.shape[1], kinds[name]] = lanes
     return buffers.reshape(blocks, -1)
 
 

@@ -5,6 +5,8 @@ import pytest
 
 from stages.model.equilibrium import hanging
 from stages.model.hand import hand_motion_from_grasp
+from stages.model.implicit import ImplicitLeapfrog
+from stages.model.integrator import SemiImplicitEuler
 from stages.model.string import String, simulate
 
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
@@ -62,11 +64,12 @@ def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
         assert abs(angles[-1] - theta) <= np.pi + 1e-6
 
 
+@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), ImplicitLeapfrog()])
 @pytest.mark.parametrize("points", [10, 25, 60])
 @pytest.mark.parametrize("theta", [-np.pi / 2, 0.4, 1.5, 3.0])
-def test_the_engine_leaves_the_equilibrium_alone(points, theta):
+def test_the_engine_leaves_the_equilibrium_alone(points, theta, integrator):
     """Statics and dynamics are written apart: neither may know a force the other does not."""
-    string = String(0.3, points=points)
+    string = String(0.3, points=points, integrator=integrator)
     t = np.linspace(0, 0.3, 61)
     pose = np.tile([0.1, 0.2, theta], (61, 1))
     moved = simulate(string, hand_motion_from_grasp(t, pose), string.values(STIFF)[None], t)

@@ -5,7 +5,8 @@ import pytest
 from scipy.special import jn_zeros
 
 from stages.model.hand import HandMotion, hand_motion_from_grasp
-from stages.model.integrator import ExplicitEuler, RungeKutta4
+from stages.model.implicit import ImplicitLeapfrog
+from stages.model.integrator import ExplicitEuler, Integrator, RungeKutta4
 from stages.model.string import String, simulate
 
 QUIET = {
@@ -100,8 +101,9 @@ def energy(string: String, points: np.ndarray, dt: float, named: dict) -> np.nda
     return kinetic + stretch + bend + grasp + 9.81 * points[:, 1:, 1].sum(axis=1)
 
 
-def test_energy_is_kept_without_damping_and_only_lost_with_it():
-    string = String(0.3, points=10, integrator=RungeKutta4(), largest_step=5e-5)
+@pytest.mark.parametrize(("integrator", "step"), [(RungeKutta4(), 5e-5), (ImplicitLeapfrog(), 1e-4)])
+def test_energy_is_kept_without_damping_and_only_lost_with_it(integrator: Integrator, step: float):
+    string = String(0.3, points=10, integrator=integrator, largest_step=step)
     named = QUIET | {"axial_stiffness": 2e4, "axial_damping": 1e-9, "bending_stiffness": 1.0, "grasp_stiffness": 1.0}
     t = np.arange(0, 1.0, 0.0005)
     hand = hand_motion_from_grasp(

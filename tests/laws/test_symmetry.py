@@ -5,6 +5,8 @@ import pytest
 
 from stages.model.effects.gravity import Gravity
 from stages.model.hand import hand_motion_from_grasp
+from stages.model.implicit import ImplicitLeapfrog
+from stages.model.integrator import SemiImplicitEuler
 from stages.model.string import BASE, String, simulate
 
 T = np.arange(0, 0.4, 0.005)
@@ -78,9 +80,10 @@ def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
     np.testing.assert_allclose(across, 0, atol=1e-5)
 
 
-def test_candidates_do_not_notice_each_other_nor_the_threads():
+@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), ImplicitLeapfrog()])
+def test_candidates_do_not_notice_each_other_nor_the_threads(integrator):
     numba = pytest.importorskip("numba")
-    string = String(0.3)
+    string = String(0.3, integrator=integrator)
     rng = np.random.default_rng(1)
     values = np.array([p.value(rng.random(40)) for p in string.parameters]).T
     hand = hand_motion_from_grasp(T, POSE)

@@ -1,7 +1,6 @@
 """The command as a user gives it: runs, resumes, estimates again, sweeps, and refuses clearly."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -148,6 +147,8 @@ def test_a_sweep_runs_every_job(tmp_path):
         (["steps=[]"], r"steps = \[\] .*it must be \[generate, execute, extract\]"),
         (["+experiment=estimate"], r"steps = \['estimate'\] .*without trials=<folder>"),
         (["string.ranges.axial_stiffness.low=1e9"], "must be below"),
+        (["string.tolerance=-1"], "metres above 0"),
+        (["string=fine", "string.tolerance=1e-6"], "string.tolerance = 1e-06 .* best measured"),
         (["+experiment=estimate", "trials=/nonexistent"], "no such folder"),
         (["+experiment=strinB"], "stringB"),
         (["hardwear=virtual"], "Did you mean 'hardware'"),
@@ -216,20 +217,29 @@ def test_a_damaged_trial_is_named(quick, tmp_path):
     assert "points.parquet" in refused.stderr.replace("\n", "")
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
-def test_every_experiment_composes_and_is_valid(name, monkeypatch):
+def composed(*overrides):
+    """The world of a configuration."""
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
     from pipeline.world import world
 
-    monkeypatch.setitem(os.environ, "HYDRA_FULL_ERROR", "1")
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        stored = ["trials=outputs/some-run"] if name == "estimate" else []
-        config = compose("config", [f"+experiment={name}", *stored])
-    settings = OmegaConf.to_container(config, resolve=True)
-    here = world(settings, lambda block: f"conf/{block}")
-    assert here.string.points == (25 if name == "stringD" else 10)
+        config = compose("config", list(overrides))
+    return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_every_experiment_composes_and_is_valid(name):
+    stored = ["trials=outputs/some-run"] if name == "estimate" else []
+    assert composed(f"+experiment={name}", *stored).string.points == (25 if name == "stringD" else 10)
+
+
+def test_a_tolerance_finds_points_and_step_and_a_tighter_one_more():
+    loose, tight = (composed("string=fine", f"string.tolerance={t}").string for t in (0.03, 0.003))
+    assert loose.points < tight.points
+    assert loose.largest_step >= tight.largest_step
+    assert composed("string=fine").string.points == 29
 
 
 def test_help_helps():
