@@ -92,7 +92,7 @@ def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result
         past = replace(past, done=done, observations=tuple(observations[-world.config["memory"] :]))
         iterations.append(Iteration(number, done | {"estimate": _step(world, folder, "estimate", past, bar)}))
     rates = [float(i.done["estimate"].fit["after"].iloc[0]) for i in iterations]
-    sentence = f"Estimated from {len(iterations)} trial(s) of {trials}; the matching rate E is {rates[-1]:.3f}."
+    sentence = f"Estimated from {len(iterations)} trial(s) of {trials.name}; the matching rate E is {rates[-1]:.3f}."
     left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
     return _ended(folder, iterations, sentence + left)
 

@@ -58,7 +58,16 @@ def _template() -> jinja2.Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    named = (words.mm, words.ms, words.rate, words.significant, words.symbol, words.unit, words.settings)
+    named = (
+        words.mm,
+        words.ms,
+        words.rate,
+        words.significant,
+        words.symbol,
+        words.sentence,
+        words.unit,
+        words.settings,
+    )
     page.filters |= {function.__name__: function for function in named}
     return page.get_template("page.html.j2")
 

@@ -47,6 +47,11 @@ def symbol(name: str) -> Markup:
     return Markup("<i>{}</i><sub>{}</sub>").format(stem, index) if index else Markup("<i>{}</i>").format(stem)
 
 
+def sentence(text: str) -> Markup:
+    """A sentence with the symbols in it set as symbols."""
+    return Markup(re.sub(r"\b[kcC]_\w+\b", lambda found: str(symbol(found[0])), str(escape(text))))
+
+
 def unit(text: str) -> Markup:
     """N s2/(m2 kg) with its powers set high."""
     return Markup(re.sub(r"(?<=[a-z])(\d)", r"<sup>\1</sup>", str(escape(text))))

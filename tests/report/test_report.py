@@ -54,7 +54,7 @@ def film(camera, lines, rng, noise=6.0):
 
 def estimated(rng, t, symbols=STRING.parameters):
     rows = [
-        (p.name, p.symbol, p.unit, p.value(0.4), p.value(0.3), p.value(0.5), p.low, p.high, 0.4, False, i != 2)
+        (p.name, p.symbol, p.unit, p.meaning, p.value(0.4), p.value(0.3), p.value(0.5), p.low, p.high, 0.4, False, i != 2)
         for i, p in enumerate(symbols)
     ]
     columns = [c.name for c in Estimate.TABLES["parameters"].columns]
@@ -294,7 +294,7 @@ def test_numbers_are_those_of_the_run(page):
     for words in (
         *("24 mm", "4 mm from the target", "0.400 → 0.900", "45.6 mm → 12.3 mm", "252.0 ms"),
         *("a joint leaves its range", "4320", "the string is hidden behind the arm", "300 mm", "20 × 40 mm"),
-        *("cannot determine k_h", "estimate.beta", "0.995", "seed 7", "0123456789", "1.00 ms", "(500, 750) mm"),
+        *("cannot determine k h", "estimate.beta", "0.995", "seed 7", "0123456789", "1.00 ms", "(500, 750) mm"),
     ):
         assert re.sub(r"\s+", " ", words) in page.text
     assert page.text.count("✓ hit") == 3
