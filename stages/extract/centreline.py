@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -20,6 +20,8 @@ NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 GAP = 7  # [px] across which a broken string is joined
 FAINT = 3.0  # how much dearer the string's faintest pixel is than its brightest
 UNSEEN = 20.0  # how dear a pixel outside the mask is: a gap is bridged, a loop is not cut short
+END = 10.0  # [px] before the tip over which the string's light is compared with that beyond it
+CARRIED = 5.0  # [px] into an outline as far as which a line is better carried on than read
 HALF = 4.0  # [px] least half width of the profile across the line
 
 
@@ -68,41 +70,69 @@ def half_width(mask: np.ndarray) -> float:
     return float(np.percentile(distance[mask > 0], 90)) if mask.any() else 1.0
 
 
-def refine(difference: np.ndarray, mask: np.ndarray, way: np.ndarray, noise: float, half: float) -> Line:
+def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float, half: float) -> Line:
     """Move points to the centroid of brightness across the line, and its end to the string's.
 
-    noise: one sigma [grey levels]. half: half the string's width [px].
+    outline: (height, width) bool, where brightness does not tell; there the line is carried
+    across. noise: one sigma [grey levels]. half: half the string's width [px].
     """
-    kept = max(len(way) - int(np.ceil(half)), 2)  # the deepest pixel of a wide end is its corner
-    smooth = gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest")
-    tangent = np.gradient(smooth, axis=0) if len(smooth) > 1 else np.array([[1.0, 0.0]])
+    kept = max(len(way) - int(np.ceil(1.5 * half)), 2)  # the deepest pixel of a wide end is its corner
+    smooth = _onward(gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest"), half)
+    tangent = np.gradient(smooth, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+    shift, sigma, total, blind = _across(light, outline, smooth, normal, noise, half)
+    end, unsure = _end(total, blind, half)
+    whole = int(end) + 1
+    firm = max(whole - int(np.ceil(half)), 1)  # an end cut aslant is not lit on both sides
+    shift = gaussian_filter1d(shift[:firm], max(1.0, half / 3), mode="nearest")
+    shift = np.pad(shift, (0, whole - firm), mode="edge")
+    tip = smooth[whole - 1] + (end % 1) * tangent[whole - 1] + shift[-1] * normal[whole - 1]
+    points = np.concatenate([smooth[:whole] + shift[:, None] * normal[:whole], tip[None]])
+    return Line(points, np.append(np.hypot(sigma[:whole], 0.2), np.hypot(unsure, 0.5)))
+
+
+def _across(
+    light: np.ndarray, outline: np.ndarray, line: np.ndarray, normal: np.ndarray, noise: float, half: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Centroid across the line and its sigma [px], light in all, and whether an outline blinds it, (K,) each."""
     reach = max(HALF, 1.8 * half + 2)
     across = np.arange(-reach, reach + 0.25, 0.5)
-    places = (smooth[:, None] + across[None, :, None] * normal[:, None]).astype(np.float32)
-    profile = cv2.remap(difference, places[..., 0], places[..., 1], cv2.INTER_LINEAR)
-    bright = np.maximum(profile - 2 * noise, 0)
+    u, v = np.moveaxis((line[:, None] + across[None, :, None] * normal[:, None]).astype(np.float32), -1, 0)
+    bright = np.maximum(cv2.remap(light, u, v, cv2.INTER_LINEAR) - 2 * noise, 0)
     total = bright.sum(axis=1)
-    shift = (bright * across).sum(axis=1) / np.maximum(total, 1e-9)
+    shift = np.clip((bright * across).sum(axis=1) / np.maximum(total, 1e-9), -reach, reach)
     sigma = 2 * noise * np.sqrt((across**2).sum() / 2) / np.maximum(total, 1e-9)
-    lost = total < 4 * noise
-    shift[lost], sigma[lost] = 0.0, reach / 2
-    shift = gaussian_filter1d(np.clip(shift, -reach, reach), max(1.0, half / 3), mode="nearest")
-    moved = smooth + shift[:, None] * normal
-    return Line(_to_the_end(moved, mask, half), np.append(np.hypot(sigma, 0.2), np.hypot(sigma[-1], 0.5)))
+    covered = cv2.remap(outline.astype(np.float32), u, v, cv2.INTER_LINEAR)
+    blind = covered[:, np.abs(across) <= half + 1].max(axis=1) > 0.5
+    dark = total < 4 * noise
+    lost = dark | (blind & (distance_transform_edt(dark | blind) < CARRIED))
+    sigma[lost] = reach / 2
+    if not lost.all():
+        shift = np.interp(np.arange(len(shift)), np.flatnonzero(~lost), shift[~lost])
+    return shift, sigma, total, blind
 
 
-def _to_the_end(line: np.ndarray, mask: np.ndarray, half: float) -> np.ndarray:
-    """The line with one more point: where, straight on, the mask ends."""
+def _onward(line: np.ndarray, half: float) -> np.ndarray:
+    """The line gone on straight, a pixel a point, beyond where the string can end."""
     back = line[max(len(line) - 1 - int(max(6.0, 2 * half)), 0)]
     ahead = (line[-1] - back) / max(float(np.linalg.norm(line[-1] - back)), 1e-9)
-    away = np.arange(0.0, 3 * half + 4, 0.25)
-    u, v = np.rint(line[-1] + away[:, None] * ahead).astype(int).T
-    seen = (u >= 0) & (v >= 0) & (u < mask.shape[1]) & (v < mask.shape[0])
-    on = np.array([ok and mask[y, x] > 0 for ok, x, y in zip(seen, u, v, strict=True)])
-    ends = float(away[np.argmin(on)]) if not on.all() else float(away[-1])
-    return np.concatenate([line, [line[-1] + max(ends - 0.5, 0.0) * ahead]])
+    return np.concatenate([line, line[-1] + np.arange(1, 2 * half + 4)[:, None] * ahead])
+
+
+def _end(light: np.ndarray, blind: np.ndarray, half: float) -> tuple[float, float]:
+    """Where along a line, in points, its light falls to half, and one sigma of that.
+
+    Blur along the string fades its end; half is where it is in the middle of the exposure,
+    however fast it moved. An end that an outline blinds lies anywhere in there.
+    """
+    first = max(len(light) - int(4 * half + 4 + END), 0)
+    level = float(np.percentile(light[first:], 75)) / 2
+    last = int(np.flatnonzero(light >= level)[-1])
+    beyond = int(np.argmin(np.append(blind[last + 1 :], False)))
+    if beyond or last + 1 == len(light):
+        return last + beyond / 2, max(beyond, 1) / np.sqrt(12)
+    return last + float((light[last] - level) / (light[last] - light[last + 1])), 0.0
 
 
 def _graph(difference: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:

@@ -15,7 +15,7 @@ from data.artifacts import MASKS, POINTS, READINGS, Points
 from data.schema import DataError
 from stages.extract.centreline import Line, UnreadableError, half_width, refine, trace
 from stages.extract.footage import Footage
-from stages.extract.isolate import background, excess, silhouette, threshold, uncovered
+from stages.extract.isolate import Backdrop, background, brightest, isolate, uncovered
 from stages.extract.score import rasterise
 from stages.model.camera import Camera
 
@@ -55,10 +55,11 @@ def extract(
     _check_size(footage, camera)
     grasps = camera.pixels(footage.grasp[:, :2])
     scene = uncovered(background(footage.images), grasps, string_length * camera.px_per_m)
+    backdrop = Backdrop(scene, brightest(footage.images, scene))
     readings: list[Reading | str] = []
     for number in range(len(footage.t)):
         try:
-            line, mask = _line(footage, number, scene, camera, sigmas, arm_width, hidden)
+            line, mask = _line(footage, number, backdrop, camera, sigmas, arm_width, hidden)
             readings.append(_reading(line, mask, camera, np.linspace(0, string_length, points), shorter, longer))
         except UnreadableError as reason:
             readings.append(str(reason))
@@ -77,34 +78,30 @@ def _check_size(footage: Footage, camera: Camera) -> None:
 
 
 def _line(
-    footage: Footage, number: int, scene: np.ndarray, camera: Camera, sigmas: float, arm_width: float, hidden: float
+    footage: Footage, number: int, backdrop: Backdrop, camera: Camera, sigmas: float, arm_width: float, hidden: float
 ) -> tuple[Line, np.ndarray]:
     """The centre-line [px] in one frame, beginning at the grasp, and its binary image."""
-    shape = (camera.height, camera.width)
-    body, blur = _body(footage, number, camera)
-    limb = silhouette(shape, body, arm_width * camera.px_per_m + 4 + 2 * blur)
-    middle = silhouette(shape, body, max(arm_width * camera.px_per_m / 3, 1))
-    difference = excess(footage.images[number], scene, limb, middle)
-    level = threshold(difference, sigmas)
-    soft = cv2.GaussianBlur(difference, (0, 0), 0.8)
-    mask = (soft > level).astype(np.uint8)
-    half = half_width(mask)
-    ridge = cv2.GaussianBlur(soft, (0, 0), 0.6 * half) if half > WIDE else soft
+    moments, blur = _body(footage, number, camera)
+    seen = isolate(footage.images[number], backdrop, moments, arm_width * camera.px_per_m, blur, sigmas)
+    half = half_width(seen.mask)
+    ridge = cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half) if half > WIDE else seen.light
     grasp = camera.pixels(footage.grasp[number, :2])
-    way = trace(ridge, mask, limb, grasp, start_radius=hidden * camera.px_per_m + 8)
-    line = refine(soft, mask, way, level / sigmas, half)
+    way = trace(ridge, seen.mask, seen.arm, grasp, start_radius=hidden * camera.px_per_m + 8)
+    line = refine(seen.light, seen.outline, way, seen.noise, half)
     whole = Line(np.concatenate([grasp[None], line.points[1:]]), line.sigma)
-    near = rasterise(whole.points, mask.shape, 9 + 2 * half)
-    return whole, mask & (near > 0)
+    near = rasterise(whole.points, seen.mask.shape, 9 + 2 * half)
+    return whole, seen.mask & (near > 0)
 
 
-def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray | None, float]:
-    """The arm's joints [px] in a frame, and how far the fastest moves during the exposure [px]."""
+def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, float]:
+    """The arm's joints (K, J + 1, 2) [px] at moments of an exposure, and how far the fastest moves in it [px]."""
     if footage.body is None:
-        return None, 0.0
+        return np.zeros((0, 0, 2)), 0.0
     near = camera.pixels(footage.body[max(number - 1, 0) : number + 2])
-    speed = np.linalg.norm(near[-1] - near[0], axis=-1).max() / max(len(near) - 1, 1) * camera.fps
-    return camera.pixels(footage.body[number]), float(speed * camera.exposure)
+    moved = (near[-1] - near[0]) / max(len(near) - 1, 1) * camera.fps * camera.exposure
+    blur = float(np.linalg.norm(moved, axis=-1).max())
+    share = (np.arange(n := int(np.ceil(blur)) + 1) + 0.5) / n - 0.5
+    return camera.pixels(footage.body[number]) + share[:, None, None] * moved, blur
 
 
 def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorter: float, longer: float) -> Reading:

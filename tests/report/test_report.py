@@ -54,7 +54,20 @@ def film(camera, lines, rng, noise=6.0):
 
 def estimated(rng, t, symbols=STRING.parameters):
     rows = [
-        (p.name, p.symbol, p.unit, p.meaning, p.value(0.4), p.value(0.3), p.value(0.5), p.low, p.high, 0.4, False, i != 2)
+        (
+            p.name,
+            p.symbol,
+            p.unit,
+            p.meaning,
+            p.value(0.4),
+            p.value(0.3),
+            p.value(0.5),
+            p.low,
+            p.high,
+            0.4,
+            False,
+            i != 2,
+        )
         for i, p in enumerate(symbols)
     ]
     columns = [c.name for c in Estimate.TABLES["parameters"].columns]
