@@ -1,5 +1,6 @@
 """The string read from frames, against where it truly was."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -83,6 +84,16 @@ def test_what_cannot_be_read_is_refused_with_the_reason(filmed, arm, camera):
     assert readings.loc[10, "reason"]
     assert "shorter" in readings.loc[20, "reason"]
     assert not np.isclose(found.points["t"].to_numpy()[:, None], footage.t[[10, 20]]).any()
+
+
+def test_a_tip_beyond_the_picture_is_not_guessed(filmed, arm, camera):
+    """Nearly all of the string is seen, as long as it may be: but the end of what is seen is the picture's."""
+    trial, true = filmed("A", duration=0.2)
+    height = int(camera.pixels(true[0, -1])[1]) - 5
+    footage = footage_of(trial.film, arm)
+    cut = Footage(footage.t, [image[:height] for image in footage.images], footage.grasp, footage.body)
+    found = extract(cut, replace(camera, height=height), string_length=0.3, **SETTINGS)
+    assert found.readings["reason"][0] == "the string leaves the picture"
 
 
 @pytest.mark.parametrize("step", [1, 2, 3])
