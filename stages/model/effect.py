@@ -23,7 +23,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
@@ -203,6 +203,15 @@ class CameraEffect(Effect):
 
 class ModelChange(Effect):
     """Something wrong with the model's own making: no law and no parameter, but another model (`join`)."""
+
+
+Made = TypeVar("Made", bound=Effect)
+
+
+@cache
+def another(effect: type[Made], number: int) -> type[Made]:
+    """The effect once more, its name with a number: several of a kind can then be at work side by side."""
+    return cast("type[Made]", type(f"{effect.__name__}{number}", (effect,), {"name": f"{effect.name}_{number}"}))
 
 
 @cache

@@ -31,6 +31,7 @@ NAMES = [
     "anisotropic_drag",
     "resolution",
     "contact",
+    "box_contact",
     "gravity_direction",
     "arm_lag",
     "joint_gain",
@@ -57,11 +58,16 @@ NAMED = {
     "grasp_damping": 5e-3,
 }
 # Where an effect acts only if its other parameters let it: a slip that begins, a floor below the resting
-# string, and a wall to bounce from.
+# string, a wall to bounce from, and a box's corner in the string's way.
 FLOOR = {"contact.stiffness": 3e3, "contact.height": -0.3, "contact.friction": 0.2, "contact.loss": 0.1}
 ACTING = {"grasp_slip.onset": {"grasp_slip.speed": 0.05}}
 ACTING |= {f"contact.{name}": FLOOR for name in ("stiffness", "height", "tilt", "friction")}
 ACTING |= {"contact.loss": FLOOR | {"contact.tilt": np.pi / 2, "contact.height": -0.75}}
+CORNER = {
+    **{"box_contact.centre_x": 0.0, "box_contact.centre_y": 0.85, "box_contact.width": 0.2, "box_contact.height": 0.2},
+    **{"box_contact.stiffness": 3e3, "box_contact.friction": 0.2, "box_contact.loss": 0.1},
+}
+ACTING |= dict.fromkeys(CORNER, CORNER)
 LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
 SYMMETRIES = [(effect, symmetry) for effect in LIBRARY.values() for symmetry in effect.symmetries]
 SAMPLES = 40
@@ -138,6 +144,7 @@ def test_at_their_start_laws_add_nothing(effect):
 # Laws with a constant of nature or of smoothing inside: only units in which that keeps its number.
 CONSTANTS = {
     "contact": "m/s",
+    "box_contact": "m/s",
     "gravity": "m/s2",
     "gravity_direction": "m/s2",
     "internal_friction": "1/(m s)",
@@ -228,13 +235,15 @@ def test_every_parameter_moves_the_string_smoothly(swung, parameter):
 
 
 def test_strings_with_every_effect_at_once_stay_finite(swung):
-    """Anywhere in all ranges, on a floor below the hand: the step's bound covers every force at work."""
+    """Anywhere in all ranges, on a floor and a box below the hand: the step's bound covers every force at work."""
     _, full, motion, t = swung
     rng = np.random.default_rng(0)
     values = np.array([drawn(p, rng, 32) for p in full.parameters]).T
     values[:, :8] = full.values(NAMED)[:8]
     values[:, full.names.index("contact.height")] = rng.uniform(-0.5, -0.1, 32)
     values[:, full.names.index("contact.tilt")] = rng.uniform(-0.3, 0.3, 32)
+    values[:, full.names.index("box_contact.centre_x")] = rng.uniform(0.5, 0.9, 32)
+    values[:, full.names.index("box_contact.centre_y")] = rng.uniform(-0.9, -0.5, 32)
     assert full.seen(motion, values, t).finite.all()
 
 
