@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from hardware.virtual.obstacles import Obstacles
 from hardware.virtual.render import Look
 from hardware.virtual.servo import Servo
 from stages.model.arm import Arm
@@ -10,7 +11,17 @@ from stages.model.camera import Camera
 from stages.roles import Lab
 
 
-def open_lab(arm: Arm, camera: Camera, *, seed: int, trial: int, specimen: Specimen, servo: Servo, look: Look) -> Lab:
+def open_lab(
+    arm: Arm,
+    camera: Camera,
+    *,
+    seed: int,
+    trial: int,
+    specimen: Specimen,
+    servo: Servo,
+    look: Look,
+    obstacles: Obstacles,
+) -> Lab:
     """The virtual arm and camera of one trial. seed: of the bench; trial: keeps trials apart."""
-    bench = Bench(arm, camera, specimen, seed, servo, look, count=trial)
+    bench = Bench(arm, camera, specimen, seed, servo, look, obstacles, count=trial)
     return Lab(VirtualArm(bench), VirtualCamera(bench))

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import JOINTS, SPEEDS
+from hardware.virtual.obstacles import Obstacles
 from hardware.virtual.render import Look, noisy, render, scenery
 from hardware.virtual.servo import Servo
 from stages.model.arm import Arm
@@ -54,10 +55,11 @@ class Specimen:
         """What really happens: the fine string, and all that is hidden."""
         return Model(self.string(), arm, camera).with_effects(*named(list(self.hidden)))
 
-    def values(self, model: Model) -> np.ndarray:
-        """Its parameters in the order of the model's, (1, P)."""
-        sizes = {f"{effect}.{name}": size for effect, own in self.hidden.items() for name, size in own.items()}
-        return model.values({**self.parameters, **sizes})[None]
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Its parameters, by qualified name."""
+        hidden = {f"{effect}.{name}": size for effect, own in self.hidden.items() for name, size in own.items()}
+        return {**self.parameters, **hidden}
 
     def string(self) -> String:
         """The fine string that hangs from the hand."""
@@ -81,9 +83,20 @@ class Bench:
     seed: int
     servo: Servo = field(default_factory=Servo)
     look: Look = field(default_factory=Look)
+    obstacles: Obstacles = field(default_factory=Obstacles)
     count: int = 0
     pose: np.ndarray | None = None
     performed: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def model(self) -> Model:
+        """What really happens: the specimen in this arm's hand, among the obstacles."""
+        return self.specimen.model(self.arm, self.camera).with_effects(*self.obstacles.effects)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Parameters of what really happens, (1, P)."""
+        return self.model.values({**self.specimen.sizes, **self.obstacles.sizes})[None]
 
     def generator(self, purpose: int) -> np.random.Generator:
         """Chance for one purpose in the trial at hand."""
@@ -93,23 +106,20 @@ class Bench:
         """The true string at times, (F, n, 2) [m]."""
         if self.performed is None:
             raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
-        model = self.specimen.model(self.arm, self.camera)
         motion = joint_motion(*self.performed, tick=0.001)
-        return model.true(motion, self.specimen.values(model), times).points[0]
+        return self.model.true(motion, self.values, times).points[0]
 
     def joints_at(self, times: np.ndarray) -> np.ndarray:
         """The true arm at times, (F, J + 1, 2) [m]."""
         if self.performed is None:
             raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
-        model = self.specimen.model(self.arm, self.camera)
-        motion = model.joints(joint_motion(*self.performed, tick=self.servo.step), self.specimen.values(model))
+        motion = self.model.joints(joint_motion(*self.performed, tick=self.servo.step), self.values)
         t = motion.start + motion.tick * np.arange(motion.angles.shape[1])
         return self.arm.joints(np.stack([np.interp(times, t, angle) for angle in motion.angles[0].T], axis=-1))
 
     def in_view(self, true: Callable[[np.ndarray], np.ndarray], times: np.ndarray) -> np.ndarray:
         """Where the camera has points at its own times, (F, n, 2) [m]. true: the points at true times (M,)."""
-        model = self.specimen.model(self.arm, self.camera)
-        values = self.specimen.values(model)
+        model, values = self.model, self.values
         points = true(model.moments(values, times).ravel())
         return model.reported(points[None], values, times)[0]
 

@@ -1,0 +1,55 @@
+"""Obstacles of the lab: boxes off which the string bounces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from stages.model.effect import another
+from stages.model.effects.box_contact import BoxContact
+
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright rectangle: centre (x, y), full width w and height h [m]."""
+
+    x: float
+    y: float
+    w: Annotated[float, Field(gt=0)]
+    h: Annotated[float, Field(gt=0)]
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Boxes that stand in the lab, and what they are made of.
+
+    stiffness: push over the string's mass per depth [1/s^2]; at 4e6 a point at 6 m/s goes 3 mm
+    deep. friction: its coefficient. loss: share of the push lost per speed of impact [s/m].
+    """
+
+    boxes: tuple[Box, ...] = ()
+    stiffness: NotNegative = 4.0e6
+    friction: NotNegative = 0.3
+    loss: NotNegative = 0.1
+
+    @property
+    def effects(self) -> tuple[type[BoxContact], ...]:
+        """One for each box."""
+        return tuple(another(BoxContact, number) for number in range(len(self.boxes)))
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """The effects' parameters, by qualified name."""
+        return {
+            f"{effect.name}.{name}": size
+            for effect, box in zip(self.effects, self.boxes, strict=True)
+            for name, size in self._parameters(box).items()
+        }
+
+    def _parameters(self, box: Box) -> dict[str, float]:
+        place = {"centre_x": box.x, "centre_y": box.y, "width": box.w, "height": box.h}
+        return place | {"stiffness": self.stiffness, "friction": self.friction, "loss": self.loss}
