@@ -106,10 +106,11 @@ def with_effects(model: Model, names: Any, where: str) -> Model:
 
 def _string(block: Mapping[str, Any], where: str) -> String:
     """The string model, with the ranges of its parameters."""
-    settings = {key: value for key, value in block.items() if key not in ("ranges", "integrator", "tolerance")}
+    parts = {part: instantiate(block[part]) for part in ("integrator", "precision")}
+    settings = {key: value for key, value in block.items() if key not in ("ranges", "tolerance", *parts)}
     plain = build(String, settings, "string", where)
     known = {p.name: p for p in plain.parameters}
-    return replace(plain, ranges=_ranges(block["ranges"], known, where), integrator=instantiate(block["integrator"]))
+    return replace(plain, ranges=_ranges(block["ranges"], known, where), **parts)
 
 
 def _accurate(string: String, arm: Arm, config: Mapping[str, Any], where: str) -> String:

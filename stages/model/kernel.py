@@ -39,15 +39,15 @@ import numpy as np
 
 from stages.model.effect import StringEffect, arguments
 from stages.model.integrator import Integrator
+from stages.model.precision import Precision
 
 BEYOND = 2  # points after the tip that nothing is written to, for what looks further than the string goes
-W = 16  # candidates side by side: two AVX-512 or four AVX2 registers of float64
 
 ROWS = (
     *("X", "Y", "VX", "VY", "ANGLE", "SX", "SY", "INERTIA", "WEIGHT"),
     *("TX", "TY", "INVERSE", "PULL", "OMEGA", "MOMENT", "FX", "FY"),
     *("HA", "HW", "SET"),
-)  # and after them the integrator's own
+)  # and after them those of the precision and of the integrator
 
 # What a law's argument is in the text of the loop.
 EXPRESSIONS = {
@@ -55,11 +55,11 @@ EXPRESSIONS = {
     "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge"},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
     "load": {
-        **{"x": "px", "y": "py", "vx": "qx", "vy": "qy", "ux": "(qx - airx)", "uy": "(qy - airy)"},
+        **{"x": "atx", "y": "aty", "vx": "qx", "vy": "qy", "ux": "(qx - airx)", "uy": "(qy - airy)"},
         **{"tx": "lx", "ty": "ly", "s": "s_point", "t": "t"},
     },
-    "acceleration": {"x": "px", "y": "py", "t": "t"},
-    "flow": {"x": "px", "y": "py", "t": "t"},
+    "acceleration": {"x": "atx", "y": "aty", "t": "t"},
+    "flow": {"x": "atx", "y": "aty", "t": "t"},
     "rest_curvature": {"s": "s_hinge"},
 }
 
@@ -67,20 +67,25 @@ Run = Callable[..., None]
 
 
 @cache
-def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator) -> Run:
+def kernel_for(
+    effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator, precision: Precision
+) -> Run:
     """The compiled step loop for these effects.
 
     names: qualified names of the parameters, and of what effects derive from them, in the order of their rows. Returns
     `run(B, P, hand, hand_lanes, grid, steps, out, alive)`; see the generated text.
     """
-    return _load(source(effects, names, integrator)).run
+    return _load(source(effects, names, integrator, precision)).run
 
 
-def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator) -> str:
+def source(
+    effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator, precision: Precision
+) -> str:
     """The module's text."""
     slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
-    constants = {name: kind * W for name, kind in kinds(integrator).items()}
-    constants |= {"NEXT": len(constants) * W} | {f"H{i}": i * W for i in range(12)}
+    width = precision.width
+    constants = {name: kind * width for name, kind in kinds(integrator, precision).items()}
+    constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
     heavy = any({"density", "tip_mass"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
@@ -92,6 +97,9 @@ def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrat
         "load": _vector(slots, "load", names, "load"),
         "acceleration": _vector(slots, "acceleration", names, "fall"),
         "weight": "B[WEIGHT + p]" if heavy else "1.0",
+        "apart": "\n".join(precision.segment),
+        "kink": precision.kink,
+        "place": "\n".join(precision.place),
         "velocity": "\n".join(integrator.velocity),
         "update": "\n".join(integrator.update),
     }
@@ -102,31 +110,35 @@ def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrat
         "turned": integrator.turned,
         "solver": integrator.solver,
         "solve": integrator.solve,
-        "W": str(W),
+        "record": precision.record,
+        "number": precision.number.__name__,
+        "W": str(width),
         **{name: _fill(text, pieces) for name, text in PIECES.items()},
     }
-    return _fill(TEMPLATE, fill)
+    return precision.text(_fill(TEMPLATE, fill))
 
 
-def kinds(integrator: Integrator) -> dict[str, int]:
+def kinds(integrator: Integrator, precision: Precision) -> dict[str, int]:
     """Which of a point's rows is which, by name."""
-    return {name: number for number, name in enumerate((*ROWS, *integrator.rows))}
+    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows))}
 
 
-def rows(blocks: int, points: int, integrator: Integrator) -> np.ndarray:
+def rows(blocks: int, points: int, integrator: Integrator, precision: Precision) -> np.ndarray:
     """Zeros for the rows of every point, (blocks, points + BEYOND, kinds, W)."""
-    return aligned((blocks, points + BEYOND, len(kinds(integrator)), W))
+    kind = len(kinds(integrator, precision))
+    return aligned((blocks, points + BEYOND, kind, precision.width), precision.number)
 
 
-def aligned(shape: tuple[int, ...]) -> np.ndarray:
+def aligned(shape: tuple[int, ...], number: type[np.floating] = np.float64) -> np.ndarray:
     """Zeros whose first number begins a cache line.
 
     numpy aligns to 16 bytes only; a vector of 64 that crosses a line is read and written twice.
     """
     line = 64
-    memory = np.zeros(8 * math.prod(shape) + line, dtype=np.uint8)
+    size = np.dtype(number).itemsize * math.prod(shape)
+    memory = np.zeros(size + line, dtype=np.uint8)
     first = -memory.ctypes.data % line
-    return memory[first : first + 8 * math.prod(shape)].view(np.float64).reshape(shape)
+    return memory[first : first + size].view(number).reshape(shape)
 
 
 def _law_text(effect: type[StringEffect], slot: str) -> str:
@@ -140,7 +152,8 @@ def _law_text(effect: type[StringEffect], slot: str) -> str:
 def _call(effect: type[StringEffect], slot: str, names: Sequence[str]) -> str:
     """The call of a law with its arguments: those of the slot by name, parameters from their rows."""
     known = EXPRESSIONS[slot]
-    given = [known.get(a) or f"P[np.uintp({_index(effect, a, names) * W}) + j]" for a in arguments(effect.laws()[slot])]
+    taken = arguments(effect.laws()[slot])
+    given = [known.get(a) or f"P[np.uintp({_index(effect, a, names)}) * W + j]" for a in taken]
     return f"{effect.name}_{slot}({', '.join(given)})"
 
 
@@ -208,11 +221,9 @@ def cache_folder() -> Path:
 # segment whose forces are then known, and of the point at its start, which then moves.
 PIECES = {
     "segment": """
-ex = B[X + k + NEXT] - B[X + k]
-ey = B[Y + k + NEXT] - B[Y + k]
+<<apart>>
 wx = B[VX + k + NEXT] - B[VX + k]
 wy = B[VY + k + NEXT] - B[VY + k]
-angle = B[ANGLE + k] + turned(B[SX + k] * ey - B[SY + k] * ex, B[SX + k] * ex + B[SY + k] * ey)
 size = np.sqrt(ex * ex + ey * ey)
 inverse = 1.0 / size
 tx = ex * inverse
@@ -220,8 +231,6 @@ ty = ey * inverse
 omega = (tx * wy - ty * wx) * inverse
 stretch = size * over - 1.0
 rate = (tx * wx + ty * wy) * over
-B[SX + k] = ex
-B[SY + k] = ey
 B[ANGLE + k] = angle
 B[TX + k] = tx
 B[TY + k] = ty
@@ -230,12 +239,12 @@ B[OMEGA + k] = omega
 B[PULL + k] = <<tension>>
 """,
     "grasped": """
-curvature = angle - B[HA + j] - <<set>>
+curvature = angle - B[HA + j]<<kink>> - <<set>>
 bend = omega - B[HW + j]
 B[MOMENT + k] = <<grasp_moment>>
 """,
     "hinge": """
-curvature = (angle - B[ANGLE + p]) * over - (<<rest>>)
+curvature = (angle - B[ANGLE + p]<<kink>>) * over - (<<rest>>)
 bend = (omega - B[OMEGA + p]) * over
 couple = <<moment>>
 B[MOMENT + k] = couple
@@ -250,6 +259,7 @@ B[FY + p] = fy
     "point": """
 px = B[X + p]
 py = B[Y + p]
+<<place>>
 <<velocity>>
 lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
 ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
@@ -273,6 +283,7 @@ import numpy as np
 from numba import njit, prange
 
 LAW = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True}
+number = np.<<number>>
 NODES = <<nodes>>
 W = np.uintp(<<W>>)
 ONE = np.uintp(1)
@@ -317,9 +328,9 @@ def along(B, P, n, length, dt, t, stage):
         <<hinge>>
         <<force>>
     for i in range(TWO, n - ONE):
-        s_middle = (i + 0.5) * length
-        s_hinge = i * length
-        s_point = (i - 1.0) * length
+        s_middle = (number(i) + 0.5) * length
+        s_hinge = number(i) * length
+        s_point = (number(i) - 1.0) * length
         for j in range(W):
             k = i * NEXT + j
             p = k - NEXT
@@ -327,13 +338,13 @@ def along(B, P, n, length, dt, t, stage):
             <<hinge>>
             <<force>>
             <<point>>
-    s_point = (n - 2.0) * length
+    s_point = (number(n) - 2.0) * length
     for j in range(W):
         p = (n - TWO) * NEXT + j
         couple = 0.0
         <<force>>
         <<point>>
-    s_point = (n - 1.0) * length
+    s_point = (number(n) - 1.0) * length
     for j in range(W):
         p = (n - ONE) * NEXT + j
         B[TX + p] = B[TX + p - NEXT]
@@ -346,37 +357,30 @@ def along(B, P, n, length, dt, t, stage):
 <<solver>>
 
 
-@njit(**LAW)
-def record(B, n, out, alive):
-    # Positions at a tick; a lane that is no longer finite is given up.
-    for i in range(n):
-        for j in range(W):
-            out[0, i, j] = B[X + i * NEXT + j]
-            out[1, i, j] = B[Y + i * NEXT + j]
-    for j in range(W):
-        size = abs(B[X + (n - ONE) * NEXT + j]) + abs(B[Y + (n - ONE) * NEXT + j])
-        alive[j] = alive[j] and size < 1e3
+<<record>>
 
 
 @njit(parallel=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
 def run(buffers, P, H, per_block, points, length, steps, tick, start, out, alive):
     # buffers (blocks, size), P (blocks, parameters * W), H (ticks, blocks or 1, 12 * W),
-    # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W).
+    # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W). What tells the time,
+    # and out, is float64 always.
     for b in prange(buffers.shape[0]):
         B = buffers[b]
         n = np.uintp(points)
         dt = tick / steps[b]
-        record(B, n, out[b, 0], alive[b])
+        record(B, n, out[b, 0], out[b, 0], alive[b])
         for c in range(H.shape[0]):
             hand = H[c, b * per_block]
             for q in range(steps[b]):
                 for stage in range(len(NODES)):
                     u = (q + NODES[stage]) / steps[b]
-                    grasp(B, hand, u, tick)
-                    along(B, P[b], n, length, dt, start + (c + u) * tick, stage)
+                    t = start + (c + u) * tick
+                    grasp(B, hand, number(u), number(tick))
+                    along(B, P[b], n, number(length), number(dt), number(t), stage)
                     <<solve>>
-            grasp(B, hand, 1.0, tick)
-            record(B, n, out[b, c + 1], alive[b])
+            grasp(B, hand, number(1), number(tick))
+            record(B, n, out[b, c], out[b, c + 1], alive[b])
             if not alive[b].any():
                 break
 """

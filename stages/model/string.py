@@ -28,6 +28,7 @@ from stages.model.equilibrium import grasp_set, hanging
 from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
+from stages.model.precision import Double, Precision
 from stages.model.stability import steps_per_tick
 
 BASE: tuple[type[StringEffect], ...] = (
@@ -52,7 +53,8 @@ class String:
     second-order accurate in the number of points. grasp_cell: share of a segment's bending
     compliance that lies in the hinge at the grasp; 0 is Eq. 1, 1/2 second-order accurate.
     ranges: parameters whose range or start differ from the effect's own, by name.
-    largest_step: step allowed for accuracy [s]; stability may ask for less.
+    largest_step: step allowed for accuracy [s]; stability may ask for less. precision: the
+    numbers in which motion is computed; rest and stability are found in float64 always.
     """
 
     length: float
@@ -64,6 +66,7 @@ class String:
     ranges: Mapping[str, Parameter] = field(default_factory=dict)
     integrator: Integrator = SemiImplicitEuler()
     largest_step: float = 2.0e-4
+    precision: Precision = Double()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated."""
@@ -215,22 +218,23 @@ def _run(
     string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, hand: HandMotion, steps: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2) and who stayed finite (C,)."""
-    width = kernel.W
+    width, number = string.precision.width, string.precision.number
     count, blocks = len(material), -(-len(material) // width)
     index = np.minimum(np.arange(blocks * width), count - 1)
-    parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1))
+    parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1), dtype=number)
     own = pose if len(pose) == 1 else pose[index]
     angles, lengths = hanging(string, material, pose[:, 0])
     constants = string.integrator.constants(string, material[index], hand.tick / steps)
-    buffers = _buffers(string, material[index], own[:, 0], angles[index], lengths[index], constants)
+    positions, buffers = _buffers(string, material[index], own[:, 0], angles[index], lengths[index], constants)
     shared = len(pose) == 1
-    cubic = _cubic(own, rate if shared else rate[index], hand.tick)
+    cubic = string.precision.hand(_cubic(own, rate if shared else rate[index], hand.tick))
     if shared:
         cubic = np.repeat(cubic, width, axis=2)  # as wide as the lanes, so that the kernel loads vectors
     cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
     out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
+    out[:, 0] = positions.reshape(blocks, width, -1, 2).transpose(0, 3, 2, 1)
     alive = np.ones((blocks, width), dtype=bool)
-    run = kernel.kernel_for(string.effects, string.rows, string.integrator)
+    run = kernel.kernel_for(string.effects, string.rows, string.integrator, string.precision)
     run(
         *(buffers, parameters.reshape(blocks, -1), cubic, 0 if shared else 1, string.points, string.segment),
         *(np.full(blocks, steps), hand.tick, hand.start, out, alive),
@@ -246,33 +250,29 @@ def _buffers(
     angles: np.ndarray,
     lengths: np.ndarray,
     constants: Mapping[str, np.ndarray],
-) -> np.ndarray:
-    """The kernel's rows, filled with the initial state: at rest, in equilibrium.
+) -> tuple[np.ndarray, np.ndarray]:
+    """The initial state, at rest and in equilibrium: positions (C, n, 2) [m], and the kernel's rows filled with it.
 
     constants: further rows, those of the integrator, (C, 1 to n) each.
     """
-    width = kernel.W
+    width = string.precision.width
     blocks = len(material) // width
     vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     positions = np.cumsum(np.concatenate([np.zeros((len(material), 1, 2)), vectors], axis=1), axis=1)
     positions = positions + (pose[:, None, :2])
     masses, cells = string.masses(material)
     rows = {
-        "X": positions[..., 0],
-        "Y": positions[..., 1],
-        "ANGLE": angles,
-        "SX": vectors[..., 0],
-        "SY": vectors[..., 1],
+        **string.precision.start(positions, vectors, angles, pose[:, 2]),
         "INERTIA": 1.0 / masses,
         "WEIGHT": cells / masses,
         "SET": grasp_set(string, material),
     }
-    buffers = kernel.rows(blocks, string.points, string.integrator)
-    kinds = kernel.kinds(string.integrator)
+    buffers = kernel.rows(blocks, string.points, string.integrator, string.precision)
+    kinds = kernel.kinds(string.integrator, string.precision)
     for name, data in {**rows, **constants}.items():
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
         buffers[:, : data.shape[1], kinds[name]] = lanes
-    return buffers.reshape(blocks, -1)
+    return positions, buffers.reshape(blocks, -1)
 
 
 def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:
