@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from textwrap import indent
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,7 +47,65 @@ ROWS = (
     *("U11", "U12", "U21", "U22", "Q11", "Q12", "Q21", "Q22", "ZX", "ZY", "DVX", "DVY"),
 )
 
-SOLVER = """
+# What the second point before leaves at a point; there is none before the first, which is taken by itself, for
+# rows at distances known when compiling are what the vector units need.
+BEHIND = """
+ex = B[EX + p - NEXT]
+ey = B[EY + p - NEXT]
+bend = B[BEND + p]
+turn = bend * bend * (ex * B[ZX + p - NEXT] + ey * B[ZY + p - NEXT])
+spin = bend * (ex * B[DVX + p - NEXT] + ey * B[DVY + p - NEXT])
+"""
+
+ELIMINATED = """
+# what the two points before leave here
+u11 = B[U11 + p]
+u12 = B[U12 + p]
+u21 = B[U21 + p]
+u22 = B[U22 + p]
+bx = B[EX + p]
+by = B[EY + p]
+heft = B[MASS + k] * dt
+rx = heft * B[DVX + k] - u11 * B[DVX + p] - u21 * B[DVY + p] - spin * bx
+ry = heft * B[DVY + k] - u12 * B[DVX + p] - u22 * B[DVY + p] - spin * by
+# the diagonal block
+ex = B[EX + k]
+ey = B[EY + k]
+bend = B[BEND + k]
+d11 = B[MASS + k] + B[S11 + p] + B[S11 + k] + 2.0 * bend * bx * ex - turn * bx * bx
+d12 = B[S12 + p] + B[S12 + k] + bend * (bx * ey + by * ex) - turn * bx * by
+d22 = B[MASS + k] + B[S22 + p] + B[S22 + k] + 2.0 * bend * by * ey - turn * by * by
+d11 -= u11 * B[Q11 + p] + u21 * B[Q21 + p]
+d12 -= u11 * B[Q12 + p] + u21 * B[Q22 + p]
+d22 -= u12 * B[Q12 + p] + u22 * B[Q22 + p]
+# the block to the next point
+bx = bend * (bx + u11 * B[ZX + p] + u21 * B[ZY + p])
+by = bend * (by + u12 * B[ZX + p] + u22 * B[ZY + p])
+cx = B[BEND + k + NEXT] * B[EX + k + NEXT]
+cy = B[BEND + k + NEXT] * B[EY + k + NEXT]
+u11 = -B[S11 + k] - bx * ex - cx * ex
+u12 = -B[S12 + k] - bx * ey - cy * ex
+u21 = -B[S12 + k] - by * ex - cx * ey
+u22 = -B[S22 + k] - by * ey - cy * ey
+inverse = 1.0 / (d11 * d22 - d12 * d12)
+d11 *= inverse
+d12 *= inverse
+d22 *= inverse
+B[U11 + k] = u11
+B[U12 + k] = u12
+B[U21 + k] = u21
+B[U22 + k] = u22
+B[Q11 + k] = d22 * u11 - d12 * u21
+B[Q12 + k] = d22 * u12 - d12 * u22
+B[Q21 + k] = d11 * u21 - d12 * u11
+B[Q22 + k] = d11 * u22 - d12 * u12
+B[ZX + k] = d22 * ex - d12 * ey
+B[ZY + k] = d11 * ey - d12 * ex
+B[DVX + k] = d22 * rx - d12 * ry
+B[DVY + k] = d11 * ry - d12 * rx
+"""
+
+SOLVER = f"""
 @njit(**LAW)
 def settle(B, n, dt):
     # Change of all velocities under averaged linear forces, then of all positions.
@@ -64,62 +123,17 @@ def settle(B, n, dt):
             B[S11 + k] = along * tx * tx + across * ty * ty
             B[S12 + k] = (along - across) * tx * ty
             B[S22 + k] = along * ty * ty + across * tx * tx
-    for i in range(ONE, n):
-        before = (i - TWO if i > ONE else n) * NEXT  # none before the grasp: the one beyond the tip is as empty
+    for j in range(W):
+        k = NEXT + j
+        p = j
+        turn = 0.0
+        spin = 0.0
+{indent(ELIMINATED, 8 * " ")}
+    for i in range(TWO, n):
         for j in range(W):
             k = i * NEXT + j
             p = k - NEXT
-            o = before + j
-            # what the two points before leave here
-            u11 = B[U11 + p]
-            u12 = B[U12 + p]
-            u21 = B[U21 + p]
-            u22 = B[U22 + p]
-            bx = B[EX + p]
-            by = B[EY + p]
-            ex = B[EX + o]
-            ey = B[EY + o]
-            bend = B[BEND + p]
-            turn = bend * bend * (ex * B[ZX + o] + ey * B[ZY + o])
-            spin = bend * (ex * B[DVX + o] + ey * B[DVY + o])
-            heft = B[MASS + k] * dt
-            rx = heft * B[DVX + k] - u11 * B[DVX + p] - u21 * B[DVY + p] - spin * bx
-            ry = heft * B[DVY + k] - u12 * B[DVX + p] - u22 * B[DVY + p] - spin * by
-            # the diagonal block
-            ex = B[EX + k]
-            ey = B[EY + k]
-            bend = B[BEND + k]
-            d11 = B[MASS + k] + B[S11 + p] + B[S11 + k] + 2.0 * bend * bx * ex - turn * bx * bx
-            d12 = B[S12 + p] + B[S12 + k] + bend * (bx * ey + by * ex) - turn * bx * by
-            d22 = B[MASS + k] + B[S22 + p] + B[S22 + k] + 2.0 * bend * by * ey - turn * by * by
-            d11 -= u11 * B[Q11 + p] + u21 * B[Q21 + p]
-            d12 -= u11 * B[Q12 + p] + u21 * B[Q22 + p]
-            d22 -= u12 * B[Q12 + p] + u22 * B[Q22 + p]
-            # the block to the next point
-            bx = bend * (bx + u11 * B[ZX + p] + u21 * B[ZY + p])
-            by = bend * (by + u12 * B[ZX + p] + u22 * B[ZY + p])
-            cx = B[BEND + k + NEXT] * B[EX + k + NEXT]
-            cy = B[BEND + k + NEXT] * B[EY + k + NEXT]
-            u11 = -B[S11 + k] - bx * ex - cx * ex
-            u12 = -B[S12 + k] - bx * ey - cy * ex
-            u21 = -B[S12 + k] - by * ex - cx * ey
-            u22 = -B[S22 + k] - by * ey - cy * ey
-            inverse = 1.0 / (d11 * d22 - d12 * d12)
-            d11 *= inverse
-            d12 *= inverse
-            d22 *= inverse
-            B[U11 + k] = u11
-            B[U12 + k] = u12
-            B[U21 + k] = u21
-            B[U22 + k] = u22
-            B[Q11 + k] = d22 * u11 - d12 * u21
-            B[Q12 + k] = d22 * u12 - d12 * u22
-            B[Q21 + k] = d11 * u21 - d12 * u11
-            B[Q22 + k] = d11 * u22 - d12 * u12
-            B[ZX + k] = d22 * ex - d12 * ey
-            B[ZY + k] = d11 * ey - d12 * ex
-            B[DVX + k] = d22 * rx - d12 * ry
-            B[DVY + k] = d11 * ry - d12 * rx
+{indent(BEHIND + ELIMINATED, 12 * " ")}
     for i in range(ONE, n):
         for j in range(W):
             k = (n - i) * NEXT + j

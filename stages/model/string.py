@@ -8,7 +8,7 @@ the number of points; at `points == reference_points` the two are Eq. 1 exactly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -192,16 +192,28 @@ def simulate(string: String, hand: HandMotion, values: np.ndarray, times: np.nda
     material = string.material(np.atleast_2d(values))
     poses, rates = _extended(hand, float(np.max(times)))
     steps, possible = steps_per_tick(string, material, hand.tick)
-    points = np.full((len(material), times.shape[-1], string.points, 2), np.nan)
-    finite = possible.copy()
+    parts = []
     for level in np.unique(steps[possible]):
         chosen = np.flatnonzero(possible & (steps == level))
         pose = poses if len(poses) == 1 else poses[chosen]
         rate = rates if len(rates) == 1 else rates[chosen]
         ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level))
         own = times if times.ndim == 1 else times[chosen]
-        points[chosen] = _sampled(ticks, (own - hand.start) / hand.tick, hand.pose.shape[1] - 1)
-        finite[chosen] = alive & np.isfinite(points[chosen]).all(axis=(1, 2, 3))
+        points = _sampled(ticks, (own - hand.start) / hand.tick, hand.pose.shape[1] - 1)
+        parts.append((chosen, points, alive))
+    return _gathered(parts, (len(material), times.shape[-1], string.points, 2))
+
+
+def _gathered(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape: tuple[int, ...]) -> StringMotion:
+    """All candidates, from those that share a step: which they are, their points, and who stayed alive."""
+    if len(parts) == 1 and len(parts[0][0]) == shape[0]:
+        _, points, finite = parts[0]
+    else:
+        points, finite = np.full(shape, np.nan), np.zeros(shape[0], dtype=bool)
+        for chosen, some, alive in parts:
+            points[chosen], finite[chosen] = some, alive
+    with np.errstate(invalid="ignore", over="ignore"):  # a sum is not finite where a number is not
+        finite = finite & np.isfinite(points.sum(axis=(1, 2, 3)))
     points[~finite] = np.nan
     return StringMotion(points, finite)
 
@@ -296,7 +308,8 @@ def _sampled(ticks: np.ndarray, position: np.ndarray, moved: int) -> np.ndarray:
     position = np.clip(position, 0, last)
     whole = np.round(position)
     if position.ndim == 1 and np.allclose(position, whole, rtol=0, atol=1e-6):
-        return ticks[:, whole.astype(int)]
+        whole = whole.astype(int)
+        return ticks if np.array_equal(whole, np.arange(ticks.shape[1])) else ticks[:, whole]
     width = min(6, int(last.min()) + 1)
     first = np.clip(np.floor(position).astype(int) - (width // 2 - 1), 0, last + 1 - width)
     offset = position - first

@@ -62,7 +62,14 @@ def _engine(resolution: Resolution, count: int, threads: int) -> object:
 
 
 STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
-ENGINE = Contender("engine", engine_tip, ((25, 5e-5), (49, 5e-5)), list(product(range(12, 33, 2), STEPS)), _engine, 256)
+ENGINE = Contender(
+    "engine",
+    engine_tip,
+    ((25, 5e-5), (49, 5e-5)),
+    list(product(range(12, 33, 2), (2e-3, *STEPS))),
+    _engine,
+    256,
+)
 MUJOCO = Contender(
     "MuJoCo",
     lambda links, step: Chain(links, step).rollout(1, 1)[0],

@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 
 from stages.model.hand import HandMotion, hand_motion_from_grasp
+from stages.model.implicit import ImplicitLeapfrog
 from stages.model.string import String, simulate
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -72,8 +73,9 @@ def string_b(points: int) -> tuple[String, np.ndarray]:
 
 
 def cord_string(points: int, largest_step: float) -> tuple[String, np.ndarray]:
-    """A string that converges to the cord to second order in the number of points, and its parameters (P,)."""
-    string = String(CORD.length, points=points, tip_cell=0.5, grasp_cell=0.5, largest_step=largest_step)
+    """A string that converges to the cord to second order in points and step, and its parameters (P,)."""
+    accurate = {"tip_cell": 0.5, "grasp_cell": 0.5, "integrator": ImplicitLeapfrog(), "largest_step": largest_step}
+    string = String(CORD.length, points=points, **accurate)
     without = {"axial_damping": 0.0, "linear_drag": 0.0, "quadratic_drag": 0.0}
     clamped = {"grasp_stiffness": 1e9, "grasp_damping": 1e6}
     return string, string.values(B | without | clamped)
