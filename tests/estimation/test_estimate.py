@@ -150,11 +150,11 @@ def test_cma_es_brings_the_string_to_the_points(arm, camera):
 
 
 def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camera):
-    """Every fit reaches the noise floor, and intervals hold the truth (83 % measured over 12 seeds: a fit
-    that ends short of the minimum, by under 2 % of the residual, is what is missing to 95 %)."""
-    settings = {"starts": 8, "screening": 512, "iterations": 40, "matching": MATCHING}
+    """Every fit reaches the noise floor, and intervals hold the truth: 94 % of 88 did, measured over 11 seeds
+    with the default settings; of the 32 here, a wrong covariance or a fit short of its minimum loses more."""
+    settings = {"starts": 32, "screening": 512, "iterations": 40, "matching": MATCHING}
     inside, determined = [], []
-    for seed in range(6):
+    for seed in range(4):
         found = least_squares.estimate(
             Model(STRING, arm, camera), [observed(seed)], None, seed=seed, manipulation=1, **settings
         )
@@ -164,7 +164,7 @@ def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camer
         determined.append(len(sure))
         inside += [(row["low"] <= TRUTH[name] <= row["high"]) for name, row in sure.iterrows()]
     assert np.mean(determined) >= 6
-    assert np.mean(inside) >= 0.75
+    assert np.mean(inside) >= 0.85
 
 
 def test_what_the_data_cannot_determine_is_said(arm, camera):
