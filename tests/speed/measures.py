@@ -21,6 +21,7 @@ from stages.estimate.matching import Matching
 from stages.model import kernel
 from stages.model.arm import Arm
 from stages.model.camera import Camera
+from stages.model.model import Model
 from stages.model.stability import steps_per_tick
 from stages.model.string import simulate
 from tests.speed import contest, fused, limits, scalar
@@ -203,7 +204,9 @@ def estimation() -> list[Row]:
     settings = _conf("estimate/random_search.yaml")
     settings["matching"] = Matching(**settings["matching"])
     arm, camera = Arm(**_conf("arm/paper.yaml")), Camera(**_conf("camera/highspeed.yaml"))
-    call = partial(random_search.estimate, string, arm, camera, [trial], None, seed=1, manipulation=1, **settings)
+    call = partial(
+        random_search.estimate, Model(string, arm, camera), [trial], None, seed=1, manipulation=1, **settings
+    )
     wall = in_turns({"wall": partial(_on, 2, call)}, 3, time.perf_counter)["wall"]
     alone = in_turns({"processor": call}, 3)["processor"]
     more = {"points": 10, "batch": settings["candidates"]}
