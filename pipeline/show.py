@@ -41,7 +41,10 @@ def summary(result: Result) -> Group:
     last = result.iterations[-1].done.get("estimate")
     words = "" if last is None else str(last.fit["sentence"].iloc[0])
     colour = "green" if result.hit else "yellow"
-    said = Panel(Group(table, "", words), title=f"[bold {colour}]{escape(result.sentence)}", border_style=colour)
+    ended, _, more = result.sentence.partition(". ")
+    title = f"[bold {colour}]{escape(ended)}"
+    below = [Text(more)] if more else []
+    said = Panel(Group(table, "", words, *below), title=title, border_style=colour)
     return Group(said, *map(Text, faults(result)), Text(f"{result.folder / 'report.html'}", overflow="fold"))
 
 
