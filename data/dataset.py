@@ -85,16 +85,11 @@ def read(folder: Path) -> Dataset:
     shots = _shots(folder, known)
     motion_table = ARM if _find(folder, "arm") else GRASP
     motion = _read(motion_table, folder)
-    wanted = [t for t in (READINGS, MASKS) if _find(folder, t.name)]
-    wanted += [POINTS] if _find(folder, POINTS.name) or not shots else []
-    seen = {table.name: _read(table, folder) for table in wanted}
-    names = {*motion["trial"], *shots, *(seen["points"]["trial"] if "points" in seen else ())}
-    if "points" in seen:
-        seen["points"] = _with_sigma(seen["points"], known)
+    points, readings, masks = _seen(folder, known, need_points=not shots)
     trials, films, rejected = {}, {}, {}
-    for name in sorted(names):
+    for name in sorted({*motion["trial"], *shots, *points["trial"]}):
         moved = {motion_table.name: _of(motion, name)}
-        parts = [_of(seen[t.name], name) if t.name in seen else t.empty() for t in (POINTS, READINGS, MASKS)]
+        parts = [_of(frame, name) for frame in (points, readings, masks)]
         times = shots[name][0] if parts[0].empty and name in shots else parts[0]["t"].to_numpy()
         reason = _unusable(moved[motion_table.name]["t"].to_numpy(), times)
         if reason:
@@ -104,6 +99,17 @@ def read(folder: Path) -> Dataset:
         if name in shots:
             films[name] = Film(*shots[name], **moved)
     return Dataset(folder, trials, films, rejected, known, _hashes(folder))
+
+
+def _seen(folder: Path, known: Mapping[str, Any], need_points: bool) -> list[pd.DataFrame]:
+    """Points, readings and masks of all trials; empty what is not there, but for points that are needed."""
+    points, readings, masks = (
+        _read(table, folder)
+        if _find(folder, table.name) or (table is POINTS and need_points)
+        else with_trial(table).empty()
+        for table in (POINTS, READINGS, MASKS)
+    )
+    return [_with_sigma(points, known), readings, masks]
 
 
 def _with_sigma(points: pd.DataFrame, known: Mapping[str, Any]) -> pd.DataFrame:
@@ -181,7 +187,7 @@ def _read(table: Table, folder: Path) -> pd.DataFrame:
     whole = with_trial(table)
     frame = whole.check(pd.read_csv(path), str(path)) if path.suffix == ".csv" else read_table(whole, path)
     numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional and c.unit]
-    if table in (ARM, GRASP, POINTS):  # of the others NaN is a value
+    if table in (ARM, GRASP, POINTS, FRAMES):  # of the others NaN is a value
         frame = frame[np.isfinite(frame[numbers]).all(axis=1)]
         keys = ["trial", "t", "s"] if table is POINTS else ["trial", "t"]
         frame = frame.drop_duplicates(keys)

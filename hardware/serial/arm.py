@@ -120,7 +120,7 @@ class SerialArm:
 
     def _checked_play(self, angles: np.ndarray) -> tuple[pd.DataFrame, float]:
         check_movement(self.arm, angles)
-        return self._play(np.concatenate([np.diff(angles, axis=0) / self.arm.tick, np.zeros((1, angles.shape[1]))]))
+        return self._play(self.arm.commanded(angles))
 
     def _play(self, speeds: np.ndarray) -> tuple[pd.DataFrame, float]:
         """Send a velocity each tick on an absolute schedule; ramp down when answers stay out.
@@ -248,9 +248,9 @@ class SerialArm:
 
 def check_movement(arm: Arm, angles: np.ndarray) -> None:
     """Refuse a movement that leaves a limit anywhere. angles: (K, J) on the tick [rad]."""
-    speeds = np.diff(angles, axis=0) / arm.tick
-    change = np.diff(speeds, axis=0, prepend=0 * speeds[:1], append=0 * speeds[:1]) / arm.tick
-    hand = np.linalg.norm(arm.grasp_velocity(angles[:-1], speeds)[:, :2], axis=1)
+    speeds = arm.commanded(angles)
+    change = np.diff(speeds, axis=0, prepend=0.0) / arm.tick
+    hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[:, :2], axis=1)
     checks = {
         "arm.lowest or arm.highest (range)": ((angles < arm.lowest) | (angles > arm.highest)).any(axis=1),
         "arm.speed": (np.abs(speeds) > LIMIT_SLACK * np.asarray(arm.speed)).any(axis=1),

@@ -23,7 +23,7 @@ from hardware.virtual.render import Look, noisy, render, scenery
 from hardware.virtual.servo import Servo
 from stages.model.arm import Arm
 from stages.model.camera import Camera
-from stages.model.hand import joint_motion
+from stages.model.hand import JointMotion, joint_motion
 from stages.model.integrator import RungeKutta4
 from stages.model.library import named
 from stages.model.model import Model
@@ -104,18 +104,19 @@ class Bench:
 
     def string_at(self, times: np.ndarray) -> np.ndarray:
         """The true string at times, (F, n, 2) [m]."""
-        if self.performed is None:
-            raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
-        motion = joint_motion(*self.performed, tick=0.001)
-        return self.model.true(motion, self.values, times).points[0]
+        return self.model.true(self._motion(0.001), self.values, times).points[0]
 
     def joints_at(self, times: np.ndarray) -> np.ndarray:
         """The true arm at times, (F, J + 1, 2) [m]."""
-        if self.performed is None:
-            raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
-        motion = self.model.joints(joint_motion(*self.performed, tick=self.servo.step), self.values)
+        motion = self.model.joints(self._motion(self.servo.step), self.values)
         t = motion.start + motion.tick * np.arange(motion.angles.shape[1])
         return self.arm.joints(np.stack([np.interp(times, t, angle) for angle in motion.angles[0].T], axis=-1))
+
+    def _motion(self, tick: float) -> JointMotion:
+        """What the joints were made to do, every `tick` [s]."""
+        if self.performed is None:
+            raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
+        return joint_motion(*self.performed, tick=tick)
 
     def in_view(self, true: Callable[[np.ndarray], np.ndarray], times: np.ndarray) -> np.ndarray:
         """Where the camera has points at its own times, (F, n, 2) [m]. true: the points at true times (M,)."""

@@ -7,20 +7,11 @@ from typing import Annotated
 
 from pydantic import Field
 
+from stages.model.box import Box
 from stages.model.effect import another
 from stages.model.effects.box_contact import BoxContact
 
 NotNegative = Annotated[float, Field(ge=0)]
-
-
-@dataclass(frozen=True)
-class Box:
-    """An upright rectangle: centre (x, y), full width w and height h [m]."""
-
-    x: float
-    y: float
-    w: Annotated[float, Field(gt=0)]
-    h: Annotated[float, Field(gt=0)]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from pydantic import Field
 from data.artifacts import ATTEMPTS, COMMANDS, CONTROL_POINTS, JOINTS, MOTION_OUTCOME, PREDICTED_STRING, SPEEDS, Motion
 from data.schema import DataError
 from stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
-from stages.generate.space import Box, check_reach
+from stages.generate.space import check_reach
 from stages.model.arm import Arm
+from stages.model.box import Box
 from stages.model.hand import JointMotion
 from stages.model.model import Model
 from stages.model.string import String
@@ -135,7 +136,7 @@ def _arm_faults(arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: 
     reasons = np.full(len(angles), "", dtype=object)
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
     joints = arm.joints(angles)
-    change = np.abs(np.diff(mean_speeds(arm, angles), axis=1, prepend=0.0)) / arm.tick
+    change = np.abs(np.diff(arm.commanded(angles), axis=1, prepend=0.0)) / arm.tick
     touched = [box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=(1, 2)) for box in obstacles]
     checks = {
         "the arm touches an obstacle": np.any(touched, axis=0) if touched else np.zeros(len(angles), dtype=bool),
@@ -198,16 +199,10 @@ def _motion(arm: Arm, target: Box, string: String, curve: Curves, seen: Simulate
 
 def commands_of(arm: Arm, curve: Curves) -> pd.DataFrame:
     """Table COMMANDS of one movement: each velocity is the mean over the tick in which it is held."""
-    angles = curve.sampled(arm.tick, float(curve.duration[0]))[0]
-    columns = {"t": np.arange(angles.shape[1]) * arm.tick}
-    columns |= dict(zip(JOINTS, angles[0].T, strict=True))
-    columns |= dict(zip(SPEEDS, mean_speeds(arm, angles)[0].T, strict=True))
+    angles = curve.sampled(arm.tick, float(curve.duration[0]))[0][0]
+    columns = {"t": np.arange(len(angles)) * arm.tick}
+    columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(zip(SPEEDS, arm.commanded(angles).T, strict=True))
     return COMMANDS.check(pd.DataFrame(columns))
-
-
-def mean_speeds(arm: Arm, angles: np.ndarray) -> np.ndarray:
-    """What the arm is told: the mean velocity over each tick [rad/s], zero at the end. angles: (B, K, J) [rad]."""
-    return np.concatenate([np.diff(angles, axis=1) / arm.tick, np.zeros_like(angles[:, :1])], axis=1)
 
 
 def _control(curve: Curves) -> pd.DataFrame:

@@ -43,6 +43,10 @@ class Arm:
         """Distance from the base to the outstretched hand [m]."""
         return float(sum(self.links))
 
+    def commanded(self, angles: np.ndarray) -> np.ndarray:
+        """What the arm is told, (..., K, J) [rad/s]: a tick's mean, zero at the end. angles: likewise [rad]."""
+        return np.concatenate([np.diff(angles, axis=-2) / self.tick, np.zeros_like(angles[..., :1, :])], axis=-2)
+
     def joints(self, angles: np.ndarray) -> np.ndarray:
         """Positions of base, joints and hand [m].
 

@@ -81,9 +81,14 @@ def _force(
     cells: np.ndarray,
 ) -> np.ndarray:
     """Force over nominal mass per length on the part beyond the start of each segment, (C, n - 1, 2) [m^2/s^2]."""
-    tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    places = pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
+    tangent, places = _shape(pose, angles, lengths)
     return _beyond(_weight(string, material, places, tangent, masses, cells))
+
+
+def _shape(pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions of the segments and places of the free points [m], (C, n - 1, 2) each."""
+    tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return tangent, pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
 
 
 def _weight(
@@ -125,8 +130,7 @@ def _yielding(
     laws = [e.laws().get(slot) for e in string.effects for slot in ("load", "acceleration")]
     if not any({"x", "y"} & set(arguments(law)) for law in laws if law is not None):
         return None
-    tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    places = pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
+    tangent, places = _shape(pose, angles, lengths)
     change = []
     for step in 1e-7 * np.eye(2):
         up, down = (_weight(string, material, places + side * step, tangent, masses, cells) for side in (1, -1))

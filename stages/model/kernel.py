@@ -73,7 +73,7 @@ def kernel_for(
     """The compiled step loop for these effects.
 
     names: qualified names of the parameters, and of what effects derive from them, in the order of their rows. Returns
-    `run(B, P, hand, hand_lanes, grid, steps, out, alive)`; see the generated text.
+    `run(buffers, P, H, ...)`; see the generated text.
     """
     return _load(source(effects, names, integrator, precision)).run
 
