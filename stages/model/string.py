@@ -29,6 +29,7 @@ from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
 from stages.model.precision import Double, Precision
+from stages.model.sampling import sampled
 from stages.model.stability import steps_per_tick
 
 BASE: tuple[type[StringEffect], ...] = (
@@ -199,7 +200,7 @@ def simulate(string: String, hand: HandMotion, values: np.ndarray, times: np.nda
         rate = rates if len(rates) == 1 else rates[chosen]
         ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level))
         own = times if times.ndim == 1 else times[chosen]
-        points = _sampled(ticks, (own - hand.start) / hand.tick, hand.pose.shape[1] - 1)
+        points = sampled(ticks, (own - hand.start) / hand.tick, hand.pose.shape[1] - 1)
         parts.append((chosen, points, alive))
     return _gathered(parts, (len(material), times.shape[-1], string.points, 2))
 
@@ -294,30 +295,3 @@ def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:
     coefficients = np.stack([p0, v0, 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1], axis=-1)
     batch, count = coefficients.shape[:2]
     return np.ascontiguousarray(coefficients.reshape(batch, count, 12).transpose(1, 2, 0))
-
-
-def _sampled(ticks: np.ndarray, position: np.ndarray, moved: int) -> np.ndarray:
-    """Positions between ticks, by Lagrange's polynomial through the six nearest.
-
-    ticks: (C, K, n, 2). position: (F,) or (C, F) in ticks, clipped to the first and last. moved:
-    last tick of the hand's motion. (C, F, n, 2).
-    """
-    # The last tick that the candidate itself asks for: rest added for others must not matter.
-    asked = np.ceil(position.max(axis=-1, keepdims=True) - 1e-9).astype(int)
-    last = np.clip(asked, moved, ticks.shape[1] - 1)
-    position = np.clip(position, 0, last)
-    whole = np.round(position)
-    if position.ndim == 1 and np.allclose(position, whole, rtol=0, atol=1e-6):
-        whole = whole.astype(int)
-        return ticks if np.array_equal(whole, np.arange(ticks.shape[1])) else ticks[:, whole]
-    width = min(6, int(last.min()) + 1)
-    first = np.clip(np.floor(position).astype(int) - (width // 2 - 1), 0, last + 1 - width)
-    offset = position - first
-    own = np.arange(len(ticks))[:, None]
-    result = np.zeros((ticks.shape[0], position.shape[-1], *ticks.shape[2:]))
-    for i in range(width):
-        others = [m for m in range(width) if m != i]
-        weight = np.prod([(offset - m) / (i - m) for m in others], axis=0)
-        with np.errstate(invalid="ignore"):  # a rejected run is not finite, and stays so
-            result += weight[..., None, None] * ticks[own, first + i]
-    return result

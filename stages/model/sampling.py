@@ -1,0 +1,46 @@
+"""Positions between the ticks of a simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+NODES = 6  # ticks that the polynomial goes through
+
+
+def sampled(ticks: np.ndarray, position: np.ndarray, moved: int) -> np.ndarray:
+    """Positions between ticks, by Lagrange's polynomial through the six nearest.
+
+    ticks: (C, K, n, 2). position: (F,) or (C, F) in ticks, clipped to the first and last. moved:
+    last tick of the hand's motion. (C, F, n, 2).
+    """
+    # The last tick that the candidate itself asks for: rest added for others must not matter.
+    asked = np.ceil(position.max(axis=-1, keepdims=True) - 1e-9).astype(int)
+    last = np.clip(asked, moved, ticks.shape[1] - 1)
+    position = np.clip(position, 0, last)
+    whole = np.round(position)
+    if position.ndim == 1 and np.allclose(position, whole, rtol=0, atol=1e-6):
+        whole = whole.astype(int)
+        return ticks if np.array_equal(whole, np.arange(ticks.shape[1])) else ticks[:, whole]
+    each = np.broadcast_to(position, (len(ticks), position.shape[-1]))
+    return _interpolated(ticks, each, np.broadcast_to(last.ravel(), len(ticks)), min(NODES, int(last.min()) + 1))
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _interpolated(ticks: np.ndarray, position: np.ndarray, last: np.ndarray, width: int) -> np.ndarray:
+    """ticks: (C, K, n, 2); position: (C, F); last: (C,); width: nodes of the polynomial. (C, F, n, 2)."""
+    count, frames = position.shape
+    result = np.zeros((count, frames, ticks.shape[2], 2))
+    for c in prange(count):
+        for f in range(frames):
+            first = min(max(int(np.floor(position[c, f])) - (width // 2 - 1), 0), last[c] + 1 - width)
+            offset = position[c, f] - first
+            for i in range(width):
+                weight = 1.0
+                for m in range(width):
+                    if m != i:
+                        weight *= (offset - m) / (i - m)
+                for p in range(ticks.shape[2]):
+                    result[c, f, p, 0] += weight * ticks[c, first + i, p, 0]
+                    result[c, f, p, 1] += weight * ticks[c, first + i, p, 1]
+    return result
