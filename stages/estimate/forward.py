@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from data.artifacts import JOINTS, Observation
 from data.schema import DataError
 from stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
 from stages.model.model import Model
+from stages.model.state import State
 from stages.model.string import StringMotion
 
 CHUNK = 256  # candidates simulated at once: keeps memory in hand, whatever their number
@@ -22,7 +23,8 @@ class Case:
     """One trial made ready: the motion as the arm reports it, and what was measured.
 
     times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at frame
-    index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m].
+    index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m]. initial: the state in which the
+    trial begins, by the camera's clock; None if at rest before the hand moves.
     """
 
     name: str
@@ -33,12 +35,13 @@ class Case:
     s: np.ndarray
     points: np.ndarray
     sigma: np.ndarray
+    initial: State | None = None
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
         """Strings of candidates (C, P) as the camera reports them at the frame times, chunk by chunk."""
         for first in range(0, len(values), CHUNK):
             some = slice(first, min(first + CHUNK, len(values)))
-            yield some, self.model.seen(self.motion, values[some], self.times)
+            yield some, self.model.seen(self.motion, values[some], self.times, self.initial)
 
     @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -59,8 +62,8 @@ class Case:
         last = self.times[0] + share * (self.times[-1] - self.times[0])
         frames = int(np.searchsorted(self.times, last + 1e-9))
         kept = self.frame < frames
-        parts = (self.frame[kept], self.s[kept], self.points[kept], self.sigma[kept])
-        return Case(self.name, self.model, self.motion, self.times[:frames], *parts)
+        parts = {name: getattr(self, name)[kept] for name in ("frame", "s", "points", "sigma")}
+        return replace(self, times=self.times[:frames], **parts)
 
     def rms(self, values: np.ndarray) -> float:
         """Root mean square distance of one candidate (P,) from the measured points [m]."""

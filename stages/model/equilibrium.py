@@ -56,6 +56,17 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     return angles, lengths
 
 
+def stretched(string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Lengths [m] of segments that are held at these angles [rad] and carry what hangs on them, (C, n - 1).
+
+    material: (C, P). pose: (1 or C, 3) of the grasp.
+    """
+    masses, cells = string.masses(material)
+    plain = np.full(angles.shape, string.segment)
+    force = _force(string, material, np.broadcast_to(pose, (len(material), 3)), angles, plain, masses, cells)
+    return _lengths(string, material, force, angles)
+
+
 def _cautious(limit: np.ndarray, turn: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Smaller turns where a string goes back and forth between touching and not, larger ones again where it goes on."""
     back = np.sum(turn * last, axis=1, keepdims=True) < 0

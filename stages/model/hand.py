@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from data.schema import DataError
 from stages.model.arm import Arm
@@ -34,6 +34,24 @@ class HandMotion:
     def end(self) -> float:
         """Time of the last pose [s]."""
         return self.start + (self.pose.shape[1] - 1) * self.tick
+
+    def since(self, begin: float | np.ndarray) -> HandMotion:
+        """The motion from a moment on [s], or from one for each candidate, (C,): then time counts from it.
+
+        Before its first pose and after its last the hand rests.
+        """
+        count = max(int(np.ceil((self.end - np.min(begin)) / self.tick - 1e-9)), 1) + 1
+        ticks = (np.reshape(begin, (-1, 1)) - self.start) / self.tick + np.arange(count)
+        known = np.arange(self.pose.shape[1])
+        place = np.clip(ticks, 0, known[-1])
+        before = np.minimum(place.astype(int), known[-1] - 1)
+        row = np.arange(len(self.pose))[:, None]
+        cubic = CubicHermiteSpline(known, self.pose, self.rate * self.tick, axis=1)
+        pose, rate = (
+            np.polyval(part.c[:, before, row], (place - before)[..., None]) for part in (cubic, cubic.derivative())
+        )
+        rate = np.where((ticks == place)[..., None], rate / self.tick, 0.0)
+        return HandMotion(float(begin) if np.ndim(begin) == 0 else 0.0, self.tick, pose, rate)
 
     def really(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
         """The motion that really happened when the hand's effects acted. Raises DataError if one needs joints."""

@@ -160,6 +160,7 @@ class ImplicitLeapfrog(Integrator):
     nodes: tuple[float, ...] = (0.0,)
     order: int = 2
     update: tuple[str, ...] = ("B[DVX + p] = ax", "B[DVY + p] = ay", "qx = B[VX + p]", "qy = B[VY + p]")
+    behind: float = 0.5
     rows: tuple[str, ...] = ROWS
     velocity: tuple[str, ...] = ("qx = B[VX + p] + 0.5 * B[DVX + p]", "qy = B[VY + p] + 0.5 * B[DVY + p]")
     turned: str = field(default=turn.ANY, repr=False)

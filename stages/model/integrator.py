@@ -23,14 +23,16 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Integrator:
     """nodes: when in a step the forces are evaluated, in steps, one for each pass. order: of
-    convergence. update: source text, a line a string. rows: names of rows of its own.
-    velocity: source text of the velocity qx, qy that loads see. turned: how a segment's turn in a
-    step is measured. solver: source text of what runs after each pass, and solve: its call."""
+    convergence. update: source text, a line a string. behind: how far the velocities that it keeps
+    are behind the positions, in steps. rows: names of rows of its own. velocity: source text of the
+    velocity qx, qy that loads see. turned: how a segment's turn in a step is measured. solver:
+    source text of what runs after each pass, and solve: its call."""
 
     name: str
     nodes: tuple[float, ...]
     order: int
     update: tuple[str, ...]
+    behind: float = 0.0
     rows: tuple[str, ...] = ()
     velocity: tuple[str, ...] = ("qx = B[VX + p]", "qy = B[VY + p]")
     turned: str = field(default=turn.SMALL, repr=False)
@@ -62,6 +64,7 @@ class SemiImplicitEuler(Integrator):
     nodes: tuple[float, ...] = (0.0,)
     order: int = 1
     update: tuple[str, ...] = ("qx += dt * ax", "qy += dt * ay", "px += dt * qx", "py += dt * qy")
+    behind: float = 0.5
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4."""

@@ -19,6 +19,7 @@ from stages.model.camera import Camera
 from stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect
 from stages.model.hand import Act, HandMotion, JointMotion
 from stages.model.parameter import Parameter
+from stages.model.state import State
 from stages.model.string import String, StringMotion, simulate
 
 MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
@@ -76,24 +77,44 @@ class Model:
         """The joints' motion that really happened. values: (C, P)."""
         return motion.joints(self._acts(values))
 
-    def true(self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray) -> StringMotion:
-        """Where the strings of candidates are. values: (C, P); times: (F,) or (C, F) of the arm's clock [s]."""
-        return simulate(self.string, self.hand(motion, values), self._of_string(values), times)
+    def true(
+        self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
+    ) -> StringMotion:
+        """Where the strings of candidates are. values: (C, P); times: (F,) or (C, F) of the arm's clock [s].
 
-    def seen(self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray) -> StringMotion:
-        """Where the camera reports the strings of candidates. values: (C, P); times: (F,) of the camera's clock [s]."""
-        real = self.true(motion, values, self.moments(values, times))
+        initial: the state from which they move, of the same clock; else they rest before the hand moves.
+        """
+        hand = self.hand(motion, values)
+        if initial is not None:
+            hand, times = hand.since(initial.t), initial.counted(times)
+        return simulate(self.string, hand, self._of_string(values), times, initial)
+
+    def seen(
+        self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
+    ) -> StringMotion:
+        """Where the camera reports the strings of candidates. values: (C, P); times: (F,) of the camera's clock [s].
+
+        initial: the state from which they move, of the same clock; else they rest before the hand moves.
+        """
+        if initial is not None:
+            initial = initial.at(self._on_arm(values, np.array([initial.t]))[..., 0])
+        real = self.true(motion, values, self.moments(values, times), initial)
         return StringMotion(self.reported(real.points, values, times), real.finite)
 
     def moments(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Times of the arm's clock at which `reported` needs points, (M,) or (C, M) [s]. times: (F,)."""
-        for effect in self.clock_effects:
-            times = effect.times(times, **self._given(effect, values, 2))
+        times = self._on_arm(values, times)
         if not self.camera_effects:
             return times
         # Nothing later than the last frame: its string should not depend on whether velocities are wanted.
         after = np.minimum(times + MOMENT, times.max(axis=-1, keepdims=True))
         return np.concatenate([times - MOMENT, times, after], axis=-1)
+
+    def _on_arm(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """What the arm's clock shows at these times of the camera's (F,), (F,) or (C, F) [s]."""
+        for effect in self.clock_effects:
+            times = effect.times(times, **self._given(effect, values, 2))
+        return times
 
     def reported(self, points: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """What the camera reports of true points at `moments`, (C, M, n, 2) [m]. times: (F,). Returns (C, F, n, 2)."""

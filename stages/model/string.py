@@ -8,9 +8,9 @@ the number of points; at `points == reference_points` the two are Eq. 1 exactly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -24,13 +24,14 @@ from stages.model.effects.grasp_spring import GraspSpring
 from stages.model.effects.gravity import Gravity
 from stages.model.effects.hinge_damper import HingeDamper
 from stages.model.effects.hinge_spring import HingeSpring
-from stages.model.equilibrium import grasp_set, hanging
+from stages.model.equilibrium import grasp_set, hanging, stretched
 from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
 from stages.model.precision import Double, Precision
 from stages.model.sampling import sampled
 from stages.model.stability import steps_per_tick
+from stages.model.state import State
 
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -180,12 +181,15 @@ class StringMotion:
         return self.points[:, :, -1]
 
 
-def simulate(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> StringMotion:
-    """Move candidates along the hand's motion from static equilibrium.
+def simulate(
+    string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
+) -> StringMotion:
+    """Move candidates along the hand's motion, from static equilibrium or from the state at its first tick.
 
     hand: one motion for all candidates, or one each. values: (C, P) parameters in the order
     of `string.parameters`. times: (F,), or (C, F) of their own, when the string is wanted [s];
-    before the hand's first tick it rests, after the last the hand rests. A candidate that does not stay
+    before the hand's first tick nothing moves, after the last the hand rests. initial: how the string lies and
+    moves at the first tick, whatever the time it names; in equilibrium without it. A candidate that does not stay
     finite, or whose stable step is impractically small, is rejected.
 
     Results do not depend on the number of threads nor on which candidates run together.
@@ -198,7 +202,7 @@ def simulate(string: String, hand: HandMotion, values: np.ndarray, times: np.nda
         chosen = np.flatnonzero(possible & (steps == level))
         pose = poses if len(poses) == 1 else poses[chosen]
         rate = rates if len(rates) == 1 else rates[chosen]
-        ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level))
+        ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level), initial)
         own = times if times.ndim == 1 else times[chosen]
         points = sampled(ticks, (own - hand.start) / hand.tick, hand.pose.shape[1] - 1)
         parts.append((chosen, points, alive))
@@ -228,7 +232,13 @@ def _extended(hand: HandMotion, until: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _run(
-    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, hand: HandMotion, steps: int
+    string: String,
+    material: np.ndarray,
+    pose: np.ndarray,
+    rate: np.ndarray,
+    hand: HandMotion,
+    steps: int,
+    initial: State | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2) and who stayed finite (C,)."""
     width, number = string.precision.width, string.precision.number
@@ -236,9 +246,10 @@ def _run(
     index = np.minimum(np.arange(blocks * width), count - 1)
     parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1), dtype=number)
     own = pose if len(pose) == 1 else pose[index]
-    angles, lengths = hanging(string, material, pose[:, 0])
+    start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
+    angles, lengths, velocity = (part[index] for part in start)
     constants = string.integrator.constants(string, material[index], hand.tick / steps)
-    positions, buffers = _buffers(string, material[index], own[:, 0], angles[index], lengths[index], constants)
+    positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, constants)
     shared = len(pose) == 1
     cubic = string.precision.hand(_cubic(own, rate if shared else rate[index], hand.tick))
     if shared:
@@ -247,13 +258,61 @@ def _run(
     out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
     out[:, 0] = positions.reshape(blocks, width, -1, 2).transpose(0, 3, 2, 1)
     alive = np.ones((blocks, width), dtype=bool)
-    run = kernel.kernel_for(string.effects, string.rows, string.integrator, string.precision)
-    run(
-        *(buffers, parameters.reshape(blocks, -1), cubic, 0 if shared else 1, string.points, string.segment),
-        *(np.full(blocks, steps), hand.tick, hand.start, out, alive),
+    run = partial(
+        kernel.kernel_for(string.effects, string.rows, string.integrator, string.precision),
+        **{"P": parameters.reshape(blocks, -1), "per_block": 0 if shared else 1, "start": hand.start},
+        **{"points": string.points, "length": string.segment},
     )
+    if initial is not None and string.integrator.behind:
+        _set_back(string, run, buffers, cubic, hand.tick / steps, steps, out[:, :2].copy())
+    run(buffers, H=cubic, steps=np.full(blocks, steps), tick=hand.tick, out=out, alive=alive)
     ticks = out.transpose(0, 4, 1, 3, 2).reshape(blocks * width, out.shape[1], string.points, 2)
     return ticks[:count], alive.reshape(-1)[:count]
+
+
+def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles and lengths of the segments in equilibrium, and velocities of the points: none. As `_moving`."""
+    angles, lengths = hanging(string, material, pose[:, 0])
+    return angles, lengths, np.zeros((len(material), string.points, 2))
+
+
+def _moving(
+    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, initial: State
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles [rad] and lengths [m] of the segments, (C, n - 1) each, and velocities of the points (C, n, 2) [m/s].
+
+    Each candidate is stretched as it would be if it hung there at rest: let go without strain, a string would ring.
+    """
+    shape = (len(material), string.points - 1)
+    angles, turns = (np.broadcast_to(each, shape) for each in initial.segments(string))
+    lengths = stretched(string, material, pose[:, 0], angles)
+    across = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
+    relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
+    hand = np.broadcast_to(rate[:, :1, :2], (len(material), 1, 2))
+    return angles, lengths, np.concatenate([hand, hand + relative], axis=1)
+
+
+def _set_back(
+    string: String,
+    run: Callable[..., None],
+    buffers: np.ndarray,
+    cubic: np.ndarray,
+    dt: float,
+    steps: int,
+    out: np.ndarray,
+) -> None:
+    """Velocities to the time at which the integrator keeps them, in place, by a step tried on a copy.
+
+    With a the steps by which they are behind the positions, v(-a dt) = v(0) - a (v(dt) - v(0)).
+    """
+    width, blocks = string.precision.width, len(buffers)
+    first = (cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)).astype(cubic.dtype)
+    after, alive = buffers.copy(), np.ones((blocks, width), dtype=bool)
+    run(after, H=first, steps=np.ones(blocks, dtype=int), tick=dt, out=out, alive=alive)
+    kinds = kernel.kinds(string.integrator, string.precision)
+    rows = [kinds["VX"], kinds["VY"]]
+    now, then = (each.reshape(blocks, -1, len(kinds), width) for each in (buffers, after))
+    now[:, :, rows] -= string.integrator.behind * (then[:, :, rows] - now[:, :, rows])
 
 
 def _buffers(
@@ -262,11 +321,12 @@ def _buffers(
     pose: np.ndarray,
     angles: np.ndarray,
     lengths: np.ndarray,
+    velocity: np.ndarray,
     constants: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The initial state, at rest and in equilibrium: positions (C, n, 2) [m], and the kernel's rows filled with it.
+    """The initial state: positions (C, n, 2) [m], and the kernel's rows filled with it.
 
-    constants: further rows, those of the integrator, (C, 1 to n) each.
+    velocity: of the points, (C, n, 2) [m/s]. constants: further rows, those of the integrator, (C, 1 to n) each.
     """
     width = string.precision.width
     blocks = len(material) // width
@@ -278,6 +338,8 @@ def _buffers(
         **string.precision.start(positions, vectors, angles, pose[:, 2]),
         "INERTIA": 1.0 / masses,
         "WEIGHT": cells / masses,
+        "VX": velocity[..., 0],
+        "VY": velocity[..., 1],
         "SET": grasp_set(string, material),
     }
     buffers = kernel.rows(blocks, string.points, string.integrator, string.precision)
