@@ -239,7 +239,7 @@ class Observation:
 
     Exactly one of `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is given.
     `masks` is empty where only points were measured, `points` where they are yet to be read
-    from frames.
+    from frames. moving: the string is not at rest when the trial begins.
     """
 
     trial: str
@@ -248,6 +248,7 @@ class Observation:
     masks: pd.DataFrame
     arm: pd.DataFrame | None = None
     grasp: pd.DataFrame | None = None
+    moving: bool = False
 
 
 # --- estimate ---------------------------------------------------------------------------

@@ -9,7 +9,7 @@ and `masks`, so that estimation from disk sees exactly what it saw in the run.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,9 @@ def read(folder: Path) -> Dataset:
     motion = _read(motion_table, folder)
     points, readings, masks = _seen(folder, known, need_points=not shots)
     trials, films, rejected = {}, {}, {}
-    for name in sorted({*motion["trial"], *shots, *points["trial"]}):
+    names = sorted({*motion["trial"], *shots, *points["trial"]})
+    moving = _moving(folder, known, names)
+    for name in names:
         moved = {motion_table.name: _of(motion, name)}
         parts = [_of(frame, name) for frame in (points, readings, masks)]
         times = shots[name][0] if parts[0].empty and name in shots else parts[0]["t"].to_numpy()
@@ -95,7 +97,7 @@ def read(folder: Path) -> Dataset:
         if reason:
             rejected[name] = reason
             continue
-        trials[name] = Observation(name, *parts, **moved)
+        trials[name] = replace(Observation(name, *parts, **moved), moving=name in moving)
         if name in shots:
             films[name] = Film(*shots[name], **moved)
     return Dataset(folder, trials, films, rejected, known, _hashes(folder))
@@ -116,6 +118,25 @@ def _with_sigma(points: pd.DataFrame, known: Mapping[str, Any]) -> pd.DataFrame:
     """Points with the uncertainty that dataset.yaml gives for all of them, where they have none of their own."""
     sigma = (known.get("noise") or {}).get("point_sigma")
     return points if sigma is None or "sigma" in points else points.assign(sigma=float(sigma))
+
+
+def _moving(folder: Path, known: Mapping[str, Any], names: Iterable[str]) -> set[str]:
+    """Which trials begin with the string in motion: as dataset.yaml says of one, or else of all."""
+    own = {str(name): block for name, block in (known.get("trials") or {}).items()}
+    said = {}
+    for name in names:
+        block = own.get(name) or {}
+        if not isinstance(block, dict):
+            raise DataError(
+                f"{folder / 'dataset.yaml'}: trials.{name} is {block!r}; it must hold names and values. Correct it."
+            )
+        said[name] = block.get("initial", known.get("initial", "rest"))
+        if said[name] not in ("rest", "moving"):
+            raise DataError(
+                f"{folder / 'dataset.yaml'}: initial is {said[name]!r} (trial {name}); it must be 'rest' or 'moving'. "
+                "Correct it."
+            )
+    return {name for name, begins in said.items() if begins == "moving"}
 
 
 def _shots(folder: Path, known: Mapping[str, Any]) -> dict[str, Shots]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from data.artifacts import JOINTS, Observation
 from data.schema import DataError
+from stages.estimate.initial import initial_state, kinematics
 from stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
 from stages.model.model import Model
 from stages.model.state import State
@@ -82,7 +83,20 @@ def case(model: Model, observation: Observation) -> Case:
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
     sigma = points["sigma"].to_numpy() if "sigma" in points else np.ones(len(points))
     position = points[["x", "y"]].to_numpy()
-    return Case(observation.trial, model, motion_of(observation), times, frame, points["s"].to_numpy(), position, sigma)
+    s, motion = points["s"].to_numpy(), motion_of(observation)
+    ready = Case(observation.trial, model, motion, times, frame, s, position, sigma)
+    return replace(ready, initial=_begun(ready, "sigma" in points)) if observation.moving else ready
+
+
+def _begun(ready: Case, known: bool) -> State:
+    """The state in which a trial begins. known: the points' sigma is."""
+    length = ready.model.string.length
+    first = (ready.times, ready.frame, ready.s, ready.points)
+    try:
+        seen = kinematics(*first, float(np.median(ready.sigma)) if known else None, length)
+    except DataError as error:
+        raise DataError(f"trial {ready.name}: {error}") from error
+    return initial_state(ready.motion.really(ready.model.arm, ()), length, ready.times, seen)
 
 
 def motion_of(observation: Observation) -> JointMotion | HandMotion:

@@ -78,3 +78,21 @@ def test_dirt_is_left_out_and_trials_that_cannot_be_used_are_named(tmp_path):
     assert "overlap" in read.rejected["b"]
     assert "no motion" in read.rejected["c"]
     assert "no measured point" in read.rejected["d"]
+
+
+def test_a_trial_begins_at_rest_unless_dataset_yaml_says_otherwise(tmp_path):
+    both = {"grasp": pd.concat([grasp(), grasp("b")]), "points": pd.concat([points(), points("b")])}
+
+    def moving(about):
+        given(tmp_path, about, **both)
+        return [trial.moving for trial in dataset.read(tmp_path).trials.values()]
+
+    assert moving({}) == [False, False]
+    assert moving({"initial": "moving"}) == [True, True]
+    assert moving({"trials": {"b": {"initial": "moving", "role": "held_out"}}}) == [False, True]
+    assert moving({"initial": "moving", "trials": {"a": {"initial": "rest"}, "b": None}}) == [False, True]
+    for wrong in ({"initial": True}, {"trials": {"b": {"initial": "flying"}}}):
+        with pytest.raises(DataError, match=r"dataset\.yaml: initial is .* it must be 'rest' or 'moving'"):
+            moving(wrong)
+    with pytest.raises(DataError, match=r"dataset\.yaml: trials\.b is 'moving'; it must hold names and values"):
+        moving({"trials": {"b": "moving"}})
