@@ -1,0 +1,5 @@
+"""Benches that hide a cause, for tests of the diagnosis: measured points and joint logs, and a sealed envelope."""
+
+from hardware.virtual.blind.bench import CASES, BlindBench, draw
+
+__all__ = ["CASES", "BlindBench", "draw"]

@@ -1,0 +1,72 @@
+"""Random casts of the arm: smooth joint motions within its limits, as the arm performs and reports them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BPoly
+
+from hardware.virtual.servo import Servo
+from stages.model.arm import Arm
+from stages.model.hand import JointMotion, joint_motion
+
+BEFORE, AFTER = 0.05, 0.1  # [s] of rest around the movement
+FINE = 0.001  # [s]
+DURATION = (0.35, 0.85)  # [s]
+
+
+@dataclass(frozen=True)
+class Cast:
+    """One performance. t (K,), told (K, J): the log of the encoders on the arm's tick [s], [rad]. happened: the joints'
+    motion. frames: (F,) times at which the camera has a picture [s]."""
+
+    t: np.ndarray
+    told: np.ndarray
+    happened: JointMotion
+    frames: np.ndarray
+
+
+def random_cast(arm: Arm, rng: np.random.Generator, fps: float, speeds: tuple[float, float]) -> Cast:
+    """A cast whose hand reaches a speed between `speeds` [m/s], performed, with some pictures missing."""
+    ticks, angles = _planned(arm, rng, speeds)
+    servo = Servo()
+    fine, turned = servo.follow(ticks, arm.commanded(angles), rng)
+    happened = angles[0] + turned
+    reported = np.stack([np.interp(ticks, fine, q) for q in happened.T], axis=-1)
+    frames = np.arange(np.ceil(ticks[0] * fps - 1e-6), np.floor(ticks[-1] * fps + 1e-6) + 1) / fps
+    kept = rng.uniform(size=len(frames)) > 0.02
+    return Cast(ticks, servo.encoder(reported), joint_motion(fine, happened, FINE), frames[kept])
+
+
+def _planned(arm: Arm, rng: np.random.Generator, speeds: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Ticks (K,) and angles (K, J) of a movement that the arm can do."""
+    while True:
+        duration = float(np.round(rng.uniform(*DURATION) / arm.tick) * arm.tick)
+        # the paper's velocity curves (III): Bezier of degree 5, at rest at both ends
+        control = np.zeros((6, 1, len(arm.links)))
+        control[1:-1] = rng.uniform(-1, 1, (4, 1, len(arm.links)))
+        curve = BPoly(control, [0.0, duration])
+        start = rng.uniform(arm.lowest, arm.highest)
+        inside = np.arange(round(duration / arm.tick) + 1) * arm.tick
+        turned = curve.antiderivative()(np.clip(inside, 0.0, duration))
+        hand = np.linalg.norm(arm.grasp_velocity(start + turned, curve(inside))[:, :2], axis=-1).max()
+        wanted = np.exp(rng.uniform(*np.log(speeds)))
+        scale = wanted / hand  # roughly: the lever changes with the angles
+        ticks = np.arange(-round(BEFORE / arm.tick), round((duration + AFTER) / arm.tick) + 1) * arm.tick
+        angles = start + scale * curve.antiderivative()(np.clip(ticks, 0.0, duration))
+        if _possible(arm, angles, speeds):
+            return ticks, angles
+
+
+def _possible(arm: Arm, angles: np.ndarray, speeds: tuple[float, float]) -> bool:
+    """Within the arm's ranges, joint speeds and accelerations, and with the hand about as fast as wanted."""
+    told = arm.commanded(angles)
+    hand = np.linalg.norm(arm.grasp_velocity(angles, told)[:, :2], axis=-1).max()
+    return bool(
+        (angles > arm.lowest).all()
+        and (angles < arm.highest).all()
+        and (np.abs(told) <= arm.speed).all()
+        and (np.abs(np.diff(told, axis=0)) / arm.tick <= arm.acceleration).all()
+        and 0.8 * speeds[0] <= hand <= min(1.2 * speeds[1], arm.hand_speed)
+    )

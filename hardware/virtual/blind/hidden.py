@@ -1,0 +1,103 @@
+"""How an effect is hidden: its circumstances drawn, its size left open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.virtual.outside import Outside
+from stages.model.effect import Effect
+
+CLEAR = 0.01  # [m] that a plane keeps from the hand and from the string at rest
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect between absent and as large as its range allows.
+
+    absent, full: its parameters by qualified name at either end. only: the one trial in which it acts, or None.
+    """
+
+    effect: type[Effect]
+    absent: dict[str, float]
+    full: dict[str, float]
+    only: int | None = None
+
+    def at(self, share: float) -> dict[str, float]:
+        """Its parameters at a share of the way from absent to full."""
+        return {name: low + share * (self.full[name] - low) for name, low in self.absent.items()}
+
+
+def hidden(
+    effect: type[Effect], rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]
+) -> Hidden | None:
+    """The effect in circumstances that fit the trials, or None where there are none.
+
+    times: (F,) of each trial [s]. strings: (F, n, 2), the string without it [m].
+    """
+    if issubclass(effect, Outside):
+        return _outside(effect, rng, times, strings)
+    ends = SPECIAL[effect.name](rng, times, strings) if effect.name in SPECIAL else _to_an_end(effect, rng)
+    if ends is None:
+        return None
+    absent, full = ({f"{effect.name}.{name}": value for name, value in end.items()} for end in ends)
+    return Hidden(effect, absent, full)
+
+
+Ends = tuple[dict[str, float], dict[str, float]]
+
+
+def _to_an_end(effect: type[Effect], rng: np.random.Generator) -> Ends:
+    """Towards either end of the range of the only parameter."""
+    (parameter,) = effect.parameters
+    ends = [end for end in (parameter.low, parameter.high) if end != parameter.start]
+    return {parameter.name: parameter.start}, {parameter.name: float(rng.choice(ends))}
+
+
+def _outside(
+    effect: type[Outside], rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]
+) -> Hidden:
+    """In one trial or in all of them, with circumstances from the trial in which it acts."""
+    trial = int(rng.integers(len(times)))
+    circumstances = effect.circumstances(rng, times[trial], strings[trial])
+    size = effect.parameters[0]
+    end = float(rng.choice([end for end in (size.low, size.high) if end != 0.0]))
+    absent, full = ({f"{effect.name}.{n}": v for n, v in {size.name: s, **circumstances}.items()} for s in (0.0, end))
+    return Hidden(effect, absent, full, trial if effect.once else None)
+
+
+def _wind(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
+    """From anywhere."""
+    towards = rng.uniform(-np.pi, np.pi)
+    return {"along_x": 0.0, "along_y": 0.0}, {
+        "along_x": 5 * float(np.cos(towards)),
+        "along_y": 5 * float(np.sin(towards)),
+    }
+
+
+def _grasp_slip(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
+    """Either way, from some time on within the first half of the shortest movement."""
+    onset = float(rng.uniform(0.2, 0.5) * min(t[-1] for t in times))
+    return {"speed": 0.0, "onset": onset}, {"speed": 0.3 * float(rng.choice([-1, 1])), "onset": onset}
+
+
+def _contact(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends | None:
+    """A plane of any tilt, from where the string just touches it to where the hand or the string at rest would."""
+    tilt = float(rng.uniform(-np.pi, np.pi))
+    normal = np.array([-np.sin(tilt), np.cos(tilt)])
+    touched = min(float((points @ normal).min()) for points in strings)
+    kept = min(float(min((points[:, 0] @ normal).min(), (points[0] @ normal).min())) for points in strings) - CLEAR
+    if kept - touched < 0.02 or max(abs(kept), abs(touched)) > 1:
+        return None
+    stiffness = float(np.exp(rng.uniform(*np.log([1e4, 9e4]))))
+    same = {"tilt": tilt, "stiffness": stiffness, "friction": float(rng.uniform(0, 0.5)), "loss": 0.1}
+    return {"height": touched, **same}, {"height": kept, **same}
+
+
+SPECIAL: dict[str, Callable[[np.random.Generator, list[np.ndarray], list[np.ndarray]], Ends | None]] = {
+    "wind": _wind,
+    "grasp_slip": _grasp_slip,
+    "contact": _contact,
+}

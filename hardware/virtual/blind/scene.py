@@ -1,0 +1,140 @@
+"""What would be measured on a bench, and how much of it other base parameters could explain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from hardware.virtual.bench import Specimen
+from hardware.virtual.blind.casts import Cast
+from hardware.virtual.outside import causes
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.effect import Effect, StringEffect
+from stages.model.effects.box_contact import BoxContact
+from stages.model.implicit import ImplicitLeapfrog
+from stages.model.library import library
+from stages.model.model import Model
+from stages.model.string import BASE, String
+
+STEP = 1e-4  # of chi, for differences
+SHARES = np.array([1.0, 0.5, 0.25, 0.1])  # of a Gauss-Newton step, of which the best is taken
+LIBRARY = tuple(e for e in library().values() if e not in BASE and e is not BoxContact and e.parameters)
+ON_STRINGS = tuple(e for e in (*LIBRARY, *causes()) if issubclass(e, StringEffect))
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A string, its casts and a camera. base: the paper's parameters by name. s: (S,) arc lengths at which points are
+    measured [m]. sigma: of their noise, in x and in y [m]."""
+
+    arm: Arm
+    camera: Camera
+    length: float
+    base: Mapping[str, float]
+    casts: tuple[Cast, ...]
+    s: np.ndarray
+    sigma: float
+
+    @property
+    def fine(self) -> String:
+        """What really hangs there."""
+        return Specimen(self.length, self.base).string()
+
+    def second_order(self, points: int) -> String:
+        """As `string=fine` of the configuration simulates it: nearly the same, for a hundredth of the time."""
+        return String(
+            self.length, points, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4
+        )
+
+    def model(self, string: String, effects: Sequence[type[Effect]] = ()) -> Model:
+        """A string in this scene with effects. With one on the string come all that there are, mostly at zero, so that
+        there is one loop to compile whatever a seed draws."""
+        elsewhere = [e for e in effects if not issubclass(e, StringEffect)]
+        full = string if len(elsewhere) == len(effects) else replace(string, effects=(*BASE, *ON_STRINGS))
+        return Model(full, self.arm, self.camera).with_effects(*elsewhere)
+
+    def performing(self, casts: tuple[Cast, ...]) -> Scene:
+        """The same string in other casts."""
+        return replace(self, casts=casts)
+
+    def seen(self, model: Model, values: Sequence[Values], only: int | None = None) -> np.ndarray:
+        """Where points would be measured without noise, in sigmas, (C, N, S, 2); NaN for a run that fails.
+
+        values: of each candidate by name, beside the base. only: the one trial in which what is beyond the base acts.
+        """
+        parts = []
+        for number, cast in enumerate(self.casts):
+            acting = only is None or number == only
+            rows = np.stack([model.values({**self.base, **(v if acting else _paper(v))}) for v in values])
+            parts.append(self._measured(model.seen(cast.happened, rows, cast.frames).points))
+        return np.concatenate(parts, axis=1) / self.sigma
+
+    def _measured(self, points: np.ndarray) -> np.ndarray:
+        """At the arc lengths s, from mass points (C, F, n, 2)."""
+        position = np.clip(self.s / self.length * (points.shape[2] - 1), 0, points.shape[2] - 1 - 1e-9)
+        before, share = position.astype(int), (position % 1)[:, None]
+        return points[:, :, before] * (1 - share) + points[:, :, before + 1] * share
+
+    def left(
+        self, model: Model, data: np.ndarray, free: Sequence[str], start: Values, steps: int, only: int | None = None
+    ) -> tuple[np.ndarray, dict[str, float]]:
+        """What is left of data (N, S, 2) once the free parameters are fitted to it by bounded Gauss-Newton steps.
+
+        Returns residuals in sigmas (N, S, 2), and the values fitted.
+        """
+        own = {p.name: p for p in model.parameters}
+        values = {**self.base, **start}
+        for _ in range(steps):
+            chi = np.array([own[name].chi(np.array(values[name])) for name in free])
+            now, slopes = self.slopes(model, values, free, only)
+            step = _bounded_step((data - now).ravel(), slopes.reshape(len(free), -1).T, chi)
+            tried = [
+                values | {n: float(own[n].value(c)) for n, c in zip(free, chi + k * step, strict=True)} for k in SHARES
+            ]
+            misfit = np.mean((self.seen(model, tried, only) - data) ** 2, axis=(1, 2, 3))
+            best = int(np.nanargmin(np.where(np.isfinite(misfit), misfit, np.inf)))
+            if misfit[best] >= np.mean((now - data) ** 2):
+                break
+            values = tried[best]
+        return data - self.seen(model, [values], only)[0], values
+
+    def slopes(
+        self, model: Model, values: Values, free: Sequence[str], only: int | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Where points are, (N, S, 2), and how they move with chi of each free parameter, (P, N, S, 2), in sigmas."""
+        own = {p.name: p for p in model.parameters}
+        moved, width = [dict(values)], []
+        for name in free:
+            chi = float(own[name].chi(np.array(values[name])))
+            ends = np.clip([chi - STEP, chi + STEP], 0, 1)
+            width.append(float(np.diff(ends)[0]))
+            moved += [{**values, name: float(own[name].value(end))} for end in ends]
+        field = self.seen(model, moved, only)
+        return field[0], (field[2::2] - field[1::2]) / np.array(width)[:, None, None, None]
+
+    def at_tip(self, field: np.ndarray) -> float:
+        """The largest displacement of the tip, in sigmas. field: (N, S, 2)."""
+        return float(np.linalg.norm(field[:, -1], axis=-1).max())
+
+
+def _bounded_step(residual: np.ndarray, slopes: np.ndarray, chi: np.ndarray) -> np.ndarray:
+    """The least-squares step (P,) that keeps chi within [0, 1]. residual: (M,), slopes: (M, P)."""
+    q, r = np.linalg.qr(slopes)
+    return lsq_linear(r, q.T @ residual, bounds=(-chi - 1e-12, 1 - chi + 1e-12)).x
+
+
+def unexplained(field: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Fields (C, N, S, 2) less their projections on columns (P, N, S, 2)."""
+    q, _ = np.linalg.qr(columns.reshape(len(columns), -1).T)
+    flat = field.reshape(len(field), -1)
+    return (flat - (flat @ q) @ q.T).reshape(field.shape)
+
+
+def _paper(values: Values) -> dict[str, float]:
+    """Those of the paper's own parameters: the others, whose names have a dot, are at zero."""
+    return {name: value for name, value in values.items() if "." not in name}
