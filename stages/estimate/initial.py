@@ -21,6 +21,7 @@ from stages.model.state import State
 PIECES = 40  # straight pieces of the curve
 FRAMES = 4  # to which parabolas are fitted: more are no parabola at 30 Hz, and at 200 Hz no better
 REACH = 0.05  # of the length: a place so far from what a frame shows was not seen in it
+STRAY = 5.0  # times the usual residual: a place beyond that has an outlier
 FINEST = 3e-4  # of the length: no place is known better
 TURNS = np.geomspace(0.03, 10.0, 12)  # [rad] by which the direction wanders over the length
 RATES = np.geomspace(0.1, 100.0, 12)  # [rad/s] by which its rate does
@@ -67,9 +68,12 @@ def kinematics(
             f"it begins moving, but no place on the string is seen in 3 of its first {FRAMES} frames. Begin it where "
             "the string is seen, or say 'initial: rest' in dataset.yaml."
         )
-    fitted, spread, scatter = _parabolas(times[: len(tracks)] - times[0], tracks[:, usual])
-    noise = max(scatter, sigma or 0.0, FINEST * length)
-    return Kinematics(places[usual], fitted[:, 0], fitted[:, 1], noise * spread[:, 0], noise * spread[:, 1])
+    fitted, spread, left = _parabolas(times[: len(tracks)] - times[0], tracks[:, usual])
+    least = max(sigma or 0.0, FINEST * length)
+    sound = left <= STRAY * max(float(np.median(left)), least)
+    noise = max(float(np.sqrt(np.mean(left[sound] ** 2))), least)
+    place, velocity, *_ = fitted[sound].transpose(1, 0, 2)
+    return Kinematics(places[usual][sound], place, velocity, *noise * spread[sound, :2].T)
 
 
 def _tracks(frame: np.ndarray, s: np.ndarray, points: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
@@ -88,22 +92,22 @@ def _tracks(frame: np.ndarray, s: np.ndarray, points: np.ndarray, length: float)
     return tracks, places
 
 
-def _parabolas(t: np.ndarray, tracks: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _parabolas(t: np.ndarray, tracks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Parabolas through each place: coefficients (M, 3, 2), their standard deviations per noise (M, 3), and the
-    root mean square of what they leave [m].
+    noise (M,) that each leaves [m].
     """
     powers = np.vander(t / t[-1], 3, increasing=True)
     coefficients, spread = np.empty((tracks.shape[1], 3, 2)), np.empty((tracks.shape[1], 3))
-    squares, free = 0.0, 0
+    left = np.empty(tracks.shape[1])
     for place, track in enumerate(tracks.transpose(1, 0, 2)):
         there = np.isfinite(track[:, 0])
         inverse = np.linalg.pinv(powers[there])
         coefficients[place] = inverse @ track[there]
         spread[place] = np.linalg.norm(inverse, axis=1)
-        squares += float(np.sum((track[there] - powers[there] @ coefficients[place]) ** 2))
-        free += 2 * (int(there.sum()) - 3)
+        residual = track[there] - powers[there] @ coefficients[place]
+        left[place] = np.linalg.norm(residual) / np.sqrt(2 * max(there.sum() - 3, 1))
     scale = t[-1] ** np.arange(3)
-    return coefficients / scale[:, None], spread / scale, float(np.sqrt(squares / max(free, 1)))
+    return coefficients / scale[:, None], spread / scale, left
 
 
 def _shape(seen: Kinematics, pose: np.ndarray, length: float) -> np.ndarray:

@@ -55,10 +55,11 @@ def observed(t, seen, places, **more):
     return Observation("r", points, READINGS.empty(), MASKS.empty(), grasp=grasp, **more)
 
 
-def found(turn, where, fps, noise, seed=0):
+def found(turn, where, fps, noise, seed=0, outlier=0.0):
     """State recovered from the first frames, and how far places and velocities of segments' ends are off, mean."""
     places = PLACES[where]
     t, seen = released(turn, places, fps, noise, seed)
+    seen[1, len(places) // 2] += outlier
     rows = np.repeat(np.arange(len(t)), len(places))
     first = kinematics(t, rows, np.tile(places, len(t)), seen.reshape(-1, 2), noise, LENGTH)
     hand = hand_motion_from_grasp(t, np.repeat(POSE[None], len(t), axis=0))
@@ -95,6 +96,14 @@ def test_the_first_frames_give_the_state(where, fps, noise, place, velocity):
         assert state.rate[-1] > 2.0
         assert places < place
         assert velocities < velocity
+
+
+def test_an_outlier_in_the_first_frames_does_no_harm():
+    """60 mm off in the second frame; as good as without: 0.4 mm, 0.10 m/s."""
+    state, places, velocities = found(TURN, "line", 200, 7e-4, outlier=0.06)
+    assert state.rate[-1] > 2.0
+    assert places < 0.6e-3
+    assert velocities < 0.15
 
 
 def test_a_turn_counts_from_the_grasp():
