@@ -16,6 +16,7 @@ no data touches, alone or in combination, as wide as the range.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -27,6 +28,7 @@ from data.artifacts import Estimate, Observation
 from stages.estimate.forward import Case
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
+from stages.estimate.settle import settled
 from stages.model.model import Model
 
 STEP = 1e-4  # of chi, for the central difference
@@ -38,6 +40,7 @@ FINALISTS = 6  # starts that are followed to the end; after each horizon the bet
 MISFIT = 1.5  # times the points' own uncertainty: a residual beyond that is more than noise
 STUBBORN = 1e-9  # added to the normal matrix, so that flat directions stay put
 PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
+TURNS = 3  # in which initial states and parameters are fitted, where trials begin moving
 POLISH = 100  # steps of the trust region at most; it mostly takes fewer than 20
 DAMPINGS = np.array([1e-7, 1e-4, 1e-2, 1.0, 100.0])
 
@@ -74,6 +77,9 @@ def estimate(
         progress((number + 1) / len(HORIZONS))
     limit = _limit(_residuals(cases, chi)).min()
     best = _polished(cases, chi[int(np.argmin(_costs(cases, chi, limit)))])
+    if any(ready.initial is not None for ready in cases):
+        cases, best = _settled(cases, best)
+        goals = [replace(goal, case=ready) for goal, ready in zip(goals, cases, strict=True)]
     tried = np.concatenate([screened, chi, best[None]])
     search = Search("least squares", tried, matching_rate(goals, values_of(model.parameters, tried)))
     return estimate_of(goals, before, best, search, interval(cases, best))
@@ -85,6 +91,16 @@ def _advanced(cases: Sequence[Case], chi: np.ndarray, steps: int) -> np.ndarray:
         chi = _improved(cases, chi)
     kept = max(len(chi) // 2, FINALISTS)
     return chi[np.argsort(_costs(cases, chi, np.inf))[:kept]]
+
+
+def _settled(cases: Sequence[Case], chi: np.ndarray) -> tuple[list[Case], np.ndarray]:
+    """Cases whose initial states suit the parameters, and the minimum for these, found in turns."""
+    settling = list(cases)
+    for _ in range(TURNS):
+        values = values_of(cases[0].model.parameters, chi[None])[0]
+        settling = [settled(ready, values) for ready in settling]
+        chi = _polished(settling, chi)
+    return settling, chi
 
 
 def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:

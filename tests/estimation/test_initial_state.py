@@ -1,5 +1,7 @@
 """From noisy first frames to the state of a string, and estimation from trials that begin in motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,6 +14,7 @@ from stages.estimate import least_squares
 from stages.estimate.forward import case
 from stages.estimate.initial import initial_state, kinematics
 from stages.estimate.matching import Matching
+from stages.estimate.settle import settled
 from stages.model.hand import hand_motion_from_grasp
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.model import Model
@@ -124,9 +127,20 @@ def test_a_string_too_little_seen_is_refused(model):
         case(model, observed(t, seen, PLACES["two"], moving=True))
 
 
+@pytest.mark.parametrize(("where", "fps", "noise", "worst"), [("eleven", 200, 7e-4, 1.1), ("two", 30, 3e-3, 1.1)])
+@pytest.mark.parametrize("turn", [0 * TURN, TURN])
+def test_the_motion_that_follows_corrects_the_state(model, where, fps, noise, worst, turn):
+    """With the true parameters the residual is noise: from 2.9 to 1.0 mm, with two markers at 30 Hz from 15.8 to 3.9."""
+    t, seen = released(turn, PLACES[where], fps, noise)
+    trial = observed(t, seen, PLACES[where], moving=True)
+    ready = case(model, replace(trial, points=trial.points.assign(sigma=noise)))
+    values = model.values(NAMED)
+    assert settled(ready, values).rms(values) < worst * np.sqrt(2) * noise
+
+
 def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
-    """From disk to parameters: 1.5 mm are left, where noise is 1.0 mm, and k_h is 5 % low; begun at rest it would
-    be 114 mm off.
+    """From disk to parameters: 1.09 mm are left, where noise is 0.99 mm, and k_h is 2 % low. Begun at rest it would be
+    114 mm off; from the first frames alone 1.5 mm, and k_h 5 % low.
     """
     t, seen = released(TURN, PLACES["eleven"], 200, 7e-4)
     given = observed(t, seen, PLACES["eleven"])
@@ -138,6 +152,6 @@ def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
     settings = {"starts": 8, "screening": 100, "iterations": 16, "matching": Matching(20, 2, 3.0, 0.25)}
     estimate = least_squares.estimate(model, [trial], None, seed=0, manipulation=1, **settings)
     values = model.values(estimate.values())
-    assert estimate.fit["rms_after"][0] < 2e-3
+    assert estimate.fit["rms_after"][0] < 1.2e-3
     assert case(model, given).rms(values) > 0.05
-    assert estimate.values()["bending_stiffness"] == pytest.approx(NAMED["bending_stiffness"], rel=0.08)
+    assert estimate.values()["bending_stiffness"] == pytest.approx(NAMED["bending_stiffness"], rel=0.035)
