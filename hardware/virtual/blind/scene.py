@@ -21,6 +21,7 @@ from stages.model.model import Model
 from stages.model.string import BASE, String
 
 STEP = 1e-4  # of chi, for differences
+EDGE = 1e-12  # what lies on a bound is allowed a little, or there would be no inside
 SHARES = np.array([1.0, 0.5, 0.25, 0.1])  # of a Gauss-Newton step, of which the best is taken
 LIBRARY = tuple(e for e in library().values() if e not in BASE and e is not BoxContact and e.parameters)
 ON_STRINGS = tuple(e for e in (*LIBRARY, *causes()) if issubclass(e, StringEffect))
@@ -93,9 +94,8 @@ class Scene:
             chi = np.array([own[name].chi(np.array(values[name])) for name in free])
             now, slopes = self.slopes(model, values, free, only)
             step = _bounded_step((data - now).ravel(), slopes.reshape(len(free), -1).T, chi)
-            tried = [
-                values | {n: float(own[n].value(c)) for n, c in zip(free, chi + k * step, strict=True)} for k in SHARES
-            ]
+            moved = np.clip(chi + SHARES[:, None] * step, 0, 1)
+            tried = [values | {n: float(own[n].value(c)) for n, c in zip(free, row, strict=True)} for row in moved]
             misfit = np.mean((self.seen(model, tried, only) - data) ** 2, axis=(1, 2, 3))
             best = int(np.nanargmin(np.where(np.isfinite(misfit), misfit, np.inf)))
             if misfit[best] >= np.mean((now - data) ** 2):
@@ -125,7 +125,7 @@ class Scene:
 def _bounded_step(residual: np.ndarray, slopes: np.ndarray, chi: np.ndarray) -> np.ndarray:
     """The least-squares step (P,) that keeps chi within [0, 1]. residual: (M,), slopes: (M, P)."""
     q, r = np.linalg.qr(slopes)
-    return lsq_linear(r, q.T @ residual, bounds=(-chi - 1e-12, 1 - chi + 1e-12)).x
+    return lsq_linear(r, q.T @ residual, bounds=(-chi - EDGE, 1 - chi + EDGE)).x
 
 
 def unexplained(field: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -1,0 +1,117 @@
+"""Pictures of a blind study's scores: the confusion matrix, and an overview beside the goals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from stages.report.picture import LIGHT, STYLE
+
+COLOURS = {"effect": "after", "outside": "measured", "pair": "before"}
+LAST = ("none", "unknown", "ambiguous", "insufficient", "failed")  # answers that are no effect
+KINDS = ("effect", "resolution", "none", "outside")
+
+
+def pictures(tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
+    """Write `confusion.png` and `overview.png`. tables: of `scores`. Returns their paths."""
+    drawn = {"confusion": _confusion, "overview": _overview}
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, draw in drawn.items():
+        with plt.style.context(STYLE):
+            figure = draw(tables)
+            paths.append(folder / f"{name}.png")
+            figure.savefig(paths[-1], dpi=150, facecolor="white")
+            plt.close(figure)
+    return paths
+
+
+def _confusion(tables: Mapping[str, pd.DataFrame]) -> plt.Figure:
+    """Rows: what was hidden. Columns: what was said."""
+    counts = tables["confusion"]
+    rows = [(k, t) for k in KINDS for t in sorted(counts.loc[counts["kind"] == k, "truth"].unique())]
+    said = set(counts["answer"])
+    right = [t for k, t in rows if k in KINDS[:2]]
+    columns = [*right, *sorted(said - {*right, *LAST}), *(a for a in LAST if a in said | {"none", "unknown"})]
+    matrix = counts.pivot_table(index=["kind", "truth"], columns="answer", values="count", aggfunc="sum")
+    shown = matrix.reindex(index=rows, columns=columns).fillna(0).to_numpy()
+    figure, axes = plt.subplots(figsize=(2.6 + 0.28 * len(columns), 1.8 + 0.26 * len(rows)))
+    axes.imshow(shown / shown.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1.4, aspect="auto")
+    for i, j in zip(*np.nonzero(shown), strict=True):
+        axes.text(j, i, f"{shown[i, j]:.0f}", ha="center", va="center", fontsize=7)
+    axes.set_xticks(range(len(columns)), columns, rotation=60, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), [t if k != "outside" else f"outside: {t}" for k, t in rows])
+    axes.set(xlabel="said", ylabel="hidden")
+    axes.set_xticks(np.arange(len(columns)) - 0.5, minor=True)
+    axes.set_yticks(np.arange(len(rows)) - 0.5, minor=True)
+    axes.grid(False)
+    axes.grid(which="minor", color=LIGHT["grid"], linewidth=0.6)
+    axes.tick_params(which="both", length=0)
+    return figure
+
+
+def _overview(tables: Mapping[str, pd.DataFrame]) -> plt.Figure:
+    """Accuracy over size, calibration, rates with their goals, and runtime."""
+    figure = plt.figure(figsize=(10, 7.5))
+    grid = figure.add_gridspec(2, 1)
+    upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
+    left, right = upper.subplots(1, 2)
+    wide, narrow = lower.subplots(1, 2, width_ratios=(1.3, 1))
+    _sizes(left, tables["by_size"])
+    _reliability(right, tables["calibration"], tables["calibration_error"].iloc[0])
+    _goals(wide, tables["rates"])
+    _times(narrow, tables["benches"]["runtime"], tables["runtime"].iloc[0])
+    return figure
+
+
+def _bars(some: pd.DataFrame) -> np.ndarray:
+    """Distances of the interval's ends from the share, (2, K)."""
+    return np.abs(some[["low", "high"]].to_numpy().T - some["share"].to_numpy())
+
+
+def _sizes(axes: Axes, table: pd.DataFrame) -> None:
+    for number, (kind, some) in enumerate(table.groupby("kind")):
+        across = some["size"] * 1.02 ** (number - 1)  # side by side, so that bars can be told apart
+        axes.errorbar(across, some["share"], _bars(some), fmt="o-", ms=4, color=LIGHT[COLOURS[kind]], label=kind)
+    axes.axhline(0.95, color=LIGHT["wall"], ls="--", lw=1, label="goal for effects and pairs")
+    axes.set_xscale("log")
+    axes.set_xticks([5, 10, 20, 40], ["5", "10", "20", "40"])
+    axes.minorticks_off()
+    axes.set(xlabel="largest displacement of the tip / noise sigma", ylabel="share that is right", ylim=(0, 1.05))
+    axes.set_title("right answers, by size")
+    axes.legend(loc="lower right")
+
+
+def _reliability(axes: Axes, table: pd.DataFrame, error: pd.Series) -> None:
+    axes.plot([0, 1], [0, 1], color=LIGHT["wall"], ls="--", lw=1)
+    axes.errorbar(table["confidence"], table["share"], _bars(table), fmt="o", ms=4, color=LIGHT["after"])
+    for x, low, count in table[["confidence", "low", "count"]].to_numpy():
+        below = (0, -3)  # points
+        axes.annotate(f"{count:.0f}", (x, low), below, textcoords="offset points", va="top", ha="center", fontsize=7)
+    axes.set(xlabel="probability stated", ylabel="share that is right", xlim=(0, 1.03), ylim=(-0.08, 1.05))
+    axes.set_title(f"calibration error {error['error']:.3f}, chance alone {error['chance']:.3f}")
+
+
+def _goals(axes: Axes, table: pd.DataFrame) -> None:
+    shown = table[table["count"] > 0].iloc[::-1].reset_index(drop=True)
+    axes.errorbar(shown["share"], shown.index, xerr=_bars(shown), fmt="o", ms=4, color=LIGHT["after"])
+    for place, row in shown.iterrows():
+        for goal, mark in ((row["at_least"], ">"), (row["at_most"], "<")):
+            if np.isfinite(goal):
+                axes.plot(goal, place, marker=mark, color=LIGHT["before"], ms=6, ls="none", clip_on=False)
+    axes.set_yticks(
+        shown.index, shown["name"] + " (" + shown["right"].astype(str) + "/" + shown["count"].astype(str) + ")"
+    )
+    axes.set(xlim=(-0.03, 1.03), ylim=(-0.6, len(shown) - 0.4), xlabel="share, with 95 % interval; triangles: goals")
+
+
+def _times(axes: Axes, seconds: pd.Series, summary: pd.Series) -> None:
+    axes.hist(seconds, bins=30, color=LIGHT["after"])
+    axes.axvline(summary["at_most"], color=LIGHT["wall"], ls="--", lw=1)
+    axes.set(xlabel="runtime of a diagnosis / s", ylabel="benches", xlim=(0, None))
+    axes.set_title(f"median {summary['median']:.0f} s, 95 % below {summary['p95']:.0f} s")

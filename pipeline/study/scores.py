@@ -1,0 +1,276 @@
+"""Scores of a blind study, as tables: what was said of each bench, and how often it was right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest
+
+from data.schema import Column, Table
+from pipeline.study.verdicts import (
+    RESOLUTION,
+    Row,
+    answered,
+    answers,
+    confidence,
+    correct,
+    found_of_pair,
+    named_above,
+)
+
+BINS = np.linspace(0.0, 1.0, 11)  # of confidence
+SIZES = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])  # [sigma]
+CHANCE = 2000  # studies simulated for the calibration error that chance alone makes
+
+_COUNTS = (
+    Column("right", "1", "how many of them", "int"),
+    Column("count", "1", "of how many", "int"),
+    Column("share", "1", "right over count"),
+    Column("low", "1", "lower end of the 95 % interval (Clopper and Pearson)"),
+    Column("high", "1", "upper end"),
+)
+BENCHES = Table(
+    "benches",
+    "a row a bench: what was hidden and what was said",
+    (
+        Column("seed", "1", "of the bench", "int"),
+        Column("kind", "", "effect, none, outside, pair or resolution", "text"),
+        Column("truth", "", "what was hidden, joined by +", "text"),
+        Column("size", "1", "how far it moves the tip, in noise sigmas, base parameters refitted; the least of a pair"),
+        Column("verdict", "", "of the diagnosis", "text"),
+        Column("answer", "", "first named, the true one if it is among the look-alikes named first", "text"),
+        Column("named", "", "all that was named, look-alikes joined by |", "text"),
+        Column("correct", "", "the answer is right", "bool"),
+        Column("confidence", "1", "probability of the answer; NaN if not stated"),
+        Column("group", "1", "how many look-alikes the answer has, itself included; 0 if nothing is named", "int"),
+        Column("extra", "1", "named beyond what is hidden", "int"),
+        Column("found", "1", "how many of what is hidden are named", "int"),
+        Column("named_above_half", "", "a library effect was given a probability above 0.5", "bool"),
+        Column("rms_base", "m", "on held-out trials"),
+        Column("rms_extended", "m", "on held-out trials"),
+        Column("noise_floor", "m", "as estimated"),
+        Column("runtime", "s", "of the diagnosis"),
+    ),
+)
+PARAMETERS = Table(
+    "parameters",
+    "parameters of true causes that were named",
+    (
+        Column("seed", "1", "of the bench", "int"),
+        Column("name", "", "qualified name", "text"),
+        Column("true", "", "as hidden, in the parameter's unit"),
+        Column("value", "", "as found"),
+        Column("low", "", "lower end of its 95 % interval"),
+        Column("high", "", "upper end"),
+        Column("inside", "", "the interval holds the true value", "bool"),
+    ),
+)
+CONFUSION = Table(
+    "confusion",
+    "how often what was hidden got which answer; pairs are not in it",
+    (
+        Column("kind", "", "effect, none, outside or resolution", "text"),
+        Column("truth", "", "what was hidden", "text"),
+        Column("answer", "", "what was said", "text"),
+        Column("count", "1", "how often", "int"),
+    ),
+)
+BY_SIZE = Table(
+    "by_size",
+    "how often a hidden effect was found, by its size",
+    (
+        Column("kind", "", "effect (with resolution), outside or pair", "text"),
+        Column("from", "1", "least size of the bin [sigma]"),
+        Column("to", "1", "largest size of the bin [sigma]"),
+        Column("size", "1", "mean size in the bin [sigma]"),
+        *_COUNTS,
+    ),
+)
+CALIBRATION = Table(
+    "calibration",
+    "how often answers were right, by the probability they were given",
+    (
+        Column("from", "1", "least probability of the bin"),
+        Column("to", "1", "largest probability of the bin"),
+        Column("confidence", "1", "mean probability in the bin"),
+        *_COUNTS,
+    ),
+)
+RATES = Table(
+    "rates",
+    "the study in a few numbers, with the goals",
+    (
+        Column("name", "", "what is counted", "text"),
+        *_COUNTS,
+        Column("at_least", "1", "goal; NaN if there is none"),
+        Column("at_most", "1", "goal; NaN if there is none"),
+    ),
+)
+ERROR = Table(
+    "calibration_error",
+    "one row: expected calibration error",
+    (
+        Column("error", "1", "mean distance of share and confidence over the bins, weighted by count"),
+        Column("chance", "1", "its mean if every answer were right with exactly the probability stated"),
+        Column("chance_high", "1", "95th percentile of the same"),
+        Column("at_most", "1", "goal"),
+        Column("count", "1", "answers with a probability", "int"),
+    ),
+)
+RUNTIME = Table(
+    "runtime",
+    "one row: how long a diagnosis took",
+    (
+        Column("median", "s", "half took less"),
+        Column("p95", "s", "95 of 100 took less"),
+        Column("longest", "s", "the longest"),
+        Column("at_most", "s", "goal"),
+    ),
+)
+TABLES = {t.name: t for t in (BENCHES, PARAMETERS, CONFUSION, BY_SIZE, CALIBRATION, RATES, ERROR, RUNTIME)}
+
+
+def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
+    """Every table of TABLES, by name. rows: of `one_bench`, at least one."""
+    benches = BENCHES.check(pd.DataFrame([_bench(row) for row in rows]))
+    parameters = [one for row in rows for one in _parameters(row)]
+    made = {
+        "benches": benches,
+        "parameters": pd.DataFrame(parameters) if parameters else PARAMETERS.empty(),
+        "confusion": _confusion(benches),
+        "by_size": _by_size(benches),
+        "calibration": _calibration(benches),
+        "calibration_error": _calibration_error(benches),
+        "runtime": _runtime(benches),
+    }
+    made["rates"] = _rates(benches, made["parameters"])
+    return {name: TABLES[name].check(frame) for name, frame in made.items()}
+
+
+def _bench(row: Row) -> dict[str, object]:
+    """One row of BENCHES."""
+    truth, diagnosis, said = row["truth"], row["diagnosis"], answers(row)
+    rms = (diagnosis.get("gain") or {}).get("rms_m") or {}
+    return {
+        "seed": row["seed"],
+        "kind": truth["kind"],
+        "truth": "+".join(truth["names"]) or "none",
+        "size": min(truth["sizes"].values(), default=np.nan),
+        "verdict": diagnosis["verdict"],
+        "answer": answered(row),
+        "named": " ".join("|".join(sorted(group)) for group in said),
+        "correct": correct(row),
+        "confidence": confidence(row),
+        "group": len(said[0]) if said else 0,
+        "extra": sum(not group & set(truth["names"]) for group in said),
+        "found": found_of_pair(row),
+        "named_above_half": named_above(row, 0.5),
+        "rms_base": rms.get("base", np.nan),
+        "rms_extended": rms.get("extended", np.nan),
+        "noise_floor": rms.get("noise_floor", np.nan),
+        "runtime": row["runtime"],
+    }
+
+
+def _parameters(row: Row) -> list[dict[str, object]]:
+    """Those of true causes that were named with an interval."""
+    true = row["truth"]["parameters"]
+    stated = {n: p for cause in row["diagnosis"].get("causes") or [] for n, p in cause.get("parameters", {}).items()}
+    return [
+        {"seed": row["seed"], "name": name, "true": true[name], **{k: p[k] for k in ("value", "low", "high")}}
+        | {"inside": p["low"] <= true[name] <= p["high"]}
+        for name, p in stated.items()
+        if name in true and p.get("low") is not None and p.get("high") is not None
+    ]
+
+
+def _confusion(benches: pd.DataFrame) -> pd.DataFrame:
+    single = benches[benches["kind"] != "pair"]
+    return single.groupby(["kind", "truth", "answer"]).size().rename("count").reset_index()
+
+
+def _by_size(benches: pd.DataFrame) -> pd.DataFrame:
+    kinds = benches.assign(kind=benches["kind"].replace(RESOLUTION, "effect"))
+    sized = kinds[kinds["size"].notna()]
+    parts = sized.groupby(["kind", np.digitize(sized["size"], SIZES) - 1])
+    rows = [
+        {"kind": kind, "from": SIZES[i], "to": SIZES[i + 1], "size": some["size"].mean(), **counted(some["correct"])}
+        for (kind, i), some in parts
+        if 0 <= i < len(SIZES) - 1
+    ]
+    return pd.DataFrame(rows) if rows else BY_SIZE.empty()
+
+
+def _calibration(benches: pd.DataFrame) -> pd.DataFrame:
+    stated = benches[benches["confidence"].notna()]
+    rows = [
+        {"from": BINS[i], "to": BINS[i + 1], "confidence": some["confidence"].mean(), **counted(some["correct"])}
+        for i, some in stated.groupby(_bin(stated["confidence"].to_numpy()))
+    ]
+    return pd.DataFrame(rows) if rows else CALIBRATION.empty()
+
+
+def _calibration_error(benches: pd.DataFrame) -> pd.DataFrame:
+    stated = benches[benches["confidence"].notna()]
+    p, right = stated["confidence"].to_numpy(), stated["correct"].to_numpy()
+    by_chance = np.random.default_rng(0).uniform(size=(CHANCE, len(p))) < p
+    chance = [calibration_error(p, one) for one in by_chance] if len(p) else [np.nan]
+    row = {"error": calibration_error(p, right), "chance": np.mean(chance), "chance_high": np.percentile(chance, 95)}
+    return pd.DataFrame([row | {"at_most": 0.05, "count": len(p)}])
+
+
+def calibration_error(p: np.ndarray, right: np.ndarray) -> float:
+    """Expected calibration error of probabilities p (N,) of answers that were right or not (N,), in BINS.
+
+    Naeini, Cooper and Hauskrecht (2015). NaN for none.
+    """
+    if len(p) == 0:
+        return float("nan")
+    excess = np.bincount(_bin(p), weights=right - p, minlength=len(BINS) - 1)
+    return float(np.abs(excess).sum() / len(p))
+
+
+def _bin(p: np.ndarray) -> np.ndarray:
+    """Bin of each probability."""
+    return np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
+
+
+def _runtime(benches: pd.DataFrame) -> pd.DataFrame:
+    median, p95 = np.percentile(benches["runtime"], [50, 95])
+    return pd.DataFrame([{"median": median, "p95": p95, "longest": benches["runtime"].max(), "at_most": 120.0}])
+
+
+Chosen = Callable[[pd.DataFrame], pd.Series]
+# What is counted, of which benches, what of them, and the goal: at least, at most.
+COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
+    ("cause found", ("effect", "resolution", "pair"), lambda b: b["correct"], 0.95, np.nan),
+    ("single effect found", ("effect", "resolution"), lambda b: b["correct"], 0.95, np.nan),
+    ("pair found", ("pair",), lambda b: b["correct"], 0.95, np.nan),
+    ("one of a pair found", ("pair",), lambda b: b["found"] >= 1, np.nan, np.nan),
+    ("found without look-alikes", ("effect", "resolution"), lambda b: b["correct"] & (b["group"] == 1), np.nan, np.nan),
+    ("more named than there is", ("effect", "resolution", "pair"), lambda b: b["extra"] > 0, np.nan, np.nan),
+    ("false alarm", ("none",), lambda b: ~b["correct"], np.nan, 0.02),
+    ("outside called unknown", ("outside",), lambda b: b["correct"], 0.90, np.nan),
+    ("outside named above 0.5", ("outside",), lambda b: b["named_above_half"], np.nan, 0.0),
+)
+
+
+def _rates(benches: pd.DataFrame, parameters: pd.DataFrame) -> pd.DataFrame:
+    rows = []
+    for name, kinds, chosen, at_least, at_most in COUNTED:
+        some = benches[benches["kind"].isin(kinds)]
+        rows.append({"name": name, **counted(chosen(some)), "at_least": at_least, "at_most": at_most})
+    inside = counted(parameters["inside"])
+    rows.append({"name": "parameter in its interval", **inside, "at_least": 0.93, "at_most": 0.97})
+    return pd.DataFrame(rows)
+
+
+def counted(right: pd.Series) -> dict[str, float]:
+    """How many, of how many, the share, and its exact 95 % interval."""
+    n, k = len(right), int(right.sum())
+    if n == 0:
+        return {"right": 0, "count": 0, "share": np.nan, "low": 0.0, "high": 1.0}
+    interval = binomtest(k, n).proportion_ci(0.95, method="exact")
+    return {"right": k, "count": n, "share": k / n, "low": interval.low, "high": interval.high}

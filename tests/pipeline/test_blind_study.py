@@ -1,0 +1,203 @@
+"""Scores of a blind study, from rows made by hand, and rows made by a study in miniature."""
+
+import json
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.image import imread
+
+from data.dataset import read
+from hardware.virtual.blind import CASES, draw
+from pipeline.study import one_bench, pictures, scores, study
+from pipeline.study.scores import TABLES, calibration_error, counted
+from pipeline.study.verdicts import answered, beliefs, confidence, correct
+
+
+def row(kind, names, verdict, causes=(), groups=(), alternatives=(), size=10.0, paper=40.0, seed=0, **parameters):
+    """causes: (name, probability). parameters: name=(true, low, high), dots written as two underscores."""
+    stated = {n.replace("__", "."): p for n, p in parameters.items()}
+    intervals = {n: {"value": (low + high) / 2, "low": low, "high": high} for n, (_, low, high) in stated.items()}
+    of = lambda cause: {n: p for n, p in intervals.items() if n.startswith(f"{cause}.")}  # noqa: E731
+    return {
+        "seed": seed,
+        "runtime": 1.0,
+        "diagnosis": {
+            "verdict": verdict,
+            "causes": [{"effect": c, "probability": p, "parameters": of(c)} for c, p in causes],
+            "alternatives": [{"effect": c, "probability": p} for c, p in alternatives],
+            "indistinguishable": [list(group) for group in groups],
+        },
+        "truth": {
+            "kind": kind,
+            "names": list(names),
+            "paper": paper,
+            "sizes": dict.fromkeys(names, size),
+            "parameters": {n: true for n, (true, _, _) in stated.items()},
+        },
+    }
+
+
+WIND, MASS = ("wind", 0.9), ("tip_mass", 0.8)
+TAPER = ("density_taper", 0.3)
+RIGHT = {
+    "named": row("effect", ["wind"], "effect", [WIND]),
+    "named first of two": row("effect", ["wind"], "effect", [WIND, MASS]),
+    "after resolution, which is true anyway": row("effect", ["wind"], "effect", [("resolution", 1.0), WIND]),
+    "in the group of look-alikes": row(
+        "effect", ["tip_mass"], "ambiguous", [TAPER, MASS], groups=[["density_taper", "tip_mass"]]
+    ),
+    "nothing there, nothing said": row("none", [], "none"),
+    "nothing there but too few points": row("none", [], "effect", [("resolution", 0.9)]),
+    "too few points": row("resolution", ["resolution"], "effect", [("resolution", 0.9)]),
+    "unknown": row("outside", ["gust"], "unknown"),
+    "both of a pair": row("pair", ["wind", "tip_mass"], "effect", [MASS, WIND]),
+    "both of a pair, one in a group": row(
+        "pair", ["wind", "tip_mass"], "ambiguous", [TAPER, WIND], groups=[["density_taper", "tip_mass"]]
+    ),
+}
+WRONG = {
+    "another": row("effect", ["wind"], "effect", [MASS]),
+    "second": row("effect", ["wind"], "effect", [MASS, WIND]),
+    "in a group that is not first": row(
+        "effect", ["wind"], "ambiguous", [MASS, WIND], groups=[["wind", "anisotropic_drag"]]
+    ),
+    "among the alternatives only": row("effect", ["wind"], "none", alternatives=[WIND]),
+    "unknown": row("effect", ["wind"], "unknown"),
+    "a false alarm": row("none", [], "effect", [WIND]),
+    "unknown though nothing is there": row("none", [], "unknown"),
+    "too few points where ten do": row("none", [], "effect", [("resolution", 0.9)], paper=1.0),
+    "a library name for an outside cause": row("outside", ["gust"], "effect", [WIND]),
+    "nothing for an outside cause": row("outside", ["gust"], "none"),
+    "one of a pair": row("pair", ["wind", "tip_mass"], "effect", [WIND]),
+    "a pair in one group": row("pair", ["wind", "tip_mass"], "ambiguous", [WIND], groups=[["wind", "tip_mass"]]),
+    "unknown, and too few points, though nothing is there": row("none", [], "unknown", [("resolution", 0.5)]),
+    "a failure": row("none", [], "failed"),
+    "too little data": row("effect", ["wind"], "insufficient"),
+}
+
+
+@pytest.mark.parametrize("name", RIGHT)
+def test_right_answers(name):
+    assert correct(RIGHT[name])
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_answers(name):
+    assert not correct(WRONG[name])
+
+
+def test_the_probability_of_an_answer():
+    assert confidence(RIGHT["named"]) == 0.9
+    assert confidence(RIGHT["after resolution, which is true anyway"]) == 0.9
+    grouped = RIGHT["in the group of look-alikes"]
+    assert answered(grouped) == "tip_mass"
+    assert confidence(grouped) == 1.0  # 0.3 + 0.8, at most 1
+    silent = row("none", [], "none", alternatives=[("wind", 0.1)])
+    assert beliefs(silent) == {"wind": 0.1, "none": 0.9}
+    assert confidence(silent) == 0.9
+    assert confidence(RIGHT["nothing there but too few points"]) == 0.9
+    assert np.isnan(confidence(WRONG["a failure"]))
+
+
+def test_exact_intervals():
+    """Clopper and Pearson: none of 60 is below 1 - 0.025^(1/60) = 5.96 %; Table of 95 % limits for 9 of 10."""
+    none = counted(pd.Series([False] * 60))
+    assert (none["share"], none["low"]) == (0, 0)
+    assert none["high"] == pytest.approx(1 - 0.025 ** (1 / 60), rel=1e-6)
+    most = counted(pd.Series([True] * 9 + [False]))
+    assert (most["low"], most["high"]) == pytest.approx((0.5550, 0.9975), abs=1e-4)
+
+
+def test_calibration_error_by_hand():
+    """0.9 said four times and right three times is off by 0.15; 0.5 said twice and right once is not off."""
+    p, right = np.array([0.9] * 4 + [0.5] * 2), np.array([1, 1, 1, 0, 1, 0])
+    assert calibration_error(p, right) == pytest.approx(0.15 * 4 / 6)
+
+
+def test_tables_of_known_rows():
+    tables = scores([*RIGHT.values(), *WRONG.values()])
+    assert set(tables) == set(TABLES)
+    rates = tables["rates"].set_index("name")
+    assert rates.loc["single effect found", ["right", "count"]].tolist() == [5, 11]
+    assert rates.loc["pair found", ["right", "count"]].tolist() == [2, 4]
+    assert rates.loc["one of a pair found", "right"] == 4
+    assert rates.loc["false alarm", ["right", "count"]].tolist() == [5, 7]
+    assert rates.loc["outside called unknown", ["right", "count"]].tolist() == [1, 3]
+    assert rates.loc["outside named above 0.5", "right"] == 1
+    assert tables["confusion"]["count"].sum() == len(RIGHT) + len(WRONG) - 4  # pairs are not in it
+    assert tables["by_size"]["count"].sum() == 11 + 4 + 3  # whatever has a size
+    assert (tables["benches"]["correct"].sum()) == len(RIGHT)
+
+
+def test_coverage_counts_parameters_of_true_causes_only():
+    hit = row("effect", ["wind"], "effect", [WIND], wind__along_x=(1.0, 0.9, 1.2), wind__along_y=(0.0, 0.1, 0.2))
+    other = row("effect", ["wind"], "effect", [MASS], wind__along_x=(1.0, 0.9, 1.2))
+    other["diagnosis"]["causes"][0]["parameters"] = {"tip_mass.ratio": {"value": 0.1, "low": 0.0, "high": 0.2}}
+    coverage = scores([hit, other])["rates"].set_index("name").loc["parameter in its interval"]
+    assert (coverage["right"], coverage["count"]) == (1, 2)
+
+
+def test_pictures_are_drawn_even_of_one_row(tmp_path):
+    for rows in ([RIGHT["nothing there, nothing said"]], [*RIGHT.values(), *WRONG.values()]):
+        paths = pictures(scores(rows), tmp_path)
+        assert [path.name for path in paths] == ["confusion.png", "overview.png"]
+        assert all(imread(path).std() > 0.02 for path in paths)  # not blank
+
+
+class Bench:
+    """A seed to be guessed."""
+
+    def __init__(self, seed):
+        self.seed = seed
+
+    def write(self, folder):
+        folder.mkdir(parents=True)
+        (folder / "points").write_text("." * self.seed)
+
+    def envelope(self, path):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(json.dumps(row("effect" if self.seed % 2 else "none", ["wind"] * (self.seed % 2), "")["truth"]))
+
+
+def looked(folder):
+    """Notes that it ran; refuses to run twice, and to be wrong."""
+    (folder.parent / f"ran-{folder.name}").touch(exist_ok=False)
+    seed = len((folder / "points").read_text())
+    if seed == 4:
+        raise RuntimeError("no")
+    return row("", [], "effect" if seed % 2 else "none", [WIND] * (seed % 2))["diagnosis"]
+
+
+def timeless(rows):
+    return [{**one, "runtime": 0} for one in rows]
+
+
+def test_a_study_goes_on_where_it_stopped_whatever_the_number_of_processes(tmp_path):
+    seeds = [3, 1, 2]
+    alone = [one_bench(seed, tmp_path / "a", Bench, looked) for seed in seeds[:2]]
+    rows = study(seeds, tmp_path / "a", Bench, looked, processes=2)
+    assert rows[:2] == alone
+    assert timeless(rows) == timeless(one_bench(seed, tmp_path / "b", Bench, looked) for seed in seeds)
+    assert [one["truth"]["kind"] for one in rows] == ["effect", "effect", "none"]
+    assert all(correct(one) for one in rows)
+    assert not list((tmp_path / "a" / "datasets" / "00001").glob("*.json"))
+
+
+def test_a_diagnosis_that_fails_is_a_wrong_answer(tmp_path):
+    failed = one_bench(4, tmp_path, Bench, looked)
+    assert failed["diagnosis"]["error"] == "RuntimeError: no"
+    assert not correct(failed)
+
+
+def test_a_bench_of_the_lab_is_one(arm, camera, tmp_path):
+    """The true envelope, opened by a diagnosis that finds nothing: right on a null bench."""
+    made = one_bench(CASES.index("none"), tmp_path, partial(draw, arm=arm, camera=camera), nothing)
+    assert made["truth"]["kind"] == "none"
+    assert scores([made])["benches"]["correct"].all()
+
+
+def nothing(folder):
+    assert read(folder).trials
+    return {"verdict": "none"}
