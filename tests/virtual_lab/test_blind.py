@@ -9,8 +9,11 @@ from scipy.optimize import least_squares
 from data.dataset import read
 from data.store import content_hash
 from hardware.virtual.blind import CASES, draw
+from hardware.virtual.blind.disguise import disguised
 from hardware.virtual.blind.hidden import hidden
 from hardware.virtual.outside import causes
+from hardware.virtual.outside.vibration import Vibration
+from stages.model.effects.camera_rotation import CameraRotation
 from stages.model.library import library, named
 from stages.model.string import BASE
 
@@ -150,3 +153,12 @@ def test_outside_causes_are_absent_at_zero_and_not_at_full(scene, cause):
     moved = {int(i) for i in trial[np.abs(large - absent).max(axis=(1, 2)) > 1e-3]}
     assert moved == {thing.only} if cause.once else thing.only is None  # a place may lie in the way of one only
     assert cause.words({p.name: thing.full[f"{cause.name}.{p.name}"] for p in cause.parameters})
+
+
+def test_a_library_effect_is_a_disguise_and_a_trembling_hand_is_none(scene):
+    def seen(cause, sizes):
+        return scene.seen(scene.model(scene.second_order(21), [cause]), [sizes])[0]
+
+    assert disguised(scene, seen(CameraRotation, {"camera_rotation.angle": 0.02}), 5.0)
+    trembling = {"vibration.amplitude": 2e-3, "vibration.frequency": 15.0, "vibration.towards": 0.5}
+    assert not disguised(scene, seen(Vibration, trembling), 5.0)

@@ -50,10 +50,11 @@ Ends = tuple[dict[str, float], dict[str, float]]
 
 
 def _to_an_end(effect: type[Effect], rng: np.random.Generator) -> Ends:
-    """Towards either end of the range of the only parameter."""
-    (parameter,) = effect.parameters
-    ends = [end for end in (parameter.low, parameter.high) if end != parameter.start]
-    return {parameter.name: parameter.start}, {parameter.name: float(rng.choice(ends))}
+    """Its first parameter towards either end of its range; others, if it has any, somewhere in theirs."""
+    size, *others = effect.parameters
+    ends = [end for end in (size.low, size.high) if end != size.start]
+    same = {p.name: float(p.value(np.asarray(rng.uniform()))) for p in others}
+    return {size.name: size.start, **same}, {size.name: float(rng.choice(ends)), **same}
 
 
 def _outside(

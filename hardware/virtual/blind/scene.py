@@ -11,6 +11,7 @@ from scipy.optimize import lsq_linear
 from hardware.virtual.bench import Specimen
 from hardware.virtual.blind.casts import Cast
 from hardware.virtual.outside import causes
+from stages.model import effects
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.effect import Effect, StringEffect
@@ -23,7 +24,8 @@ from stages.model.string import BASE, String
 STEP = 1e-4  # of chi, for differences
 EDGE = 1e-12  # what lies on a bound is allowed a little, or there would be no inside
 SHARES = np.array([1.0, 0.5, 0.25, 0.1])  # of a Gauss-Newton step, of which the best is taken
-LIBRARY = tuple(e for e in library().values() if e not in BASE and e is not BoxContact and e.parameters)
+OURS = (e for e in library().values() if e.__module__.startswith(effects.__name__))  # and nobody's of his own
+LIBRARY = tuple(e for e in OURS if e not in BASE and e is not BoxContact and e.parameters)
 ON_STRINGS = tuple(e for e in (*LIBRARY, *causes()) if issubclass(e, StringEffect))
 Values = Mapping[str, float]
 
@@ -52,11 +54,11 @@ class Scene:
             self.length, points, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4
         )
 
-    def model(self, string: String, effects: Sequence[type[Effect]] = ()) -> Model:
+    def model(self, string: String, hidden: Sequence[type[Effect]] = ()) -> Model:
         """A string in this scene with effects. With one on the string come all that there are, mostly at zero, so that
         there is one loop to compile whatever a seed draws."""
-        elsewhere = [e for e in effects if not issubclass(e, StringEffect)]
-        full = string if len(elsewhere) == len(effects) else replace(string, effects=(*BASE, *ON_STRINGS))
+        elsewhere = [e for e in hidden if not issubclass(e, StringEffect)]
+        full = string if len(elsewhere) == len(hidden) else replace(string, effects=(*BASE, *ON_STRINGS))
         return Model(full, self.arm, self.camera).with_effects(*elsewhere)
 
     def performing(self, casts: tuple[Cast, ...]) -> Scene:

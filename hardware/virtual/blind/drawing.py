@@ -1,0 +1,199 @@
+"""Draw a bench from a seed: string, casts, hidden cause and its size.
+
+What is hidden moves the tip, somewhere in some trial, by a drawn number of noise sigmas, counted after the base
+parameters are fitted anew, for what those can explain is not there to be found. Strings and casts are redrawn until
+they can be predicted: swung violently, limp strings are chaotic, and no model of whatever size would agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hardware.virtual.blind.bench import BlindBench
+from hardware.virtual.blind.casts import random_cast
+from hardware.virtual.blind.disguise import disguised
+from hardware.virtual.blind.hidden import Hidden, hidden
+from hardware.virtual.blind.scene import LIBRARY, Scene, unexplained
+from hardware.virtual.outside import causes
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.model.effect import Effect
+from stages.model.string import String
+
+NONE, RESOLUTION, PAIR = "none", "resolution", "pair"
+# One bench after another, so that any run of seeds is balanced.
+CASES = (
+    *(e.name for e in LIBRARY),
+    RESOLUTION,
+    *(c.name for c in causes()),
+    *(NONE, PAIR) * 8,
+)
+SIZES = (6.0, 40.0)  # in sigmas
+LEAST, MOST = 5.0, 60.0  # of a size as it turns out
+APART = 6.0  # sigmas of each of a pair that the other cannot explain
+UNLIKE = 5.0  # sigmas of an outside cause that no single effect of the library explains
+AGREE = 5.0  # sigmas by which the tip may move between 21 and 29 points
+EXPLAINED = 2.5  # sigmas that the true cause may leave at 29 points
+SPEEDS = (2.0, 10.0)  # of the hand [m/s]
+LADDER = np.geomspace(3e-3, 1.0, 12)  # shares of an effect's range among which its size is sought
+LARGEST = 0.9
+
+
+class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
+    """This string, these casts or this cause do not make the bench that is wanted."""
+
+
+def draw(seed: int, arm: Arm, camera: Camera) -> BlindBench:
+    """The bench of a seed; its case is CASES[seed % len(CASES)]."""
+    rng = np.random.default_rng([seed, 20211])
+    case = CASES[seed % len(CASES)]
+    while True:
+        try:
+            return _drawn(seed, case, rng, arm, camera)
+        except Redraw:
+            continue
+
+
+def _drawn(seed: int, case: str, rng: np.random.Generator, arm: Arm, camera: Camera) -> BlindBench:
+    scene = _scene(rng, arm, camera, soft=case == RESOLUTION)
+    things = tuple(_hidden(effect, rng, scene) for effect in _effects(case, rng))
+    data, sizes, parameters = _sized(scene, things, rng)
+    if _kind(case) == "outside" and disguised(scene, data, UNLIKE):
+        raise Redraw
+    true = _true(scene, things, parameters)
+    off = scene.at_tip(scene.left(scene.model(String(scene.length)), true, tuple(scene.base), {}, steps=4)[0])
+    if case == RESOLUTION:
+        sizes = {RESOLUTION: off}
+        if off < LEAST:
+            raise Redraw
+    points = scene.sigma * (true + _noise(rng, true.shape))
+    return BlindBench(seed, _kind(case), scene, things, parameters, sizes, off, points, bool(rng.integers(2)))
+
+
+def _kind(case: str) -> str:
+    """effect, outside, or what the case itself is."""
+    if case in (NONE, PAIR, RESOLUTION):
+        return case
+    return "outside" if case in {c.name for c in causes()} else "effect"
+
+
+def _effects(case: str, rng: np.random.Generator) -> list[type[Effect]]:
+    """What is to be hidden."""
+    if case == PAIR:
+        return [LIBRARY[i] for i in rng.choice(len(LIBRARY), 2, replace=False)]
+    return [e for e in (*LIBRARY, *causes()) if e.name == case]
+
+
+def _scene(rng: np.random.Generator, arm: Arm, camera: Camera, soft: bool) -> Scene:
+    """A string, between B and C or about D, and three to five casts of it that can be predicted."""
+    length, sigma = rng.uniform(0.27, 0.33), float(np.exp(rng.uniform(*np.log([6e-4, 8e-4]))))
+    s = np.linspace(0.1, 1.0, int(rng.integers(15, 21))) * length
+    scene = Scene(arm, camera, float(length), _string(rng, soft), (), s, sigma)
+    casts, count = [], int(rng.integers(3, 6))
+    for _ in range(40 * count):
+        cast = random_cast(arm, rng, camera.fps, SPEEDS)
+        if _predictable(scene.performing((cast,))):
+            casts.append(cast)
+        if len(casts) == count:
+            return scene.performing(tuple(casts))
+    raise Redraw
+
+
+def _string(rng: np.random.Generator, soft: bool) -> dict[str, float]:
+    """The paper's parameters, per mass point at n = 10."""
+
+    def about(value: float, factor: float) -> float:
+        return float(value * factor ** rng.uniform(-1, 1))
+
+    low, high = (0.03, 0.15) if soft else (0.8, 20.0)
+    bending = float(np.exp(rng.uniform(*np.log([low, high]))))
+    return {
+        "axial_stiffness": about(6e5, 1.4),
+        "axial_damping": about(30.0, 2.0),
+        "bending_stiffness": bending,
+        "bending_damping": about(2.2e-3 * np.sqrt(bending), 1.5),
+        "linear_drag": about(0.3, 1.8),
+        "quadratic_drag": about(0.2, 1.8),
+        "grasp_stiffness": min(about(0.9 * bending**0.7, 1.4), 4.5),
+        "grasp_damping": about(5e-3, 1.8),
+    }
+
+
+def _predictable(scene: Scene) -> bool:
+    """More points hardly move the tip."""
+    coarse, finer = (scene.seen(scene.model(scene.second_order(n)), [{}])[0] for n in (21, 29))
+    return bool(scene.at_tip(finer - coarse) < AGREE)
+
+
+def _hidden(effect: type[Effect], rng: np.random.Generator, scene: Scene) -> Hidden:
+    """The effect in circumstances of this scene's trials."""
+    plain = scene.model(scene.second_order(21))
+    values = plain.values(scene.base)[None]
+    times = [cast.frames for cast in scene.casts]
+    strings = [plain.true(cast.happened, values, cast.frames).points[0] for cast in scene.casts]
+    thing = hidden(effect, rng, times, strings)
+    if thing is None:
+        raise Redraw
+    return thing
+
+
+def _sized(
+    scene: Scene, things: Sequence[Hidden], rng: np.random.Generator
+) -> tuple[np.ndarray, dict[str, float], dict[str, float]]:
+    """What would be seen of things of drawn sizes (N, S, 2), their sizes in sigmas, and their parameters."""
+    parameters: dict[str, float] = {}
+    for thing in things:
+        parameters |= thing.at(_share(scene, thing, float(np.exp(rng.uniform(*np.log(SIZES))))))
+    light = scene.model(scene.second_order(21), [t.effect for t in things])
+    only = things[0].only if len(things) == 1 else None
+    data = scene.seen(light, [parameters], only)[0]
+    if not np.isfinite(data).all():
+        raise Redraw
+    sizes = {}
+    for thing in things:
+        others = [other for other in things if other is not thing]
+        start = {name: value for other in others for name, value in parameters.items() if name in other.full}
+        model = scene.model(scene.second_order(21), [other.effect for other in others])
+        rest, _ = scene.left(model, data, (*scene.base, *start), start, steps=3)
+        sizes[thing.effect.name] = scene.at_tip(rest)
+    least = LEAST if len(things) == 1 else APART
+    if not all(least <= size <= MOST for size in sizes.values()):
+        raise Redraw
+    return data, sizes, parameters
+
+
+def _share(scene: Scene, thing: Hidden, wanted: float) -> float:
+    """The share of an effect's range at which it moves the tip by so many sigmas beyond what the base explains."""
+    model = scene.model(scene.second_order(21), [thing.effect])
+    fields = scene.seen(model, [thing.absent, *(thing.at(share) for share in LADDER)], thing.only)
+    plain, slopes = scene.slopes(scene.model(scene.second_order(21)), scene.base, tuple(scene.base))
+    sizes = [scene.at_tip(f) for f in unexplained(fields[1:] - plain, slopes)]
+    finite = np.isfinite(sizes)
+    rising = np.maximum.accumulate(np.where(finite, sizes, 0.0))
+    if rising[-1] < LEAST:
+        raise Redraw
+    share = np.exp(np.interp(np.log(wanted), np.log(np.maximum(rising, 1e-9)), np.log(LADDER)))
+    return float(min(share, LARGEST))
+
+
+def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) -> np.ndarray:
+    """What is really seen, (N, S, 2), in sigmas, which at fewer points the true cause must explain."""
+    effects = [t.effect for t in things]
+    only = things[0].only if len(things) == 1 else None
+    true = scene.seen(scene.model(scene.fine, effects), [parameters], only)[0]
+    if not np.isfinite(true).all():
+        raise Redraw
+    again = scene.model(scene.second_order(29), effects)
+    rest, _ = scene.left(again, true, (*scene.base, *parameters), parameters, steps=1, only=only)
+    if scene.at_tip(rest) > EXPLAINED:
+        raise Redraw
+    return true
+
+
+def _noise(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """Of unit variance, neighbours along the string correlated by a third. shape: (N, S, 2)."""
+    white = rng.standard_normal((shape[0], shape[1] + 1, shape[2]))
+    share = 0.382  # of the neighbour's: w / (1 + w^2) = 1/3
+    return (white[:, 1:] + share * white[:, :-1]) / np.hypot(1.0, share)
