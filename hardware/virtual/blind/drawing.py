@@ -39,6 +39,7 @@ EXPLAINED = 2.5  # sigmas that the true cause may leave at 29 points
 SPEEDS = (2.0, 10.0)  # of the hand [m/s]
 LADDER = np.geomspace(3e-3, 1.0, 12)  # shares of an effect's range among which its size is sought
 LARGEST = 0.9
+MOST_STEPS = 250  # of the fine string in a millisecond: strong dry friction would take it minutes
 
 
 class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
@@ -182,7 +183,10 @@ def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) 
     """What is really seen, (N, S, 2), in sigmas, which at fewer points the true cause must explain."""
     effects = [t.effect for t in things]
     only = things[0].only if len(things) == 1 else None
-    true = scene.seen(scene.model(scene.fine, effects), [parameters], only)[0]
+    fine = scene.model(scene.fine, effects)
+    if scene.steps(fine, parameters) > MOST_STEPS:
+        raise Redraw
+    true = scene.seen(fine, [parameters], only)[0]
     if not np.isfinite(true).all():
         raise Redraw
     again = scene.model(scene.second_order(29), effects)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from hardware.virtual.bench import Specimen
-from hardware.virtual.blind.casts import Cast
+from hardware.virtual.blind.casts import FINE, Cast
 from hardware.virtual.outside import causes
 from stages.model import effects
 from stages.model.arm import Arm
@@ -19,6 +19,7 @@ from stages.model.effects.box_contact import BoxContact
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.library import library
 from stages.model.model import Model
+from stages.model.stability import steps_per_tick
 from stages.model.string import BASE, String
 
 STEP = 1e-4  # of chi, for differences
@@ -76,6 +77,11 @@ class Scene:
             rows = np.stack([model.values({**self.base, **(v if acting else _paper(v))}) for v in values])
             parts.append(self._measured(model.seen(cast.happened, rows, cast.frames).points))
         return np.concatenate(parts, axis=1) / self.sigma
+
+    def steps(self, model: Model, values: Values) -> int:
+        """Steps that a millisecond takes."""
+        rows = model.values({**self.base, **values})[None, : len(model.string.parameters)]
+        return int(steps_per_tick(model.string, model.string.material(rows), FINE)[0][0])
 
     def _measured(self, points: np.ndarray) -> np.ndarray:
         """At the arc lengths s, from mass points (C, F, n, 2)."""
