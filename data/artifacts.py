@@ -330,3 +330,144 @@ class Estimate:
     def values(self) -> dict[str, float]:
         """Best value of each parameter, by name."""
         return dict(zip(self.parameters["name"], self.parameters["value"], strict=True))
+
+
+# --- diagnosis --------------------------------------------------------------------------
+RESIDUALS = Table(
+    "residuals",
+    "every measured point that was used, and where the base and the extended model have it",
+    (
+        _TRIAL,
+        _TIME,
+        Column("s", "m", "arc length from the grasp"),
+        Column("x", "m", "measured position"),
+        Column("y", "m", "measured position"),
+        Column("sigma", "m", "noise floor of a coordinate"),
+        Column("doubt", "m", "noise and the simulation's own error together"),
+        Column("base_x", "m", "the base model fitted to all trials"),
+        Column("base_y", "m", "the base model fitted to all trials"),
+        Column("extended_x", "m", "the extended model fitted to all trials"),
+        Column("extended_y", "m", "the extended model fitted to all trials"),
+        Column("base_normal", "m", "measured less base model, across the string, to its left"),
+        Column("base_tangential", "m", "measured less base model, along the string, towards the tip"),
+    ),
+)
+THEORIES = Table(
+    "theories",
+    "every set of causes that was fitted",
+    (
+        Column("causes", "", "effects at work beyond the base model, joined by ' + '; empty for none", "text"),
+        Column("parameters", "1", "parameters fitted", "int"),
+        Column("mean_square", "1", "of the residual over noise and doubt; 1 or less is noise"),
+        Column("fit_gain", "1", "gain of the log-likelihood over the base model, fitted to all trials"),
+        Column("held_out_gain", "1", "the same on trials left out of the fit; NaN where it was not asked"),
+        Column("moved", "1", "largest change by these causes, in standard deviations"),
+        Column("unexplained", "1", "share of the base model's systematic misfit that is left"),
+        Column("probability", "1", "of this set of causes"),
+    ),
+)
+SCREENING = Table(
+    "screening",
+    "what each effect would explain to first order",
+    (
+        Column("context", "", "causes already at work, joined by ' + '", "text"),
+        Column("effect", "", "name", "text"),
+        Column("predicted_gain", "1", "of the log-likelihood"),
+    ),
+)
+LIKENESS = Table(
+    "likeness",
+    "how alike two effects are in this data, once the fitted parameters have done what they can",
+    (
+        Column("effect", "", "name", "text"),
+        Column("other", "", "name", "text"),
+        Column("cosine", "1", "between what they do: 1 cannot be told apart"),
+    ),
+)
+CAUSES = Table(
+    "causes",
+    "the causes named, a row for each of their parameters",
+    (
+        Column("effect", "", "name", "text"),
+        Column("probability", "1", "that it is so"),
+        Column("sentence", "", "what is so", "text"),
+        Column("parameter", "", "qualified name; empty if it has none", "text"),
+        Column("meaning", "", "what it is", "text"),
+        Column("unit", "", "its unit", "text"),
+        Column("value", "", "best value, in `unit`"),
+        Column("low", "", "lower end of the 95 % interval, in `unit`"),
+        Column("high", "", "upper end of the 95 % interval, in `unit`"),
+    ),
+)
+HELD_OUT = Table(
+    "held_out",
+    "base and extended model on each trial, fitted without it",
+    (
+        _TRIAL,
+        Column("rms_base", "m", "centre-line residual"),
+        Column("rms_extended", "m", "centre-line residual"),
+        Column("noise_floor", "m", "what noise alone leaves"),
+        Column("tip_rms_base", "m", "residual at the largest arc length measured"),
+        Column("tip_rms_extended", "m", "residual at the largest arc length measured"),
+        Column("E_base", "1", "matching rate, Eq. 5"),
+        Column("E_extended", "1", "matching rate, Eq. 5"),
+        Column("log_likelihood_difference", "1", "extended less base, in units of the residual's own chance"),
+    ),
+)
+MISSING = Table(
+    "missing",
+    "what would have to be there to explain what is left",
+    (
+        Column("kind", "", "force, motion of the grasp or shift of the picture", "text"),
+        _TRIAL,
+        _TIME,
+        Column("s", "m", "arc length from the grasp; NaN where it acts on all of it"),
+        Column("x", "m/s2", "along x; in m for motions and shifts"),
+        Column("y", "m/s2", "along y; in m for motions and shifts"),
+    ),
+)
+FINDING = Table(
+    "finding",
+    "one row: the verdict",
+    (
+        Column("verdict", "", "none, effect, ambiguous, unknown or insufficient", "text"),
+        Column("sentence", "", "in words", "text"),
+        Column("diagnosis", "", "diagnosis.json", "text"),
+        Column("extended", "", "the extended model as settings, YAML", "text"),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What the simulation gets wrong and why: what `diagnose` makes."""
+
+    finding: pd.DataFrame
+    causes: pd.DataFrame
+    held_out: pd.DataFrame
+    residuals: pd.DataFrame
+    theories: pd.DataFrame
+    screening: pd.DataFrame
+    likeness: pd.DataFrame
+    missing: pd.DataFrame
+
+    TABLES: ClassVar[dict[str, Table]] = {
+        "finding": FINDING,
+        "causes": CAUSES,
+        "held_out": HELD_OUT,
+        "residuals": RESIDUALS,
+        "theories": THEORIES,
+        "screening": SCREENING,
+        "likeness": LIKENESS,
+        "missing": MISSING,
+    }
+
+    @property
+    def verdict(self) -> str:
+        """none, effect, ambiguous, unknown or insufficient."""
+        return str(self.finding["verdict"].iloc[0])
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return str(self.finding["sentence"].iloc[0])

@@ -81,6 +81,11 @@ class Effect(ABC):
     def words(values: Mapping[str, float]) -> str:
         """What is so, in a sentence without a full stop. values: of its parameters, by name."""
 
+    @staticmethod
+    def plausible(values: Mapping[str, float]) -> bool:
+        """Whether such values can be what the words say, and not something else in their guise. By own names."""
+        return True
+
     @classmethod
     @abstractmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:

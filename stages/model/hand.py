@@ -129,10 +129,20 @@ def _changed(
     rate: np.ndarray,
     parameters: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Value and rate, (B, K, ...) each, after a law; only the change is differentiated, so that none costs nothing."""
+    """Value and rate, (B, K, ...) each, after a law, which is asked only of candidates in which it is not absent.
+
+    Only the change is differentiated, so that none costs nothing.
+    """
+    acts = np.any([parameters[p.name].ravel() != p.start for p in effect.parameters], axis=0)
+    if not acts.any():
+        return value, rate
     t = motion.start + motion.tick * np.arange(value.shape[1])
-    change = effect.laws()[law](t, value, **parameters) - value
-    return value + change, rate + CubicSpline(t, change, axis=1, bc_type="natural")(t, 1)
+    own = value if len(value) == 1 else value[acts]
+    change = effect.laws()[law](t, own, **{name: given[acts] for name, given in parameters.items()}) - own
+    value, rate = (np.broadcast_to(each, (len(acts), *each.shape[1:])).copy() for each in (value, rate))
+    value[acts] += change
+    rate[acts] += CubicSpline(t, change, axis=1, bc_type="natural")(t, 1)
+    return value, rate
 
 
 def _grid(t: np.ndarray, tick: float) -> np.ndarray:

@@ -16,6 +16,8 @@ from stages.model.symmetry import nothing_at_zero, odd
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+HARD = 2.5e3  # [1/s^2]
+
 
 class BoxContact(StringEffect):
     """A box pushes out what is inside it, with loss and friction as a plane's (`contact`), never pulling.
@@ -51,6 +53,11 @@ class BoxContact(StringEffect):
         """What is so."""
         size = f"{values['width']:.3f} m wide and {values['height']:.3f} m high"
         return f"the string touches a box {size} at ({values['centre_x']:.3f}, {values['centre_y']:.3f}) m"
+
+    @staticmethod
+    def plausible(values: Mapping[str, float]) -> bool:
+        """What stands in the way is hard: softer than this, 5 m/s go 10 cm deep, and it is a field of force."""
+        return values["stiffness"] >= HARD
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:

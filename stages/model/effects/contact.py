@@ -15,6 +15,8 @@ from stages.model.symmetry import nothing_at_zero
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+HARD = 2.5e3  # [1/s^2]
+
 
 class Contact(StringEffect):
     """A plane pushes back what is behind it: k d (1 - a v_n), never pulling, and rubs with Coulomb's friction.
@@ -40,6 +42,11 @@ class Contact(StringEffect):
         """What is so."""
         turned = np.degrees(values["tilt"])
         return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees"
+
+    @staticmethod
+    def plausible(values: Mapping[str, float]) -> bool:
+        """What stands in the way is hard: softer than this, 5 m/s go 10 cm deep, and it is a field of force."""
+        return values["stiffness"] >= HARD
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:

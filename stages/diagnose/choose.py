@@ -1,0 +1,152 @@
+"""The choice of causes: forwards while one earns its place on trials not seen, then backwards and across."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stages.diagnose.compare import HeldOut, blocks, held_out, moved
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.noise import CLEAR, mismatch, visible
+from stages.diagnose.screen import Probe, screened
+from stages.diagnose.theory import candidates
+from stages.model.effect import Effect
+from stages.model.model import Model
+
+Causes = frozenset[str]
+
+MOST_CAUSES = 3
+SHORTLIST = 8  # effects that are fitted in full after screening
+STARTS = 2  # probes of each from which it is fitted
+PROMISING = 5.0  # of a predicted gain of the log-likelihood
+STEPS = 14
+MATTERS = 3.0  # standard deviations by which a cause must move something somewhere
+PENALTY = 5.0  # of the log-likelihood for each parameter that no other trial confirms
+MAINLY = 0.4  # of where it moves most: a trial moved less can say little of a cause
+GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of its own noise
+
+
+@dataclass
+class Court:
+    """What has been tried so far on this evidence: each set of causes is fitted once."""
+
+    evidence: Evidence
+    base: Model
+    library: Mapping[str, type[Effect]]
+    seed: int
+    tried: dict[Causes, Fit] = field(default_factory=dict)
+    contexts: dict[Causes, dict[str, Fit]] = field(default_factory=dict)
+    probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
+    predictions: dict[Causes, HeldOut] = field(default_factory=dict)
+
+    def hear(self, fit: Fit) -> None:
+        """Remember a fit if it is the best of its causes."""
+        key = frozenset(fit.theory.names)
+        if key not in self.tried or fit.cost < self.tried[key].cost:
+            self.tried[key] = fit
+
+    def held(self, causes: Causes) -> HeldOut:
+        """What these causes say of trials that they were not fitted to."""
+        if causes not in self.predictions:
+            self.predictions[causes] = held_out(self.evidence, self.tried[causes])
+        return self.predictions[causes]
+
+    def extended(self, context: Causes) -> dict[str, Fit]:
+        """The fits with one cause more than the context, for every promising effect."""
+        if context not in self.contexts:
+            fit = self.tried[context]
+            known = candidates(self.base, self.library, self.evidence)
+            effects = [effect for effect in known if effect.name not in context]
+            self.probes[context] = screened(self.evidence, fit, effects, self.seed)
+            chosen = shortlist(self.probes[context])
+            for made in _fitted_by_model(self.evidence, chosen):
+                self.hear(made)
+            names = {probe.effect.name for probe in chosen}
+            self.contexts[context] = {name: self.tried[context | {name}] for name in names}
+        return self.contexts[context]
+
+
+def shortlist(probes: Mapping[str, Sequence[Probe]]) -> list[Probe]:
+    """The best probes of the most promising effects."""
+    order = sorted(probes.values(), key=lambda some: -some[0].gain)
+    return [probe for some in order[:SHORTLIST] if some[0].gain > PROMISING for probe in _starts(some)]
+
+
+def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
+    """The best of an effect of one parameter; of others a few, for they differ in place or time."""
+    return probes[: 1 if len(probes[0].effect.parameters) == 1 else STARTS]
+
+
+def _fitted_by_model(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
+    """Fits from probes; those that share a model side by side."""
+    models: dict[tuple[type[Effect], ...], list[Probe]] = {}
+    for probe in probes:
+        models.setdefault(probe.theory.model.effects, []).append(probe)
+    return [
+        fit
+        for some in models.values()
+        for fit in fitted(evidence, [p.theory for p in some], [p.chi for p in some], STEPS)
+    ]
+
+
+def chosen(court: Court, progress: Callable[[float], object]) -> Causes:
+    """The causes that earn their place: added one by one, then each tried again without and replaced by others."""
+    best: Causes = frozenset()
+    while len(best) < MOST_CAUSES and mismatch(court.evidence, court.tried[best].residual) > 0:
+        fits = court.extended(best)
+        more = best | {min(fits, key=lambda name: fits[name].cost)} if fits else best
+        if not earns(court, best, more):
+            break
+        best = _settled(court, more)
+        progress(len(best) / MOST_CAUSES)
+    progress(1.0)
+    return best
+
+
+def _settled(court: Court, best: Causes) -> Causes:
+    """With causes replaced that others do better in place of."""
+    for cause in court.tried[best].theory.names[:-1]:
+        context = best - {cause}
+        if context in court.tried:
+            fits = court.extended(context)
+            other = context | {min(fits, key=lambda name: fits[name].cost)}
+            better = court.tried[other].cost < court.tried[best].cost
+            best = other if better and earns(court, context, other) else best
+    return best
+
+
+def earns(court: Court, without: Causes, causes: Causes) -> bool:
+    """Whether a cause moves something by enough to matter, and predicts trials that it was not fitted to.
+
+    Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise.
+    """
+    plain, fit = court.tried[without], court.tried[causes]
+    acts = moved(court.evidence, plain, fit)
+    if acts.max() < MATTERS:
+        return False
+    least = GAIN * noisiness(court.evidence, fit)
+    alone = np.flatnonzero(acts > max(MATTERS, MAINLY * acts.max()))
+    if len(alone) == 1 and _explains(court.evidence, fit, int(alone[0])):
+        price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))
+        return plain.cost - fit.cost > least + price
+    return float((court.held(without).costs - court.held(causes).costs).sum()) > least
+
+
+def _explains(evidence: Evidence, fit: Fit, trial: int) -> bool:
+    """Whether nothing is left to be seen in a trial."""
+    return visible(evidence.only([trial]), fit.residual[evidence.trial == trial]) < CLEAR
+
+
+def noisiness(evidence: Evidence, fit: Fit) -> float:
+    """Variance of what the residual has by chance along a smooth direction, over that of white noise.
+
+    From sums over pieces of time along the directions of the fit's own slopes.
+    """
+    piece = blocks(evidence)
+    count = piece.max() + 1
+    directions, _ = np.linalg.qr(fit.slopes)
+    sums = np.stack([np.bincount(piece, column * fit.residual, count) for column in directions.T])
+    return max(float(np.mean((sums**2).sum(axis=1))), 1.0)

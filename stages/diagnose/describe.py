@@ -1,0 +1,100 @@
+"""The verdict in words, and as diagnosis.json (shared format, version 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stages.diagnose.choose import Court
+from stages.diagnose.prepare import Ground
+from stages.diagnose.verdict import Judgement
+
+FORMAT = 1
+
+
+def document(
+    court: Court,
+    ground: Ground,
+    judgement: Judgement,
+    causes: pd.DataFrame,
+    held_out: pd.DataFrame,
+    rejected: Mapping[str, str],
+    unexplained: Mapping[str, Any],
+    next_experiment: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """diagnosis.json."""
+    listed = [*judgement.causes]
+    others = sorted(set(judgement.probability) - set(listed), key=lambda name: -judgement.probability[name])
+    base = court.tried[frozenset()] if judgement.causes != ("resolution",) else ground.configured
+    return {
+        "format": FORMAT,
+        "verdict": judgement.verdict,
+        "causes": [_cause(causes[causes["effect"] == name]) for name in listed],
+        "alternatives": [{"effect": name, "probability": judgement.probability[name]} for name in others],
+        "indistinguishable": [list(group) for group in judgement.groups],
+        "base": {"parameters": base.values},
+        "gain": gain(held_out),
+        "unexplained": dict(unexplained),
+        "trials": {"used": [case.name for case in court.evidence.cases], "rejected": dict(rejected)},
+        "next_experiment": next_experiment,
+    }
+
+
+def _cause(rows: pd.DataFrame) -> dict[str, Any]:
+    first = rows.iloc[0]
+    parameters = {
+        row.parameter: {"value": row.value, "low": row.low, "high": row.high, "unit": row.unit}
+        for row in rows.itertuples()
+        if row.parameter
+    }
+    return {
+        "effect": first["effect"],
+        "probability": float(first["probability"]),
+        "parameters": parameters,
+        "sentence": first["sentence"],
+    }
+
+
+def gain(held_out: pd.DataFrame) -> dict[str, Any]:
+    """Base against extended over all trials left out in turn."""
+    if held_out.empty:
+        return {"held_out_trials": []}
+
+    def rms(column: str) -> float:
+        return float(np.sqrt(np.mean(held_out[column] ** 2)))
+
+    difference = held_out["log_likelihood_difference"]
+    error = float(difference.std(ddof=1) / np.sqrt(len(difference))) if len(difference) > 1 else None
+    floor = rms("noise_floor")
+    return {
+        "held_out_trials": held_out["trial"].tolist(),
+        "rms_m": {"base": rms("rms_base"), "extended": rms("rms_extended"), "noise_floor": floor},
+        "tip_rms_m": {"base": rms("tip_rms_base"), "extended": rms("tip_rms_extended")},
+        "matching_rate": {
+            "base": float(held_out["E_base"].mean()),
+            "extended": float(held_out["E_extended"].mean()),
+        },
+        "log_likelihood_per_trial": {"difference": float(difference.mean()), "standard_error": error},
+    }
+
+
+def sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
+    """The verdict in one or two sentences."""
+    said = causes.drop_duplicates("effect").set_index("effect")["sentence"]
+    sure = {name: f"{said[name]} (probability {judgement.probability[name]:.2f})" for name in judgement.causes}
+    return {
+        "none": "The simulation agrees with what was measured, within the noise: there is nothing to name.",
+        "effect": f"What the simulation lacks: {_and(list(sure.values()))}.",
+        "ambiguous": "This data cannot tell apart "
+        + "; nor ".join(_and(list(group)) for group in judgement.groups)
+        + f". It may be that {', or that '.join(sure.values())}.",
+        "unknown": "The simulation disagrees with what was measured, and nothing in the library explains it.",
+        "insufficient": "This data cannot answer.",
+    }[judgement.verdict]
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

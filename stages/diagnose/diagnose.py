@@ -1,0 +1,102 @@
+"""The diagnosis: from trials and a model to a verdict with its evidence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import yaml
+from pydantic import Field
+
+from data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
+from data.schema import DataError
+from stages.diagnose import tables
+from stages.diagnose.choose import Causes, Court, chosen
+from stages.diagnose.describe import document, sentence
+from stages.diagnose.gain import extended_settings, held_out_table
+from stages.diagnose.missing import missing, unexplained
+from stages.diagnose.prepare import DOUBTFUL, Ground, prepared
+from stages.diagnose.verdict import Judgement, judged
+from stages.estimate.matching import Matching
+from stages.model.effect import Effect
+from stages.model.library import library
+from stages.model.model import Model
+
+Progress = Callable[[float], object]
+ALONE = "there is one trial only: a cause found in it could not be checked on a trial that it has not seen"
+
+
+def diagnose(
+    model: Model,
+    observations: Sequence[Observation],
+    rejected: Mapping[str, str],
+    *,
+    seed: int,
+    starts: Annotated[int, Field(ge=2)],
+    matching: Matching,
+    progress: Progress = lambda share: None,
+) -> Diagnosis:
+    """What the model gets wrong in these trials, and why.
+
+    rejected: trials that cannot be used, with the reason. starts: of the search for the base model's parameters.
+    matching: how the matching rate E is counted. Raises DataError where no trial can be used.
+    """
+    if not observations:
+        raise DataError("there is no trial that can be used. Look at the reasons given for each.")
+    effects = library()
+    ground = prepared(model, observations, effects, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
+    court = Court(ground.evidence, ground.model, effects, seed)
+    court.hear(ground.base)
+    causes = chosen(court, lambda share: progress((1 + share) / 3))
+    judgement = judged(court, causes, coarse(ground))
+    if len(observations) == 1 and judgement.verdict in ("effect", "ambiguous") and causes:
+        judgement = replace(judgement, verdict="insufficient", causes=(), groups=())
+    return _written(court, ground, causes, judgement, _Data(model, observations, rejected, matching, effects))
+
+
+@dataclass(frozen=True)
+class _Data:
+    """What was given."""
+
+    model: Model
+    observations: Sequence[Observation]
+    rejected: Mapping[str, str]
+    matching: Matching
+    library: Mapping[str, type[Effect]]
+
+
+def coarse(ground: Ground) -> float:
+    """Mean square of the residual with the configured number of mass points, over that with enough of them."""
+    noise = (ground.base.residual * ground.evidence.sigma / ground.floor) ** 2
+    trusted = ground.evidence.sigma < DOUBTFUL * ground.floor
+    return float(np.mean(ground.configured.residual[trusted] ** 2) / max(np.mean(noise[trusted]), 1e-12))
+
+
+def _written(court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data) -> Diagnosis:
+    """The artifact."""
+    fit = court.tried[causes]
+    found = missing(court, fit) if judgement.verdict == "unknown" else None
+    left = unexplained(court, fit, judgement.left, found)
+    if judgement.verdict == "insufficient":
+        left["sentence"] = ALONE
+    several = len(data.observations) > 1
+    gains = held_out_table(court, ground, causes, data.observations, data.matching) if several else HELD_OUT.empty()
+    named = tables.causes(court, causes, judgement, data.library)
+    text = document(court, ground, judgement, named, gains, data.rejected, left, None)
+    settings = extended_settings(data.model, court, causes)
+    said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
+    row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(text, indent=2)}
+    return Diagnosis(
+        FINDING.check(pd.DataFrame([row | {"extended": yaml.safe_dump(settings, sort_keys=False)}])),
+        named,
+        gains,
+        tables.residuals(court, ground, causes),
+        tables.theories(court, judgement),
+        tables.screening(court),
+        tables.likeness(court),
+        MISSING.empty() if found is None else found.table,
+    )

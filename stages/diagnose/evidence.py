@@ -1,0 +1,115 @@
+"""Trials to be explained, and how far candidates are from them.
+
+What the number of mass points does to the string is of second order in their distance (with
+half cells at both ends), so two numbers of points give a third result that is better than
+both (Richardson's extrapolation), and three say how good that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numba import njit, prange
+
+from stages.diagnose.together import seen_together
+from stages.estimate.forward import Case
+from stages.estimate.result import values_of
+from stages.model.model import Model
+
+LOST = 1e3  # residual of a run that was rejected, in standard deviations
+DOUBT = 1.5  # the simulation's own error may be this much more than two pairs of numbers of segments differ
+CHUNK = 128  # candidates simulated at once
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """cases: trials made ready, with sigma the noise of each point [m]. segments: two numbers of them, few and more,
+    from which results are extrapolated; or one, whose results stand as they are."""
+
+    cases: tuple[Case, ...]
+    segments: tuple[int, ...]
+
+    @cached_property
+    def trial(self) -> np.ndarray:
+        """Number of the trial of each residual, (N,)."""
+        return np.repeat(np.arange(len(self.cases)), [2 * len(case.points) for case in self.cases])
+
+    @cached_property
+    def sigma(self) -> np.ndarray:
+        """(N,) [m]."""
+        return np.concatenate([np.repeat(case.sigma, 2) for case in self.cases])
+
+    def only(self, chosen: Sequence[int]) -> Evidence:
+        """Some of the trials."""
+        return replace(self, cases=tuple(self.cases[i] for i in chosen))
+
+    def until(self, seconds: float) -> Evidence:
+        """The beginning of every trial."""
+        shares = [min(seconds / max(case.times[-1] - case.times[0], 1e-9), 1.0) for case in self.cases]
+        return replace(self, cases=tuple(c.until(share) for c, share in zip(self.cases, shares, strict=True)))
+
+    def residuals(self, model: Model, chi: np.ndarray) -> np.ndarray:
+        """Simulated less measured over sigma, (C, N), for exponents (C, P); LOST where a run was rejected."""
+        values = values_of(model.parameters, chi)
+        result = np.empty((len(values), len(self.trial)))
+        for first in range(0, len(values), CHUNK):
+            some = slice(first, first + CHUNK)
+            parts = [
+                ((seen - case.points) / case.sigma[:, None]).reshape(len(seen), -1)
+                for seen, case in zip(self.extrapolated(model, values[some], self.segments), self.cases, strict=True)
+            ]
+            result[some] = np.concatenate(parts, axis=1)
+        return np.nan_to_num(result, nan=LOST)
+
+    def scaled(self, factor: float) -> Evidence:
+        """With another noise."""
+        return replace(self, cases=tuple(replace(case, sigma=factor * case.sigma) for case in self.cases))
+
+    def extrapolated(self, model: Model, values: np.ndarray, segments: tuple[int, ...]) -> list[np.ndarray]:
+        """Where candidates (C, P) have each trial's measured points, (C, N, 2) [m]."""
+        first, *more = (self._at_measured(model, values, number) for number in segments)
+        for fine in more:
+            weight = segments[0] ** 2 / (segments[1] ** 2 - segments[0] ** 2)
+            return [b + weight * (b - a) for a, b in zip(first, fine, strict=True)]
+        return first
+
+    def _at_measured(self, model: Model, values: np.ndarray, segments: int) -> list[np.ndarray]:
+        divided = replace(model, string=replace(model.string, points=segments + 1))
+        seen = seen_together(divided, self.cases, values)
+        length = divided.string.segment
+        pairs = zip(seen, self.cases, strict=True)
+        return [_along(points, case.frame, case.s / length) for points, case in pairs]
+
+    def doubted(self, model: Model, chi: np.ndarray, segments: tuple[int, ...]) -> Evidence:
+        """With sigma raised by the error of the simulation itself, as another two numbers of segments show it."""
+        values = values_of(model.parameters, chi[None])
+        here, there = (self.extrapolated(model, values, some) for some in (self.segments, segments))
+        cases = zip(self.cases, here, there, strict=True)
+        return replace(self, cases=tuple(_doubted(case, a[0], b[0]) for case, a, b in cases))
+
+
+def _doubted(case: Case, here: np.ndarray, there: np.ndarray) -> Case:
+    error = DOUBT * np.nan_to_num(np.linalg.norm(here - there, axis=-1), nan=LOST)
+    return replace(case, sigma=np.hypot(case.sigma, error))
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _along(points: np.ndarray, frame: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Points between mass points, by a cubic through four. points: (C, F, n, 2); place: (N,) in segments."""
+    count, wanted, last = len(points), len(place), points.shape[2] - 1
+    result = np.empty((count, wanted, 2))
+    for c in prange(count):
+        for k in range(wanted):
+            at = min(max(place[k], 0.0), float(last))
+            first = min(max(int(at) - 1, 0), last - 3)
+            x = at - first
+            w0, w1 = -(x - 1) * (x - 2) * (x - 3) / 6, x * (x - 2) * (x - 3) / 2
+            w2, w3 = -x * (x - 1) * (x - 3) / 2, x * (x - 1) * (x - 2) / 6
+            line = points[c, frame[k]]
+            for axis in range(2):
+                ends = w0 * line[first, axis] + w3 * line[first + 3, axis]
+                result[c, k, axis] = w1 * line[first + 1, axis] + w2 * line[first + 2, axis] + ends
+    return result

@@ -1,0 +1,112 @@
+"""The noise floor, from the data themselves, and points that are far out.
+
+What a model lacks changes little from frame to frame; noise does not. So the second
+difference in time of a residual is noise, whatever the model lacks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from stages.diagnose.evidence import Evidence
+from stages.estimate.forward import Case
+
+FEWEST = 30  # second differences from which a noise can be told
+CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames
+COMMON = 0.15  # mean square that frames of a right model may have in common: mass points and doubt are not perfect
+FAINT = 0.02  # less in common than this is nothing
+SMOOTH = 3  # frames whose residuals are averaged to see what they share
+FAR = 6.0  # noises from its neighbours in time at which a point is left out
+NORMAL = 1.4826  # standard deviation over median magnitude
+
+
+def tracks(case: Case) -> Iterator[np.ndarray]:
+    """Indices of the measured points of each arc length, in the order of time."""
+    place = np.round(case.s / 1e-3).astype(int)
+    for value in np.unique(place):
+        yield np.flatnonzero(place == value)
+
+
+def estimated(evidence: Evidence, residual: np.ndarray) -> float:
+    """Noise over sigma, as residuals (N,) over sigma show it from frame to frame; their size where frames are few."""
+    pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
+    rough = np.concatenate([_second_differences(case, part) for case, part in pairs])
+    if len(rough) < FEWEST:
+        return float(NORMAL * np.median(np.abs(residual)))
+    return float(NORMAL * np.median(np.abs(rough)) / np.sqrt(6))
+
+
+def parts(evidence: Evidence, residual: np.ndarray) -> list[np.ndarray]:
+    """Residuals (N,) of each trial, (n, 2)."""
+    ends = np.cumsum([2 * len(case.points) for case in evidence.cases])[:-1]
+    return [part.reshape(-1, 2) for part in np.split(residual, ends)]
+
+
+def _second_differences(case: Case, residual: np.ndarray) -> np.ndarray:
+    """Of residuals (n, 2) along each track, where frames follow one another evenly."""
+    found = [np.empty(0)]
+    for track in tracks(case):
+        t, value = case.times[case.frame[track]], residual[track]
+        gap = np.diff(t)
+        even = np.isclose(gap[1:], gap[:-1], rtol=0.2) & (gap[1:] < 1.5 * np.median(np.diff(case.times)))
+        found.append((value[2:] - 2 * value[1:-1] + value[:-2])[even].ravel())
+    return np.concatenate(found)
+
+
+def systematic(evidence: Evidence, residual: np.ndarray) -> float:
+    """Mean square of what residuals (N,) over sigma have in common from frame to frame: what is not noise."""
+    products, count = 0.0, 0
+    for case, part in zip(evidence.cases, parts(evidence, residual), strict=True):
+        for track in tracks(case):
+            follows = np.diff(case.frame[track]) == 1
+            products += float(np.sum((part[track][1:] * part[track][:-1])[follows]))
+            count += 2 * int(follows.sum())
+    return max(products / max(count, 1), 0.0)
+
+
+def visible(evidence: Evidence, residual: np.ndarray) -> float:
+    """The largest residual (N,) over sigma that neighbours in time share: what somebody would point at."""
+    largest = 0.0
+    for case, part in zip(evidence.cases, parts(evidence, residual), strict=True):
+        for track in tracks(case):
+            smooth = uniform_filter1d(part[track], SMOOTH, axis=0)
+            largest = max(largest, float(np.linalg.norm(smooth, axis=1).max()))
+    return largest
+
+
+def mismatch(evidence: Evidence, residual: np.ndarray) -> float:
+    """How much residuals (N,) over sigma show that is not noise, as a logarithm: above 0 something is there.
+
+    Of the largest thing to be seen, and of what frames have in common everywhere.
+    """
+    size = visible(evidence, residual) / CLEAR
+    return float(np.log(size) + 0.5 * np.log(max(systematic(evidence, residual), FAINT) / COMMON))
+
+
+def cleaned(evidence: Evidence, residual: np.ndarray) -> tuple[Evidence, int]:
+    """Without points whose residual is far from those just before and after, and how many these are."""
+    size = estimated(evidence, residual)
+    pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
+    kept = [_near(case, part, FAR * size) for case, part in pairs]
+    cases = tuple(_only(case, near) for case, near in zip(evidence.cases, kept, strict=True))
+    return replace(evidence, cases=cases), int(sum(np.sum(~near) for near in kept))
+
+
+def _near(case: Case, residual: np.ndarray, limit: float) -> np.ndarray:
+    """Which points (n,) are within `limit` of the median of five frames about them."""
+    near = np.ones(len(residual), dtype=bool)
+    for track in tracks(case):
+        if len(track) < 5:
+            continue
+        padded = np.pad(residual[track], ((2, 2), (0, 0)), mode="edge")
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
+        near[track] = np.linalg.norm(residual[track] - middle, axis=1) < limit
+    return near
+
+
+def _only(case: Case, kept: np.ndarray) -> Case:
+    return replace(case, **{name: getattr(case, name)[kept] for name in ("frame", "s", "points", "sigma")})

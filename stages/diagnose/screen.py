@@ -1,0 +1,200 @@
+"""Screening: what each effect would explain of a residual, for almost nothing.
+
+Every effect is tried at a few sizes and places of its range. What it does to the string is
+taken as a direction, from which all that the fitted parameters can do themselves is
+projected out; its score is the part of the residual along that direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.stats import qmc
+
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import PRIOR, Fit
+from stages.diagnose.theory import Theory, joined, placed
+from stages.estimate.forward import Case
+from stages.estimate.result import values_of
+from stages.model.effect import Effect, StringEffect, taken
+from stages.model.model import Model
+
+SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range
+DRAWS = 11  # places of which an effect that depends on place is asked, as a power of two
+PLACES = 48  # of these that are simulated
+TOUCHED = 0.1  # of the string's places on its way, at most
+MOST = 2.0  # times a probe's size that it may be taken at
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One effect, tried. chi: (P,) of the theory with it. gain: of the log-likelihood, predicted to first order.
+    direction: (N,) unit vector, what it does that the fitted parameters cannot."""
+
+    theory: Theory
+    effect: type[Effect]
+    chi: np.ndarray
+    gain: float
+    direction: np.ndarray
+
+
+def screened(evidence: Evidence, fit: Fit, effects: Sequence[type[Effect]], seed: int) -> dict[str, list[Probe]]:
+    """Probes of each effect, most promising first. Those that share a model share a batch."""
+    path = followed(evidence, fit)
+    trials = [_Trial(joined(fit.theory, e), e, start_of(joined(fit.theory, e), fit)) for e in effects]
+    tried = [(trial, sizes(trial, path, seed)) for trial in trials]
+    own = projector(fit)
+    models = {trial.theory.model.effects for trial in trials}
+    found: dict[str, list[Probe]] = {}
+    for model in models:
+        some = [(trial, chi) for trial, chi in tried if trial.theory.model.effects == model and len(chi)]
+        if some:
+            seen = evidence.residuals(some[0][0].theory.model, np.concatenate([chi for _, chi in some]))
+            parts = np.split(seen, np.cumsum([len(chi) for _, chi in some])[:-1])
+            found |= {t.effect.name: _scored(t, chi, fit, own, r) for (t, chi), r in zip(some, parts, strict=True)}
+    return found
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """An effect to be tried. start: (P,) where it is absent and all else as fitted."""
+
+    theory: Theory
+    effect: type[Effect]
+    start: np.ndarray
+
+    @property
+    def own(self) -> list[int]:
+        """Places of the parameters that are tried: its size, the first, and those that say where, when or which way.
+
+        Others that start at an end of their range are sizes too (of friction, say), and stay absent.
+        """
+        first, *others = self.effect.parameters
+        chosen = [first, *(p for p in others if p.low < p.start < p.high)]
+        return [self.theory.model.names.index(self.effect.qualified(p)) for p in chosen]
+
+    @property
+    def room(self) -> tuple[float, float]:
+        """Least and most times a probe's size that it may be taken at: not back beyond absent where a range ends."""
+        first = self.effect.parameters[0]
+        return (-MOST if first.low < first.start < first.high else 0.0), MOST
+
+
+def start_of(theory: Theory, fit: Fit) -> np.ndarray:
+    """(P,) of a theory with more causes, which are absent."""
+    return theory.carried(fit.theory.named(fit.chi))
+
+
+def projector(fit: Fit) -> np.ndarray:
+    """(N, free) orthonormal: what the fitted parameters can do, as far as the prior lets them."""
+    u, size, _ = np.linalg.svd(fit.slopes, full_matrices=False)
+    return u * np.sqrt(size**2 / (size**2 + PRIOR))
+
+
+def without(own: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (C, N) less what lies along `own`."""
+    return vectors - (vectors @ own) @ own.T
+
+
+def _scored(trial: _Trial, chi: np.ndarray, fit: Fit, own: np.ndarray, residual: np.ndarray) -> list[Probe]:
+    """Probes at chi (C, P), where residual is (C, N), most promising first."""
+    beyond = without(own, residual - fit.residual)
+    size = np.linalg.norm(beyond, axis=1)
+    direction = beyond / np.maximum(size, 1e-9)[:, None]
+    along = -direction @ fit.residual
+    lowest, highest = trial.room
+    step = np.clip(along, lowest * size, highest * size)
+    gain = np.where(size > 1e-6, along * step - step**2 / 2, 0.0)
+    scaled = [_scaled(trial, c, s / max(z, 1e-9)) for c, s, z in zip(chi, step, size, strict=True)]
+    scaled = [new if trial.theory.plausible(new) else old for new, old in zip(scaled, chi, strict=True)]
+    found = [Probe(trial.theory, trial.effect, *rest) for rest in zip(scaled, gain.tolist(), direction, strict=True)]
+    return sorted(found, key=lambda probe: -probe.gain)
+
+
+def sizes(trial: _Trial, path: Path, seed: int) -> np.ndarray:
+    """Exponents (C, P) at which an effect is tried: some of its range, at several sizes to both sides.
+
+    The first parameter is the effect's size; the others say where, when or which way.
+    """
+    own, start = trial.own, trial.start
+    if placed(trial.effect):
+        return touching(trial, path, seed)
+    rows = []
+    for size in SIZES:
+        for end in _ends(len(own), seed):
+            chi = start.copy()
+            chi[own] = end if len(own) > 2 else start[own] + size * (end - start[own])
+            chi[own[0]] = start[own[0]] + size * (end[0] - start[own[0]])
+            rows.append(chi)
+    return np.unique(np.clip(np.array(rows), 0, 1), axis=0)
+
+
+def _ends(count: int, seed: int) -> np.ndarray:
+    """Ends of the range of one parameter, or points spread over that of several, (C, count)."""
+    if count == 1:
+        return np.array([[0.0], [1.0]])
+    some = qmc.Sobol(count, seed=seed).random_base2(count + 1)
+    some[:, 0] = np.round(some[:, 0])
+    return some
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where the string was and how it moved, as fitted: arguments of laws, (1, M) each."""
+
+    known: Mapping[str, np.ndarray]
+
+
+def followed(evidence: Evidence, fit: Fit) -> Path:
+    """The way of the fitted string through all trials, at a few places of it."""
+    values = values_of(fit.theory.model.parameters, fit.chi[None])
+    parts = [_followed(evidence, model_of(fit), case, values) for case in evidence.cases]
+    return Path({name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]})
+
+
+def model_of(fit: Fit) -> Model:
+    """The fitted model."""
+    return fit.theory.model
+
+
+def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) -> dict[str, np.ndarray]:
+    coarse = replace(model, string=replace(model.string, points=evidence.segments[0] + 1))
+    points = coarse.true(case.motion, values, case.times, case.initial).points[0]
+    velocity = np.gradient(points, case.times, axis=0)
+    tangent = np.gradient(points, axis=1)
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    s, t = np.meshgrid(coarse.string.arc_lengths(), case.times)
+    axes = {"x": points, "vx": velocity, "ux": velocity, "tx": tangent}
+    known = {name: array[..., 0] for name, array in axes.items()}
+    known |= {name.replace("x", "y"): array[..., 1] for name, array in axes.items()} | {"s": s, "t": t}
+    return {name: array[:, 1:].ravel() for name, array in known.items()}
+
+
+def touching(trial: _Trial, path: Path, seed: int) -> np.ndarray:
+    """Exponents (C, P) at which an effect that depends on place would act on the string, and not on all of it.
+
+    Asked of the law itself along the string's way, without any simulation.
+    """
+    own = trial.own
+    chi = np.repeat(trial.start[None], 2**DRAWS, axis=0)
+    chi[:, own] = qmc.Sobol(len(own), seed=seed).random_base2(DRAWS)
+    chi[:, own[0]] = trial.start[own[0]] + SIZES[0] * (1 - trial.start[own[0]])
+    string = trial.theory.model.string
+    values = values_of(trial.theory.model.parameters, chi)[:, : len(string.parameters)]
+    material = string.material(values)
+    law = trial.effect.laws()["load"]
+    given = string.arguments_of(cast("type[StringEffect]", trial.effect), "load", material)
+    push = law(**taken(law, path.known), **given)
+    share = np.mean(np.hypot(*push) > 0, axis=1)
+    return chi[(share > 0) & (share < TOUCHED)][:PLACES]
+
+
+def _scaled(trial: _Trial, chi: np.ndarray, factor: float) -> np.ndarray:
+    """The probe at a multiple of its size."""
+    first = trial.own[0]
+    result = chi.copy()
+    result[first] = np.clip(trial.start[first] + factor * (chi[first] - trial.start[first]), 0, 1)
+    return result

@@ -1,0 +1,44 @@
+"""The base model fitted from nothing.
+
+A string that is swung forgets where it came from, so a whole trial has many local minima:
+the beginning is fitted first, from many starts, and the horizon widens while the better half
+of them goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.theory import Evidence, Theory
+
+HORIZONS = (0.2, 0.35, 0.6)  # [s], and then all
+STEPS = (6, 5, 4)
+LAST = 25
+DRAWN = 256
+
+
+def searched(
+    evidence: Evidence,
+    theory: Theory,
+    rng: np.random.Generator,
+    starts: int,
+    progress: Callable[[float], object] = lambda share: None,
+) -> list[Fit]:
+    """The best fits of a theory, best first. starts: how many of the drawn candidates are followed."""
+    free = theory.free
+    drawn = np.repeat(theory.start[None], DRAWN, axis=0)
+    drawn[:, free] = rng.uniform(0, 1, (DRAWN, len(free)))
+    beginning = evidence.until(HORIZONS[0])
+    order = np.argsort(np.sum(np.minimum(beginning.residuals(theory.model, drawn) ** 2, 1e4), axis=1))
+    chi = list(drawn[order[:starts]])
+    for number, (horizon, steps) in enumerate(zip(HORIZONS, STEPS, strict=True)):
+        some = evidence.until(horizon)
+        fits = sorted(fitted(some, [theory] * len(chi), chi, steps), key=lambda fit: fit.cost)
+        chi = [fit.chi for fit in fits[: max(len(chi) // 2, 2)]]
+        progress((number + 1) / (len(HORIZONS) + 1))
+    fits = fitted(evidence, [theory] * len(chi), chi, LAST)
+    progress(1.0)
+    return sorted(fits, key=lambda fit: fit.cost)

@@ -1,0 +1,138 @@
+"""The evidence as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
+from stages.diagnose.choose import Causes, Court
+from stages.diagnose.compare import moved
+from stages.diagnose.fit import Fit
+from stages.diagnose.noise import parts, systematic
+from stages.diagnose.prepare import Ground
+from stages.diagnose.verdict import Judgement, interval
+from stages.model.effect import Effect, ModelChange
+
+ALIKE = 8  # effects whose likeness is shown: the most promising
+
+
+def joined_names(causes: Causes) -> str:
+    """As it stands in tables."""
+    return " + ".join(sorted(causes))
+
+
+def residuals(court: Court, ground: Ground, causes: Causes) -> pd.DataFrame:
+    """Table RESIDUALS."""
+    base, extended = court.tried[frozenset()], court.tried[causes]
+    frames = []
+    both = (parts(court.evidence, fit.residual) for fit in (base, extended))
+    floors = parts(court.evidence, ground.floor)
+    for case, plain, more, floor in zip(court.evidence.cases, *both, floors, strict=True):
+        first, then = (case.points + case.sigma[:, None] * off for off in (plain, more))
+        along = _tangents(case.frame, case.s, first)
+        off = case.points - first
+        table = {"trial": case.name, "t": case.times[case.frame], "s": case.s}
+        table |= dict(zip(("x", "y"), case.points.T, strict=True)) | {"sigma": floor[:, 0], "doubt": case.sigma}
+        table |= dict(zip(("base_x", "base_y", "extended_x", "extended_y"), (*first.T, *then.T), strict=True))
+        table["base_tangential"] = np.sum(off * along, axis=1)
+        table["base_normal"] = off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]
+        frames.append(pd.DataFrame(table))
+    return RESIDUALS.check(pd.concat(frames, ignore_index=True))
+
+
+def _tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Unit vectors along the string at its points (N, 2), from their neighbours in the same frame."""
+    along = np.zeros_like(points)
+    for number in np.unique(frame):
+        own = np.flatnonzero(frame == number)
+        if len(own) > 1 and np.ptp(s[own]) > 0:
+            along[own] = np.gradient(points[own], s[own] + 1e-12 * np.arange(len(own)), axis=0)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0])
+
+
+def theories(court: Court, judgement: Judgement) -> pd.DataFrame:
+    """Table THEORIES, the likeliest first."""
+    base = court.tried[frozenset()]
+    before = max(systematic(court.evidence, base.residual), 1e-12)
+    rows = [
+        {
+            "causes": joined_names(key),
+            "parameters": len(fit.theory.free),
+            "mean_square": fit.mean_square,
+            "fit_gain": base.cost - fit.cost,
+            "held_out_gain": _held_gain(court, key),
+            "moved": moved(court.evidence, base, fit).max() if key else 0.0,
+            "unexplained": systematic(court.evidence, fit.residual) / before,
+            "probability": judgement.chances.get(key, 0.0),
+        }
+        for key, fit in court.tried.items()
+    ]
+    return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
+
+
+def _held_gain(court: Court, key: Causes) -> float:
+    if key not in court.predictions or frozenset() not in court.predictions:
+        return float("nan")
+    return float((court.predictions[frozenset()].costs - court.predictions[key].costs).sum())
+
+
+def screening(court: Court) -> pd.DataFrame:
+    """Table SCREENING."""
+    rows = [
+        {"context": joined_names(context), "effect": name, "predicted_gain": some[0].gain}
+        for context, probes in court.probes.items()
+        for name, some in probes.items()
+    ]
+    return SCREENING.check(pd.DataFrame(rows)) if rows else SCREENING.empty()
+
+
+def likeness(court: Court) -> pd.DataFrame:
+    """Table LIKENESS: of the most promising effects of the first screening."""
+    probes = court.probes.get(frozenset(), {})
+    best = sorted((some[0] for some in probes.values()), key=lambda probe: -probe.gain)[:ALIKE]
+    rows = [
+        {"effect": a.effect.name, "other": b.effect.name, "cosine": abs(float(a.direction @ b.direction))}
+        for i, a in enumerate(best)
+        for b in best[:i]
+    ]
+    return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
+
+
+def causes(court: Court, chosen: Causes, judgement: Judgement, library: Mapping[str, type[Effect]]) -> pd.DataFrame:
+    """Table CAUSES: those named, each with its parameters as fitted among the chosen or in place of its look-alike."""
+    rows = []
+    for name in judgement.causes:
+        effect = library[name]
+        common = {"effect": name, "probability": judgement.probability.get(name, 0.0)}
+        if issubclass(effect, ModelChange):
+            nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
+            rows.append(common | {"sentence": effect.words({}), "parameter": "", **nothing})
+            continue
+        fit = court.tried[_with(court, chosen, judgement, name)]
+        common["sentence"] = effect.words(fit.theory.of(effect, fit.chi))
+        rows += [common | row for row in _parameters(court, fit, effect)]
+    return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
+
+
+def _with(court: Court, chosen: Causes, judgement: Judgement, name: str) -> Causes:
+    """The likeliest set with this cause, of those as large as the chosen."""
+    if name in chosen:
+        return chosen
+    return max((key for key in judgement.chances if name in key), key=lambda key: judgement.chances[key])
+
+
+def _parameters(court: Court, fit: Fit, effect: type[Effect]) -> list[dict[str, object]]:
+    low, high = interval(court, fit)
+    places = {int(place): number for number, place in enumerate(fit.theory.free)}
+    rows = []
+    for parameter in effect.parameters:
+        place = fit.theory.model.names.index(effect.qualified(parameter))
+        number = places[place]
+        ends = parameter.value(np.array([low[number], high[number]]))
+        row = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning, "unit": parameter.unit}
+        rows.append(row | {"value": float(parameter.value(fit.chi[place])), "low": ends[0], "high": ends[1]})
+    return rows

@@ -1,0 +1,99 @@
+"""A theory: the base model with some of the library's effects at work, and the trials it must explain.
+
+All effects on the string share one model in which those that are not at work are absent (at
+their start): one compiled loop serves every theory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from stages.diagnose.evidence import Evidence
+from stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, arguments
+from stages.model.hand import HandMotion
+from stages.model.model import Model
+
+
+@dataclass(frozen=True)
+class Theory:
+    """model: with more effects than are at work, perhaps. causes: those that are, beyond the base model's own."""
+
+    model: Model
+    causes: tuple[type[Effect], ...]
+    base: tuple[str, ...]
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Places of the parameters that are fitted: the base model's and the causes'."""
+        own = {e.qualified(p) for e in self.causes for p in e.parameters}
+        return np.array([i for i, name in enumerate(self.model.names) if name in self.base or name in own])
+
+    @cached_property
+    def start(self) -> np.ndarray:
+        """(P,) exponents at which all effects are absent and the base model is at its start."""
+        return np.array([float(p.chi(np.asarray(p.start))) for p in self.model.parameters])
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """(free,) what is expected before the data speak: the middle of a range, and no cause."""
+        base = np.array([self.model.names[i] in self.base for i in self.free])
+        return np.where(base, 0.5, self.start[self.free])
+
+    def carried(self, known: Mapping[str, float]) -> np.ndarray:
+        """(P,) exponents known by name; those of others at their start."""
+        return np.array([known.get(name, chi) for name, chi in zip(self.model.names, self.start, strict=True)])
+
+    def named(self, chi: np.ndarray) -> dict[str, float]:
+        """Exponents (P,) of the free parameters, by name."""
+        return {self.model.names[i]: float(chi[i]) for i in self.free}
+
+    def of(self, cause: type[Effect], chi: np.ndarray) -> dict[str, float]:
+        """A cause's parameters by their own names, at exponents (P,)."""
+        places = {p.name: self.model.names.index(cause.qualified(p)) for p in cause.parameters}
+        return {name: float(self.model.parameters[i].value(chi[i])) for name, i in places.items()}
+
+    def plausible(self, chi: np.ndarray) -> bool:
+        """Whether each cause has values that can be what it says, at exponents (P,)."""
+        return all(cause.plausible(self.of(cause, chi)) for cause in self.causes)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the causes."""
+        return tuple(cause.name for cause in self.causes)
+
+
+def candidates(base: Model, library: Mapping[str, type[Effect]], evidence: Evidence) -> list[type[Effect]]:
+    """Effects with parameters that are not in the base model; of those on joints, only where there are joints."""
+    grasp_only = any(isinstance(case.motion, HandMotion) for case in evidence.cases)
+    return [
+        e
+        for e in library.values()
+        if e not in base.effects
+        and not issubclass(e, ModelChange)
+        and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())
+    ]
+
+
+def whole(base: Model, effects: Sequence[type[Effect]]) -> Theory:
+    """The base model as a theory, with effects at hand that are absent: candidates of which then share a batch.
+
+    Not those that depend on place, since what they push must be found anew for each place of the string at rest,
+    nor those of the camera, which ask for velocities: these cost more than all the others.
+    """
+    cheap = [e for e in effects if not issubclass(e, CameraEffect) and not placed(e)]
+    return Theory(base.with_effects(*cheap), (), base.names)
+
+
+def placed(effect: type[Effect]) -> bool:
+    """Whether one of an effect's laws depends on where the string is."""
+    return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())
+
+
+def joined(theory: Theory, *effects: type[Effect]) -> Theory:
+    """The theory with more causes."""
+    new = tuple(e for e in effects if e not in theory.model.effects)
+    return Theory(theory.model.with_effects(*new), (*theory.causes, *effects), theory.base)

@@ -1,0 +1,124 @@
+"""From fits to a verdict: probabilities, look-alikes, and whether anything in the library explains the data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+from scipy.stats import t as student
+
+from stages.diagnose.choose import Causes, Court, noisiness
+from stages.diagnose.compare import blocks
+from stages.diagnose.fit import Fit
+from stages.diagnose.noise import mismatch, systematic
+
+RESOLUTION = "resolution"
+PARAMETER = 2.0  # of the log-likelihood: what a further parameter must gain
+ALIKE = 0.05  # of the likeliest: sets of causes at least as likely as this cannot be told from it
+STUBBORN = 0.01  # probability kept for each thing that was not foreseen
+COARSE = 2.0  # mean square at the configured number of mass points over that at enough of them
+STEEP = 4.0  # of the odds of something that the library does not hold, with what is left
+LEFT = 0.1  # share of the misfit that a right cause may leave
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """verdict: as in diagnosis.json. causes: named, the most needed first. probability: of effects, none and unknown,
+    summing to one. groups: of effects that cannot be told apart. chances: of each set of causes. left: share of the
+    systematic misfit that is not explained."""
+
+    verdict: str
+    causes: tuple[str, ...]
+    probability: Mapping[str, float]
+    groups: tuple[tuple[str, ...], ...]
+    chances: Mapping[Causes, float]
+    left: float
+
+
+def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
+    """The verdict on the causes that were chosen.
+
+    coarse: mean square of the configured model's residual over that of one with enough mass points.
+    """
+    base, fit = court.tried[frozenset()], court.tried[causes]
+    before, after = (systematic(court.evidence, each.residual) for each in (base, fit))
+    left = float(np.clip(after / before, 0, 1)) if before > 0 else 0.0
+    seen = mismatch(court.evidence, fit.residual)
+    chances = _chances(court, causes)
+    if not causes:
+        return _nothing(seen, coarse, left, chances)
+    strange = float(expit(STEEP * (seen + 0.5 * np.log(max(left, 1e-3) / LEFT))))
+    probability = _probability(chances, causes, strange)
+    if strange > 0.5:
+        return Judgement("unknown", (), probability, (), chances, left)
+    groups = _groups(chances, causes)
+    need = {name: _needed(court, causes, name, probability) for name in causes.union(*groups)}
+    ordered = tuple(sorted(need, key=lambda name: need[name], reverse=True))
+    return Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left)
+
+
+def _nothing(seen: float, coarse: float, left: float, chances: Mapping[Causes, float]) -> Judgement:
+    """No cause has earned its place: nothing is wrong, or too few mass points, or something unknown."""
+    strange = float(expit(2 * STEEP * seen))
+    if strange > 0.5:
+        return Judgement("unknown", (), {"unknown": strange, "none": 1 - strange}, (), chances, left)
+    few = float(expit(6 * np.log(coarse / COARSE)))
+    probability = {"unknown": strange, RESOLUTION: (1 - strange) * few, "none": (1 - strange) * (1 - few)}
+    if few > 0.5:
+        return Judgement("effect", (RESOLUTION,), probability, (), chances, 0.0)
+    return Judgement("none", (), probability, (), chances, left)
+
+
+def _chances(court: Court, causes: Causes) -> dict[Causes, float]:
+    """Probability of every set of as many causes, given that one of them is right."""
+    noise = noisiness(court.evidence, court.tried[causes])
+    sets = {key: fit for key, fit in court.tried.items() if len(key) == len(causes)}
+    weights = {key: -fit.cost / noise - PARAMETER * len(fit.theory.free) for key, fit in sets.items()}
+    top = max(weights.values())
+    chance = {key: float(np.exp(weight - top)) for key, weight in weights.items()}
+    return {key: value / sum(chance.values()) for key, value in chance.items()}
+
+
+def _probability(chances: Mapping[Causes, float], causes: Causes, strange: float) -> dict[str, float]:
+    """Of each effect, shared among those that a set needs together; of none and unknown."""
+    strange = float(np.clip(strange, STUBBORN, 1 - STUBBORN))
+    none = STUBBORN * (1 - strange)
+    result = {"unknown": strange, "none": none}
+    for some, chance in chances.items():
+        for name in some:
+            result[name] = result.get(name, 0.0) + chance * (1 - strange - none) / len(causes)
+    return result
+
+
+def _groups(chances: Mapping[Causes, float], causes: Causes) -> tuple[tuple[str, ...], ...]:
+    """Effects that could stand in place of one of the causes, with it."""
+    groups = []
+    for cause in sorted(causes):
+        others = [key - (causes - {cause}) for key in chances if causes - {cause} < key and key != causes]
+        alike = [next(iter(o)) for o in others if chances[causes - {cause} | o] > ALIKE * chances[causes]]
+        if alike:
+            groups.append((cause, *sorted(alike)))
+    return tuple(groups)
+
+
+def _needed(court: Court, causes: Causes, name: str, probability: Mapping[str, float]) -> tuple[float, float]:
+    """By what the cost rises without a cause; its look-alikes come after it, by probability."""
+    without = court.tried.get(causes - {name})
+    rise = without.cost - court.tried[causes].cost if name in causes and without is not None else 0.0
+    return rise, probability.get(name, 0.0)
+
+
+def interval(court: Court, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """95 % intervals of the free chi, (free,) each: sandwich over pieces of time (White 1980)."""
+    piece = blocks(court.evidence)
+    count = int(piece.max()) + 1
+    gradient = fit.slopes * fit.residual[:, None]
+    sums = np.stack([np.bincount(piece, column, count) for column in gradient.T], axis=1)
+    bread = np.linalg.inv(fit.normal)
+    few = count / max(count - len(fit.theory.free), 1)
+    deviation = np.sqrt(np.diag(bread @ (few * sums.T @ sums) @ bread))
+    reach = student.ppf(0.975, max(count - len(fit.theory.free), 1)) * deviation
+    chi = fit.chi[fit.theory.free]
+    return np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)
