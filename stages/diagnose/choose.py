@@ -12,14 +12,16 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.noise import CLEAR, mismatch, visible
 from stages.diagnose.screen import Probe, screened
-from stages.diagnose.theory import candidates
+from stages.diagnose.theory import Theory, candidates
 from stages.model.effect import Effect
 from stages.model.model import Model
 
 Causes = frozenset[str]
 
 MOST_CAUSES = 3
-SHORTLIST = 8  # effects that are fitted in full after screening
+FIRST = 2  # steps of every promising effect's fit
+AGAIN = 4  # of a fit where doubt was found anew
+SHORTLIST = 6  # fits that then go on
 STARTS = 2  # probes of each from which it is fitted
 PROMISING = 5.0  # of a predicted gain of the log-likelihood
 STEPS = 14
@@ -31,9 +33,13 @@ GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of i
 
 @dataclass
 class Court:
-    """What has been tried so far on this evidence: each set of causes is fitted once."""
+    """What has been tried so far on this evidence: each set of causes is fitted once.
+
+    finer: numbers of segments by which the simulation's own error is judged again.
+    """
 
     evidence: Evidence
+    finer: tuple[int, ...]
     base: Model
     library: Mapping[str, type[Effect]]
     seed: int
@@ -41,6 +47,7 @@ class Court:
     contexts: dict[Causes, dict[str, Fit]] = field(default_factory=dict)
     probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
     predictions: dict[Causes, HeldOut] = field(default_factory=dict)
+    leftovers: dict[Causes, float] = field(default_factory=dict)
 
     def hear(self, fit: Fit) -> None:
         """Remember a fit if it is the best of its causes."""
@@ -54,6 +61,18 @@ class Court:
             self.predictions[causes] = held_out(self.evidence, self.tried[causes])
         return self.predictions[causes]
 
+    def mismatch(self, causes: Causes) -> float:
+        """What these causes leave that is not noise, where the simulation with them is not in doubt itself."""
+        if causes not in self.leftovers:
+            fit = self.tried[causes]
+            if causes:
+                again = self.evidence.doubted(fit.theory.model, fit.chi, self.finer)
+                fit = fitted(again, [fit.theory], [fit.chi], AGAIN)[0]
+                self.leftovers[causes] = mismatch(again, fit.residual)
+            else:
+                self.leftovers[causes] = mismatch(self.evidence, fit.residual)
+        return self.leftovers[causes]
+
     def extended(self, context: Causes) -> dict[str, Fit]:
         """The fits with one cause more than the context, for every promising effect."""
         if context not in self.contexts:
@@ -61,18 +80,17 @@ class Court:
             known = candidates(self.base, self.library, self.evidence)
             effects = [effect for effect in known if effect.name not in context]
             self.probes[context] = screened(self.evidence, fit, effects, self.seed)
-            chosen = shortlist(self.probes[context])
-            for made in _fitted_by_model(self.evidence, chosen):
+            chosen = promising(self.probes[context])
+            for made in shortlisted(self.evidence, chosen):
                 self.hear(made)
-            names = {probe.effect.name for probe in chosen}
-            self.contexts[context] = {name: self.tried[context | {name}] for name in names}
+            names = {probe.effect.name for probe in chosen} & {n for key in self.tried for n in key if key > context}
+            self.contexts[context] = {n: self.tried[context | {n}] for n in names if context | {n} in self.tried}
         return self.contexts[context]
 
 
-def shortlist(probes: Mapping[str, Sequence[Probe]]) -> list[Probe]:
-    """The best probes of the most promising effects."""
-    order = sorted(probes.values(), key=lambda some: -some[0].gain)
-    return [probe for some in order[:SHORTLIST] if some[0].gain > PROMISING for probe in _starts(some)]
+def promising(probes: Mapping[str, Sequence[Probe]]) -> list[Probe]:
+    """The best probes of every effect that could gain anything."""
+    return [probe for some in probes.values() if some[0].gain > PROMISING for probe in _starts(some)]
 
 
 def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
@@ -80,30 +98,48 @@ def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
     return probes[: 1 if len(probes[0].effect.parameters) == 1 else STARTS]
 
 
-def _fitted_by_model(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
-    """Fits from probes; those that share a model side by side."""
-    models: dict[tuple[type[Effect], ...], list[Probe]] = {}
-    for probe in probes:
-        models.setdefault(probe.theory.model.effects, []).append(probe)
+def shortlisted(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
+    """Fits of the most promising effects: a few steps of all, then the best to their ends.
+
+    What an effect can do once the other parameters follow is not known before they do: the first order alone
+    has been seen to put the true cause twelfth.
+    """
+    begun = _fitted(evidence, [probe.theory for probe in probes], [probe.chi for probe in probes], FIRST)
+    best = sorted(begun, key=lambda fit: fit.cost)[:SHORTLIST]
+    return _fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
+
+
+def _fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.ndarray], most: int) -> list[Fit]:
+    """Fits of theories from their starts; those that share a model side by side."""
+    models: dict[tuple[type[Effect], ...], list[int]] = {}
+    for number, theory in enumerate(theories):
+        models.setdefault(theory.model.effects, []).append(number)
     return [
         fit
         for some in models.values()
-        for fit in fitted(evidence, [p.theory for p in some], [p.chi for p in some], STEPS)
+        for fit in fitted(evidence, [theories[i] for i in some], [starts[i] for i in some], most)
     ]
 
 
 def chosen(court: Court, progress: Callable[[float], object]) -> Causes:
     """The causes that earn their place: added one by one, then each tried again without and replaced by others."""
     best: Causes = frozenset()
-    while len(best) < MOST_CAUSES and mismatch(court.evidence, court.tried[best].residual) > 0:
-        fits = court.extended(best)
-        more = best | {min(fits, key=lambda name: fits[name].cost)} if fits else best
+    while len(best) < MOST_CAUSES and court.mismatch(best) > 0:
+        more = _added(court, best)
+        if not earns(court, best, more):
+            more = _added(court, more)  # of two that are needed, one alone may predict nothing
         if not earns(court, best, more):
             break
         best = _settled(court, more)
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
     return best
+
+
+def _added(court: Court, causes: Causes) -> Causes:
+    """With the one cause more that fits best; as they are where there is none."""
+    fits = court.extended(causes)
+    return causes | {min(fits, key=lambda name: fits[name].cost)} if fits else causes
 
 
 def _settled(court: Court, best: Causes) -> Causes:

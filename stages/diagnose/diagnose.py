@@ -19,7 +19,7 @@ from stages.diagnose.choose import Causes, Court, chosen
 from stages.diagnose.describe import document, sentence
 from stages.diagnose.gain import extended_settings, held_out_table
 from stages.diagnose.missing import missing, unexplained
-from stages.diagnose.prepare import DOUBTFUL, Ground, prepared
+from stages.diagnose.prepare import DOUBTFUL, Ground, finer, prepared
 from stages.diagnose.verdict import Judgement, judged
 from stages.estimate.matching import Matching
 from stages.model.effect import Effect
@@ -49,7 +49,7 @@ def diagnose(
         raise DataError("there is no trial that can be used. Look at the reasons given for each.")
     effects = library()
     ground = prepared(model, observations, effects, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
-    court = Court(ground.evidence, ground.model, effects, seed)
+    court = Court(ground.evidence, finer(ground.evidence), ground.model, effects, seed)
     court.hear(ground.base)
     causes = chosen(court, lambda share: progress((1 + share) / 3))
     judgement = judged(court, causes, coarse(ground))

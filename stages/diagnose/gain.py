@@ -17,7 +17,7 @@ from stages.estimate.matching import Matching, targets
 from stages.estimate.result import values_of
 from stages.model.model import Model
 
-FRAMES = 40  # of a trial, from which E is counted
+FRAMES = 20  # of a trial, from which E is counted
 
 
 def held_out_table(

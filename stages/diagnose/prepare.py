@@ -95,6 +95,12 @@ def refined(evidence: Evidence, theory: Theory, chi: np.ndarray) -> Evidence:
     return doubted
 
 
+def finer(evidence: Evidence) -> tuple[int, ...]:
+    """The next numbers of segments."""
+    following: dict[tuple[int, ...], tuple[int, int]] = dict(pairwise(SEGMENTS))
+    return following.get(evidence.segments, SEGMENTS[-1])
+
+
 def _configured(plain: Evidence, model: Model, named: Sequence[dict[str, float]]) -> Fit:
     """The base model as it is configured, from where the finer one is."""
     theory = Theory(model, (), model.names)

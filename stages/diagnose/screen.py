@@ -23,7 +23,8 @@ from stages.model.effect import Effect, StringEffect, taken
 from stages.model.model import Model
 
 SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range
-DRAWS = 11  # places of which an effect that depends on place is asked, as a power of two
+PATH = 1000  # places on the string's way at which it is asked
+DRAWS = 10  # places of which an effect that depends on place is asked, as a power of two
 PLACES = 48  # of these that are simulated
 TOUCHED = 0.1  # of the string's places on its way, at most
 MOST = 2.0  # times a probe's size that it may be taken at
@@ -152,7 +153,8 @@ def followed(evidence: Evidence, fit: Fit) -> Path:
     """The way of the fitted string through all trials, at a few places of it."""
     values = values_of(fit.theory.model.parameters, fit.chi[None])
     parts = [_followed(evidence, model_of(fit), case, values) for case in evidence.cases]
-    return Path({name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]})
+    every = max(sum(part["s"].size for part in parts) // PATH, 1)
+    return Path({name: np.concatenate([part[name] for part in parts])[None, ::every] for name in parts[0]})
 
 
 def model_of(fit: Fit) -> Model:

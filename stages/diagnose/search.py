@@ -8,6 +8,7 @@ of them goes on.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,11 +32,12 @@ def searched(
     free = theory.free
     drawn = np.repeat(theory.start[None], DRAWN, axis=0)
     drawn[:, free] = rng.uniform(0, 1, (DRAWN, len(free)))
-    beginning = evidence.until(HORIZONS[0])
+    rough = replace(evidence, segments=evidence.segments[:1])  # good enough for a beginning
+    beginning = rough.until(HORIZONS[0])
     order = np.argsort(np.sum(np.minimum(beginning.residuals(theory.model, drawn) ** 2, 1e4), axis=1))
     chi = list(drawn[order[:starts]])
     for number, (horizon, steps) in enumerate(zip(HORIZONS, STEPS, strict=True)):
-        some = evidence.until(horizon)
+        some = rough.until(horizon)
         fits = sorted(fitted(some, [theory] * len(chi), chi, steps), key=lambda fit: fit.cost)
         chi = [fit.chi for fit in fits[: max(len(chi) // 2, 2)]]
         progress((number + 1) / (len(HORIZONS) + 1))

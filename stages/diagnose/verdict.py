@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from stages.diagnose.choose import Causes, Court, noisiness
 from stages.diagnose.compare import blocks
 from stages.diagnose.fit import Fit
-from stages.diagnose.noise import mismatch, systematic
+from stages.diagnose.noise import systematic
 
 RESOLUTION = "resolution"
 PARAMETER = 2.0  # of the log-likelihood: what a further parameter must gain
@@ -45,7 +45,7 @@ def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
     base, fit = court.tried[frozenset()], court.tried[causes]
     before, after = (systematic(court.evidence, each.residual) for each in (base, fit))
     left = float(np.clip(after / before, 0, 1)) if before > 0 else 0.0
-    seen = mismatch(court.evidence, fit.residual)
+    seen = court.mismatch(causes)
     chances = _chances(court, causes)
     if not causes:
         return _nothing(seen, coarse, left, chances)

@@ -42,7 +42,7 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     for _ in range(ITERATIONS):
         some, at = material[moving], pose[moving]
         force = _force(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
-        lengths[moving] = _lengths(string, some, force, angles[moving])
+        lengths[moving] = _lengths(string, some, force, angles[moving], lengths[moving])
         place = _yielding(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
         turn = _newton(string, some, at[:, 2], force, place, angles[moving], lengths[moving])
         if place is not None:
@@ -64,7 +64,10 @@ def stretched(string: String, material: np.ndarray, pose: np.ndarray, angles: np
     masses, cells = string.masses(material)
     plain = np.full(angles.shape, string.segment)
     force = _force(string, material, np.broadcast_to(pose, (len(material), 3)), angles, plain, masses, cells)
-    return _lengths(string, material, force, angles)
+    lengths = plain
+    for _ in range(4):
+        lengths = _lengths(string, material, force, angles, lengths)
+    return lengths
 
 
 def _cautious(limit: np.ndarray, turn: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -152,11 +155,13 @@ def _yielding(
     return np.einsum("cja,cjmab,cmb->cjm", lever, stiff, lever)
 
 
-def _lengths(string: String, material: np.ndarray, force: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Lengths at which tension balances the pull along each segment, by Newton's method."""
+def _lengths(
+    string: String, material: np.ndarray, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray
+) -> np.ndarray:
+    """Lengths at which tension balances the pull along each segment: two steps of Newton's method from `lengths`."""
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
-    stretch = np.zeros_like(angles)
-    for _ in range(8):
+    stretch = lengths / string.segment - 1
+    for _ in range(2):
         excess = slot_sum(string, material, "tension", {"stretch": stretch, "rate": 0 * stretch}) - along
         stretch = stretch - excess / _slope(string, material, "tension", "stretch", stretch)
         stretch = np.maximum(stretch, -0.9)

@@ -138,13 +138,21 @@ class String:
 
     def arguments_of(self, effect: type[StringEffect], slot: str, material: np.ndarray) -> dict[str, np.ndarray]:
         """What a law takes of parameters, each (C, 1), by the law's own names. material: (C, rows)."""
-        chosen = {}
-        for name in arguments(effect.laws()[slot]):
-            for qualified in (f"{effect.name}.{name}", name):
-                if qualified in self.rows:
-                    chosen[name] = material[:, self.rows.index(qualified), None]
-                    break
-        return chosen
+        places = self._places[effect, slot]
+        return {name: material[:, place, None] for name, place in places.items()}
+
+    @cached_property
+    def _places(self) -> dict[tuple[type[StringEffect], str], dict[str, int]]:
+        """Where the parameters that each law takes are among the rows of `material`, by the law's own names."""
+        return {(e, slot): self._places_of(e, arguments(law)) for e in self.effects for slot, law in e.laws().items()}
+
+    def _places_of(self, effect: type[StringEffect], names: Sequence[str]) -> dict[str, int]:
+        found = {}
+        for name in names:
+            known = [q for q in (f"{effect.name}.{name}", name) if q in self.rows]
+            if known:
+                found[name] = self.rows.index(known[0])
+        return found
 
     def masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Masses of the points over nominal mass per length [m], and the length each stands for [m].
