@@ -22,13 +22,15 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.markup import escape
 
-from data import dataset, store
+from data import store
 from data.schema import DataError
 from pipeline import report
-from pipeline.run import Result, cast, estimate_again
+from pipeline.brought import brought_along, extended_model
+from pipeline.run import Result, begin, cast, diagnose, estimate_again
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
-from pipeline.world import world
+from pipeline.study import command as study
+from pipeline.world import World, world
 from stages.generate import MotionNotFoundError
 from stages.roles import HardwareError
 
@@ -36,20 +38,6 @@ OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_c
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 REFUSED: list[str] = []  # errors of a sweep's jobs
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
-FROM_DATASETS = {
-    "string": ("length",),
-    "arm": ("links", "base"),
-    "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion"),
-}
-FROM_TRIALS = (
-    "arm",
-    "camera",
-    "string",
-    "effects",
-    "seed",
-    "memory",
-    "estimate",
-)  # settings that stored trials bring along
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="config")
@@ -69,7 +57,7 @@ def main(config: DictConfig) -> float | None:
         place = HydraConfig.get().runtime.output_dir
         console.print(f"Interrupted. To go on, give the same command with hydra.run.dir={place}", soft_wrap=True)
         sys.exit(INTERRUPTED)
-    last = result.iterations[-1].done.get("estimate")
+    last = result.iterations[-1].done.get("estimate") if result.iterations else None
     return None if last is None else float(last.fit["after"].iloc[0])
 
 
@@ -78,8 +66,12 @@ def run(config: DictConfig, console: Console) -> Result:
     settings = with_trials_settings(config)
     here = world(settings, where)
     folder = Path(HydraConfig.get().runtime.output_dir)
+    if settings["steps"] == ["study"]:
+        return blind_study(here, folder, console)
     with bars(console) as bar:
-        if settings["trials"] is not None:
+        if "diagnose" in settings["steps"]:
+            result = diagnose(here, folder, Path(settings["trials"]), bar)
+        elif settings["trials"] is not None:
             result = estimate_again(here, folder, Path(settings["trials"]), bar)
         else:
             result = cast(here, folder, bar)
@@ -87,6 +79,15 @@ def run(config: DictConfig, console: Console) -> Result:
             report.write(here, result)
     console.print(summary(result))
     return result
+
+
+def blind_study(here: World, folder: Path, console: Console) -> Result:
+    """Its scores on the terminal, its tables and pictures in the folder."""
+    begin(here, folder)
+    with bars(console) as bar, bar("blind study") as progress:
+        sentence = study.run(here, folder, progress)
+    console.print(sentence, soft_wrap=True)
+    return Result(folder, (), sentence)
 
 
 def forget(folder: Path) -> None:
@@ -102,26 +103,14 @@ def with_trials_settings(config: DictConfig) -> Any:
         given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
         for name, value in brought_along(Path(config.trials), given).items():
             OmegaConf.update(whole, name, value, merge=False)
+    if config.extended is not None:
+        for name, value in extended_model(Path(config.extended)).items():
+            OmegaConf.update(whole, name, value, merge=True)
+    if config.trials is not None or config.extended is not None:
+        given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
         for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
             OmegaConf.update(whole, name, OmegaConf.select(config, name))
     return OmegaConf.to_container(whole, resolve=True)
-
-
-def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
-    """Settings of stored trials, by name: those of a run of ours, or what another's dataset.yaml says.
-
-    given: names on the command line; a group that is chosen there is not brought along.
-    """
-    if (folder / "config.json").exists():
-        known = dataset.settings(folder / "config.json")
-        return {name: known[name] for name in FROM_TRIALS if name in known and name not in given}
-    about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
-    return {
-        f"{group}.{key}": value
-        for group, values in about.items()
-        for key, value in values.items()
-        if key in FROM_DATASETS[group] and group not in given
-    }
 
 
 def where(block: str) -> str:

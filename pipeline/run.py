@@ -17,15 +17,22 @@ from pathlib import Path
 from typing import Any
 
 from data import dataset, store
-from data.artifacts import Motion, Observation, Points, Trial
+from data.artifacts import Diagnosis, Motion, Observation, Points, Trial
 from data.schema import DataError
 from pipeline.origin import origin
 from pipeline.steps import STEPS, Past, Progress, step_seed
 from pipeline.world import World
 from stages.judge import Verdict, judge
 
+EXTENDED = "extended.yaml"  # the model that a diagnosis made
 Bar = Callable[[str], AbstractContextManager[Progress]]
-FOLDERS = {"generate": "motion", "execute": "trial", "extract": "points", "estimate": "estimate"}
+FOLDERS = {
+    "generate": "motion",
+    "execute": "trial",
+    "extract": "points",
+    "estimate": "estimate",
+    "diagnose": "diagnosis",
+}
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,11 @@ class Result:
     sentence: str
 
     @property
+    def diagnosis(self) -> Diagnosis | None:
+        """What was found, if it was asked."""
+        return self.iterations[-1].done.get("diagnose")
+
+    @property
     def hit(self) -> bool:
         """Whether the real tip reached the target."""
         return any(i.verdict is not None and i.verdict.hit for i in self.iterations)
@@ -77,10 +89,7 @@ def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result
 
     Points are made from a trial's frames where it has no points, or where `steps` asks for it.
     """
-    data = dataset.fits(dataset.read(trials), world.string.length)
-    if not data.trials:
-        reasons = _reasons(data.rejected) or "it holds no trial"
-        raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")
+    data = _usable(world, trials)
     begin(world, folder)
     iterations: list[Iteration] = []
     observations: list[Observation] = []
@@ -95,6 +104,41 @@ def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result
     sentence = f"Estimated from {len(iterations)} trial(s) of {trials.name}; the matching rate E is {rates[-1]:.3f}."
     left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
     return _ended(folder, iterations, sentence + left)
+
+
+def diagnose(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
+    """The diagnosis of stored trials, and what it leaves in the run's folder: diagnosis.json and extended.yaml."""
+    data = _usable(world, trials)
+    begin(world, folder)
+    observations: list[Observation] = []
+    iterations: list[Iteration] = []
+    for number, stored in enumerate(data.trials.values(), start=1):
+        past = Past(number, {}, None, None, tuple(observations), data.films.get(stored.trial), data.hashes)
+        done, observation = _read_again(world, folder, stored, past, bar)
+        observations.append(observation)
+        iterations.append(Iteration(number, done))
+    past = replace(past, observations=tuple(observations), rejected=data.rejected, held_out=_held_out(data))
+    made: Diagnosis = _step(world, folder, "diagnose", past, bar)
+    iterations[-1].done["diagnose"] = made
+    store.write_text(folder / "diagnosis.json", str(made.finding["diagnosis"].iloc[0]))
+    store.write_text(folder / EXTENDED, str(made.finding["extended"].iloc[0]))
+    left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
+    return _ended(folder, iterations, made.sentence + left)
+
+
+def _held_out(data: dataset.Dataset) -> tuple[str, ...]:
+    """Trials that dataset.yaml sets aside."""
+    roles = data.about.get("trials") or {}
+    return tuple(str(name) for name, about in roles.items() if (about or {}).get("role") == "held_out")
+
+
+def _usable(world: World, trials: Path) -> dataset.Dataset:
+    """Stored trials that fit this string; raises DataError where there are none."""
+    data = dataset.fits(dataset.read(trials), world.string.length)
+    if not data.trials:
+        reasons = _reasons(data.rejected) or "it holds no trial"
+        raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")
+    return data
 
 
 def _reasons(rejected: Mapping[str, str]) -> str:

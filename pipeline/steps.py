@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from data.artifacts import Estimate, Film, Motion, Observation, Points, Trial
+from data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Points, Trial
 from pipeline.world import World
 from stages.extract import footage_of
 
@@ -18,7 +18,8 @@ Progress = Callable[[float], object]
 class Past:
     """What a step may look at: earlier iterations, earlier steps of this one, and what was stored elsewhere.
 
-    film: the trial's frames there. hashes: of the files there.
+    film: the trial's frames there. hashes: of the files there. rejected: its trials that cannot be used, with the
+    reason. held_out: those that are to measure a gain.
     """
 
     number: int
@@ -28,6 +29,8 @@ class Past:
     observations: tuple[Observation, ...]
     film: Film | None = None
     hashes: Mapping[str, str] = field(default_factory=dict)
+    rejected: Mapping[str, str] = field(default_factory=dict)
+    held_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,15 @@ def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estima
     )
 
 
+def _diagnose(world: World, past: Past, seed: int, progress: Progress) -> Diagnosis:
+    given = (world.model, past.observations, past.rejected, past.held_out)
+    return world.stages["diagnose"](*given, seed=seed, progress=progress)
+
+
 STEPS: dict[str, Step] = {
     "generate": Step(Motion, _generate),
     "execute": Step(Trial, _execute),
     "extract": Step(Points, _extract),
     "estimate": Step(Estimate, _estimate),
+    "diagnose": Step(Diagnosis, _diagnose),
 }

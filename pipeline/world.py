@@ -63,6 +63,7 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     string = _accurate(_string(config["string"], where("string")), arm, config, where("string"))
     camera = build(Camera, config["camera"], "camera", where("camera"))
     model = with_effects(Model(string, arm, camera), config["effects"], where("effects"))
+    model = replace(model, known=_known(config["known"], model, where("known")))
     if "generate" in config["steps"]:
         check_reach(target, arm, string.length)
     boxes = config["obstacles"]["boxes"]
@@ -75,9 +76,9 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     )
 
 
-STAGES = ("generate", "execute", "extract", "estimate", "hardware")
+STAGES = ("generate", "execute", "extract", "estimate", "diagnose", "hardware")
 CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
-AGAIN = (["estimate"], ["extract", "estimate"])
+AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"])
 
 
 def _check_run(config: Mapping[str, Any], where: Where) -> None:
@@ -87,7 +88,7 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
             raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
     if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
-    allowed = AGAIN if config["trials"] is not None else CASTS
+    allowed = AGAIN if config["trials"] is not None else (*CASTS, ["study"])
     if config["steps"] not in allowed:
         rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"
         choices = " or ".join(f"[{', '.join(steps)}]" for steps in allowed)
@@ -102,6 +103,17 @@ def with_effects(model: Model, names: Any, where: str) -> Model:
         return model.with_effects(*named([str(name) for name in names]))
     except ValueError as error:
         raise UserError(f"effects ({where}): {error}") from error
+
+
+def _known(block: Any, model: Model, where: str) -> dict[str, float]:
+    """Values of parameters that are known from before."""
+    for name, value in block.items():
+        if name not in model.names:
+            known = ", ".join(model.names)
+            raise UserError(f"known.{name} ({where}): there is no such parameter. Known are: {known}.")
+        if not isinstance(value, float | int):
+            raise UserError(f"known.{name} = {value!r} ({where}): it must be a number. Change it.")
+    return {name: float(value) for name, value in block.items()}
 
 
 def _string(block: Mapping[str, Any], where: str) -> String:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +18,9 @@ from data.schema import DataError
 from stages.diagnose import tables
 from stages.diagnose.choose import Causes, Court, chosen
 from stages.diagnose.describe import document, sentence
-from stages.diagnose.gain import extended_settings, held_out_table
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.gain import extended_settings, held_out_table, unseen
 from stages.diagnose.missing import missing, unexplained
 from stages.diagnose.prepare import DOUBTFUL, Ground, finer, prepared
 from stages.diagnose.verdict import Judgement, judged
@@ -27,6 +30,7 @@ from stages.model.library import library
 from stages.model.model import Model
 
 Progress = Callable[[float], object]
+AGAIN = 20  # steps of a fit to other trials
 ALONE = "there is one trial only: a cause found in it could not be checked on a trial that it has not seen"
 
 
@@ -34,6 +38,7 @@ def diagnose(
     model: Model,
     observations: Sequence[Observation],
     rejected: Mapping[str, str],
+    held_out: Sequence[str],
     *,
     seed: int,
     starts: Annotated[int, Field(ge=2)],
@@ -42,20 +47,22 @@ def diagnose(
 ) -> Diagnosis:
     """What the model gets wrong in these trials, and why.
 
-    rejected: trials that cannot be used, with the reason. starts: of the search for the base model's parameters.
-    matching: how the matching rate E is counted. Raises DataError where no trial can be used.
+    rejected: trials that cannot be used, with the reason. held_out: names of trials that are kept for measuring the
+    gain; where there are none, each trial is left out in turn. starts: of the search for the base model's
+    parameters. matching: how the matching rate E is counted. Raises DataError where no trial can be used.
     """
     if not observations:
         raise DataError("there is no trial that can be used. Look at the reasons given for each.")
-    effects = library()
-    ground = prepared(model, observations, effects, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
-    court = Court(ground.evidence, finer(ground.evidence), ground.model, effects, seed)
-    court.hear(ground.base)
-    causes = chosen(court, lambda share: progress((1 + share) / 3))
+    data = _Data(model, observations, rejected, held_out, matching, library())
+    ground = prepared(model, observations, data.library, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
+    evidence = ground.evidence.only(data.kept)
+    court = Court(evidence, finer(evidence), ground.model, data.library, seed)
+    court.hear(ground.base if len(data.kept) == len(observations) else again(evidence, ground.base))
+    causes = chosen(court, lambda share: progress((1 + 2 * share) / 3))
     judgement = judged(court, causes, coarse(ground))
-    if len(observations) == 1 and judgement.verdict in ("effect", "ambiguous") and causes:
+    if len(data.kept) == 1 and causes:
         judgement = replace(judgement, verdict="insufficient", causes=(), groups=())
-    return _written(court, ground, causes, judgement, _Data(model, observations, rejected, matching, effects))
+    return _written(court, ground, causes, judgement, data)
 
 
 @dataclass(frozen=True)
@@ -65,8 +72,25 @@ class _Data:
     model: Model
     observations: Sequence[Observation]
     rejected: Mapping[str, str]
+    held_out: Sequence[str]
     matching: Matching
     library: Mapping[str, type[Effect]]
+
+    @cached_property
+    def rest(self) -> list[int]:
+        """Numbers of the trials that are set aside: none if that would leave none."""
+        rest = [i for i, o in enumerate(self.observations) if o.trial in self.held_out]
+        return rest if len(rest) < len(self.observations) else []
+
+    @cached_property
+    def kept(self) -> list[int]:
+        """Numbers of the others."""
+        return [i for i in range(len(self.observations)) if i not in self.rest]
+
+
+def again(evidence: Evidence, fit: Fit) -> Fit:
+    """The fit, to other trials."""
+    return fitted(evidence, [fit.theory], [fit.chi], AGAIN)[0]
 
 
 def coarse(ground: Ground) -> float:
@@ -83,8 +107,10 @@ def _written(court: Court, ground: Ground, causes: Causes, judgement: Judgement,
     left = unexplained(court, fit, judgement.left, found)
     if judgement.verdict == "insufficient":
         left["sentence"] = ALONE
-    several = len(data.observations) > 1
-    gains = held_out_table(court, ground, causes, data.observations, data.matching) if several else HELD_OUT.empty()
+    gains = HELD_OUT.empty()
+    if len(data.observations) > 1:
+        trials = unseen(court, causes, data.kept, data.rest)
+        gains = held_out_table(court, ground, causes, trials, data.observations, data.matching)
     named = tables.causes(court, causes, judgement, data.library)
     text = document(court, ground, judgement, named, gains, data.rejected, left, None)
     settings = extended_settings(data.model, court, causes)
@@ -94,7 +120,7 @@ def _written(court: Court, ground: Ground, causes: Causes, judgement: Judgement,
         FINDING.check(pd.DataFrame([row | {"extended": yaml.safe_dump(settings, sort_keys=False)}])),
         named,
         gains,
-        tables.residuals(court, ground, causes),
+        tables.residuals(court, ground.floor[np.isin(ground.evidence.trial, data.kept)], causes),
         tables.theories(court, judgement),
         tables.screening(court),
         tables.likeness(court),

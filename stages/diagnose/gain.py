@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from data.artifacts import HELD_OUT, Observation
 from stages.diagnose.choose import Causes, Court, noisiness
-from stages.diagnose.compare import HeldOut
-from stages.diagnose.noise import parts
 from stages.diagnose.prepare import Ground
+from stages.estimate.forward import Case
 from stages.estimate.matching import Matching, targets
 from stages.estimate.result import values_of
 from stages.model.model import Model
@@ -20,40 +19,61 @@ from stages.model.model import Model
 FRAMES = 20  # of a trial, from which E is counted
 
 
+@dataclass(frozen=True)
+class Unseen:
+    """A trial that neither model was fitted to. chi: (P,) of the base and of the extended model."""
+
+    number: int
+    chi: tuple[np.ndarray, np.ndarray]
+
+
+def unseen(court: Court, causes: Causes, kept: Sequence[int], rest: Sequence[int]) -> list[Unseen]:
+    """The trials that were set aside; where there are none, each in turn, left out of both fits."""
+    if rest:
+        return [Unseen(k, (court.tried[frozenset()].chi, court.tried[causes].chi)) for k in rest]
+    both = (court.held(frozenset()), court.held(causes))
+    return [Unseen(k, (both[0].chi[i], both[1].chi[i])) for i, k in enumerate(kept)]
+
+
 def held_out_table(
-    court: Court, ground: Ground, causes: Causes, observations: Sequence[Observation], matching: Matching
+    court: Court,
+    ground: Ground,
+    causes: Causes,
+    trials: Sequence[Unseen],
+    observations: Sequence[Observation],
+    matching: Matching,
 ) -> pd.DataFrame:
-    """Table HELD_OUT: each trial predicted by both models fitted to the others."""
-    both = [court.held(frozenset()), court.held(causes)]
+    """Table HELD_OUT. observations: of all trials of the ground's evidence."""
+    models = [court.tried[key].theory.model for key in (frozenset[str](), causes)]
     chance = noisiness(court.evidence, court.tried[causes])
     rows = []
-    for number, case in enumerate(court.evidence.cases):
-        own = court.evidence.trial == number
-        off = [_metres(court, held, number) for held in both]
-        tip = case.s > case.s.max() - 1e-3
-        rms = [float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for each in off]
-        tips = [float(np.sqrt(np.mean(np.sum(each[tip] ** 2, axis=1)))) for each in off]
-        rates = [_rate(court, held, number, observations[number], matching) for held in both]
-        row = {"trial": case.name, "rms_base": rms[0], "rms_extended": rms[1]}
-        row |= {"noise_floor": float(np.sqrt(2 * np.mean(ground.floor[own] ** 2)))}
-        row |= {"tip_rms_base": tips[0], "tip_rms_extended": tips[1], "E_base": rates[0], "E_extended": rates[1]}
-        row |= {"log_likelihood_difference": float(both[0].costs[number] - both[1].costs[number]) / chance}
+    for trial in trials:
+        own = ground.evidence.only([trial.number])
+        case, floor = own.cases[0], ground.floor[ground.evidence.trial == trial.number]
+        off = [own.residuals(m, chi[None])[0] for m, chi in zip(models, trial.chi, strict=True)]
+        row = {"trial": case.name, "noise_floor": float(np.sqrt(2 * np.mean(floor**2)))}
+        row["log_likelihood_difference"] = float(np.sum(off[0] ** 2) - np.sum(off[1] ** 2)) / 2 / chance
+        for name, residual, model, chi in zip(("base", "extended"), off, models, trial.chi, strict=True):
+            row |= _measures(case, residual, name)
+            goal = (observations[trial.number], ground.evidence.segments[-1] + 1)
+            row[f"E_{name}"] = _rate(model, chi, *goal, matching)
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
 
 
-def _metres(court: Court, held: HeldOut, number: int) -> np.ndarray:
-    """Residual of a trial, (n, 2) [m]."""
-    return parts(court.evidence, held.residual)[number] * court.evidence.cases[number].sigma[:, None]
+def _measures(case: Case, residual: np.ndarray, name: str) -> dict[str, float]:
+    """Root mean squares of a trial's residual over sigma, of all of it and of the tip [m]."""
+    off = np.linalg.norm(residual.reshape(-1, 2), axis=1) * case.sigma
+    tip = case.s > case.s.max() - 1e-3
+    parts = {"rms": off, "tip_rms": off[tip]}
+    return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
 
 
-def _rate(court: Court, held: HeldOut, number: int, observation: Observation, matching: Matching) -> float:
-    """E of a trial, with the parameters fitted to the others."""
-    model = held.fit.theory.model
-    finest = replace(model, string=replace(model.string, points=court.evidence.segments[-1] + 1))
+def _rate(model: Model, chi: np.ndarray, observation: Observation, points: int, matching: Matching) -> float:
+    """E of a trial."""
+    finest = replace(model, string=replace(model.string, points=points))
     goal = targets(finest, [thinned(observation)], matching)[0]
-    rates, _ = goal.per_frame(values_of(model.parameters, held.chi[number][None]))
-    return float(np.mean(rates))
+    return float(np.mean(goal.per_frame(values_of(model.parameters, chi[None]))[0]))
 
 
 def thinned(observation: Observation) -> Observation:

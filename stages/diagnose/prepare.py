@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -52,7 +52,7 @@ class Ground:
 def prepared(
     model: Model,
     observations: Sequence[Observation],
-    library: dict[str, type[Effect]],
+    library: Mapping[str, type[Effect]],
     rng: np.random.Generator,
     starts: int,
     progress: Callable[[float], object],

@@ -12,7 +12,6 @@ from stages.diagnose.choose import Causes, Court
 from stages.diagnose.compare import moved
 from stages.diagnose.fit import Fit
 from stages.diagnose.noise import parts, systematic
-from stages.diagnose.prepare import Ground
 from stages.diagnose.verdict import Judgement, interval
 from stages.model.effect import Effect, ModelChange
 
@@ -24,18 +23,18 @@ def joined_names(causes: Causes) -> str:
     return " + ".join(sorted(causes))
 
 
-def residuals(court: Court, ground: Ground, causes: Causes) -> pd.DataFrame:
-    """Table RESIDUALS."""
+def residuals(court: Court, floor: np.ndarray, causes: Causes) -> pd.DataFrame:
+    """Table RESIDUALS. floor: noise of each residual [m], (N,)."""
     base, extended = court.tried[frozenset()], court.tried[causes]
     frames = []
     both = (parts(court.evidence, fit.residual) for fit in (base, extended))
-    floors = parts(court.evidence, ground.floor)
-    for case, plain, more, floor in zip(court.evidence.cases, *both, floors, strict=True):
+    floors = parts(court.evidence, floor)
+    for case, plain, more, own in zip(court.evidence.cases, *both, floors, strict=True):
         first, then = (case.points + case.sigma[:, None] * off for off in (plain, more))
         along = _tangents(case.frame, case.s, first)
         off = case.points - first
         table = {"trial": case.name, "t": case.times[case.frame], "s": case.s}
-        table |= dict(zip(("x", "y"), case.points.T, strict=True)) | {"sigma": floor[:, 0], "doubt": case.sigma}
+        table |= dict(zip(("x", "y"), case.points.T, strict=True)) | {"sigma": own[:, 0], "doubt": case.sigma}
         table |= dict(zip(("base_x", "base_y", "extended_x", "extended_y"), (*first.T, *then.T), strict=True))
         table["base_tangential"] = np.sum(off * along, axis=1)
         table["base_normal"] = off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]

@@ -12,15 +12,17 @@ from scipy.stats import t as student
 from stages.diagnose.choose import Causes, Court, noisiness
 from stages.diagnose.compare import blocks
 from stages.diagnose.fit import Fit
-from stages.diagnose.noise import systematic
+from stages.diagnose.noise import mismatch, systematic
 
 RESOLUTION = "resolution"
 PARAMETER = 2.0  # of the log-likelihood: what a further parameter must gain
+INEXACT = 0.002  # share of what a right model explains by which it may be wrong
 ALIKE = 0.05  # of the likeliest: sets of causes at least as likely as this cannot be told from it
 STUBBORN = 0.01  # probability kept for each thing that was not foreseen
 COARSE = 2.0  # mean square at the configured number of mass points over that at enough of them
 STEEP = 4.0  # of the odds of something that the library does not hold, with what is left
-LEFT = 0.1  # share of the misfit that a right cause may leave
+LEFT = 0.06  # share of the misfit that a right cause may leave where something is still to be seen
+CLEAN = 0.5  # below this logarithm of a mismatch nothing is left, whatever its share
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,13 @@ def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
     base, fit = court.tried[frozenset()], court.tried[causes]
     before, after = (systematic(court.evidence, each.residual) for each in (base, fit))
     left = float(np.clip(after / before, 0, 1)) if before > 0 else 0.0
-    seen = court.mismatch(causes)
+    # Half with the simulation's doubt where it was found before there was a cause, half with it found anew.
+    seen = (court.mismatch(causes) + mismatch(court.evidence, fit.residual)) / 2
     chances = _chances(court, causes)
     if not causes:
         return _nothing(seen, coarse, left, chances)
-    strange = float(expit(STEEP * (seen + 0.5 * np.log(max(left, 1e-3) / LEFT))))
+    dirty = float(np.clip(seen / CLEAN + 1, 0, 1))
+    strange = float(expit(STEEP * (seen + 0.5 * dirty * np.log(max(left, 1e-3) / LEFT))))
     probability = _probability(chances, causes, strange)
     if strange > 0.5:
         return Judgement("unknown", (), probability, (), chances, left)
@@ -73,12 +77,26 @@ def _nothing(seen: float, coarse: float, left: float, chances: Mapping[Causes, f
 
 def _chances(court: Court, causes: Causes) -> dict[Causes, float]:
     """Probability of every set of as many causes, given that one of them is right."""
-    noise = noisiness(court.evidence, court.tried[causes])
+    best = court.tried[causes]
     sets = {key: fit for key, fit in court.tried.items() if len(key) == len(causes)}
-    weights = {key: -fit.cost / noise - PARAMETER * len(fit.theory.free) for key, fit in sets.items()}
-    top = max(weights.values())
-    chance = {key: float(np.exp(weight - top)) for key, weight in weights.items()}
+    odds = {key: _log_odds(court, fit, best) for key, fit in sets.items()}
+    chance = {key: float(np.exp(value - max(odds.values()))) for key, value in odds.items()}
     return {key: value / sum(chance.values()) for key, value in chance.items()}
+
+
+def _log_odds(court: Court, fit: Fit, best: Fit) -> float:
+    """Of a fit against the best, no more certain than the differences from piece to piece of time allow.
+
+    Of two right models whose log-likelihoods differ by d with a standard deviation of s, 2 (d / s)^2 is what
+    independent noise would make of d. No model is exact: what it explains, it explains but for a small share.
+    """
+    piece = np.bincount(blocks(court.evidence), fit.residual**2 - best.residual**2) / 2
+    inexact = INEXACT * (court.tried[frozenset()].cost - best.cost)
+    deviation = max(float(np.hypot(np.sqrt(np.sum((piece - piece.mean()) ** 2)), inexact)), 1e-9)
+    ratio = float(piece.sum()) / deviation
+    plain = float(piece.sum()) / noisiness(court.evidence, best)
+    spare = PARAMETER * (len(fit.theory.free) - len(best.theory.free))
+    return -float(np.sign(ratio) * min(abs(plain), 2 * ratio**2)) - spare
 
 
 def _probability(chances: Mapping[Causes, float], causes: Causes, strange: float) -> dict[str, float]:

@@ -9,7 +9,7 @@ and costs nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 
 import numpy as np
@@ -27,7 +27,10 @@ MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
 
 @dataclass(frozen=True)
 class Model:
-    """A string in a hand before a camera. Effects on the string are the string's own; the others act in order."""
+    """A string in a hand before a camera. Effects on the string are the string's own; the others act in order.
+
+    known: values of parameters by qualified name, at which a search starts instead of at their own start.
+    """
 
     string: String
     arm: Arm
@@ -35,6 +38,7 @@ class Model:
     hand_effects: tuple[type[HandEffect], ...] = ()
     clock_effects: tuple[type[ClockEffect], ...] = ()
     camera_effects: tuple[type[CameraEffect], ...] = ()
+    known: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[type[Effect], ...]:
@@ -58,7 +62,8 @@ class Model:
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, with qualified names: the string's first."""
         others = (replace(p, name=e.qualified(p)) for e in self._beyond for p in e.parameters)
-        return (*self.string.parameters, *others)
+        every = (*self.string.parameters, *others)
+        return tuple(replace(p, start=self.known.get(p.name, p.start)) for p in every)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

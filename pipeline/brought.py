@@ -1,0 +1,57 @@
+"""Settings that a folder brings along: of stored trials, or the model that a diagnosis made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from data import dataset
+from pipeline.run import EXTENDED
+from pipeline.settings import UserError
+
+FROM_DATASETS = {
+    "string": ("length",),
+    "arm": ("links", "base"),
+    "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion"),
+}
+FROM_TRIALS = (
+    "arm",
+    "camera",
+    "string",
+    "effects",
+    "known",
+    "seed",
+    "memory",
+    "estimate",
+)  # settings that stored trials bring along
+
+
+def extended_model(folder: Path) -> dict[str, Any]:
+    """Settings of the model that a diagnosis made: `string`, `effects`, `known`. folder: the diagnosis' run."""
+    path = folder / EXTENDED if folder.is_dir() else folder
+    try:
+        made = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError) as error:
+        raise UserError(f"extended={folder}: {path} cannot be read ({error}). Name a diagnosis' run folder.") from error
+    if not isinstance(made, dict):
+        raise UserError(f"extended={folder}: {path} must hold settings. Name a diagnosis' run folder.")
+    return made
+
+
+def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
+    """Settings of stored trials, by name: those of a run of ours, or what another's dataset.yaml says.
+
+    given: names on the command line; a group that is chosen there is not brought along.
+    """
+    if (folder / "config.json").exists():
+        known = dataset.settings(folder / "config.json")
+        return {name: known[name] for name in FROM_TRIALS if name in known and name not in given}
+    about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
+    return {
+        f"{group}.{key}": value
+        for group, values in about.items()
+        for key, value in values.items()
+        if key in FROM_DATASETS[group] and group not in given
+    }

@@ -1,0 +1,80 @@
+"""The blind study as one command: benches drawn, diagnosed and scored; pandas and pictures left in the run's folder."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Any
+
+import pandas as pd
+from pydantic import Field
+
+from data import dataset, store
+from data.schema import DataError
+from hardware.virtual.blind import draw
+from pipeline.brought import brought_along
+from pipeline.origin import origin
+from pipeline.settings import build
+from pipeline.study.benches import study
+from pipeline.study.pictures import pictures
+from pipeline.study.scores import TABLES, scores
+from pipeline.world import World, world
+
+
+@dataclass(frozen=True)
+class Study:
+    """benches: how many, from seed `first`. processes: 0 is one for each core."""
+
+    benches: Annotated[int, Field(ge=1)]
+    first: Annotated[int, Field(ge=0)]
+    processes: Annotated[int, Field(ge=0)]
+
+
+def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
+    """Draw, diagnose and score; what came out, in a sentence. What is in `folder` already is not made again."""
+    asked = build(Study, here.config["study"], "study", "conf/config.yaml")
+    seeds = range(asked.first, asked.first + asked.benches)
+    drawn, asks = partial(draw, arm=here.arm, camera=here.camera), partial(diagnosed, config=here.config)
+    processes = asked.processes or os.cpu_count() or 1
+    rows = study(seeds, folder, drawn, asks, processes=processes, progress=progress)
+    tables = scores(rows)
+    for name, frame in tables.items():
+        store.write_table(TABLES[name], frame, folder / f"{name}.parquet", origin(here.config, "study", 0, {}))
+    pictures(tables, folder)
+    return summary(tables)
+
+
+def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What diagnosis.json says of a dataset. config: settings of the run, to which the dataset adds its own."""
+    settings = copy.deepcopy(dict(config))
+    for name, value in brought_along(folder, set()).items():
+        block, _, key = name.partition(".")
+        settings[block][key] = value
+    here = world(settings, lambda block: f"conf/{block}")
+    data = dataset.fits(dataset.read(folder), here.string.length)
+    if not data.trials:
+        raise DataError(f"{folder}: no trial can be used.")
+    made = here.stages["diagnose"](here.model, list(data.trials.values()), data.rejected, (), seed=here.seed)
+    said: Mapping[str, Any] = json.loads(made.finding["diagnosis"].iloc[0])
+    return said
+
+
+def summary(tables: Mapping[str, pd.DataFrame]) -> str:
+    """The study in a few numbers."""
+    rates = [f"{row.name}: {row.right} of {row.count} ({100 * row.share:.0f} %)" for row in _named(tables["rates"])]
+    error, runtime = tables["calibration_error"].iloc[0], tables["runtime"].iloc[0]
+    return (
+        f"{'; '.join(rates)}. Calibration error {error['error']:.3f} (by chance {error['chance']:.3f}). "
+        f"Median runtime {runtime['median']:.0f} s on one core."
+    )
+
+
+def _named(rates: pd.DataFrame) -> list[Any]:
+    renamed = rates.rename(columns={"name": "what"})
+    return [SimpleNamespace(name=row["what"], **row.drop("what")) for _, row in renamed.iterrows()]
