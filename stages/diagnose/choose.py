@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.noise import CLEAR, mismatch, visible
 from stages.diagnose.screen import Probe, screened
-from stages.diagnose.theory import Theory, candidates
+from stages.diagnose.theory import Theory, candidates, joined
 from stages.model.effect import Effect
 from stages.model.model import Model
 
@@ -28,6 +28,7 @@ STEPS = 14
 MATTERS = 3.0  # standard deviations by which a cause must move something somewhere
 PENALTY = 5.0  # of the log-likelihood for each parameter that no other trial confirms
 MAINLY = 0.4  # of where it moves most: a trial moved less can say little of a cause
+INEXACT = 0.002  # share of what a right model explains by which it may be wrong, and no cause be behind it
 GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of its own noise
 
 
@@ -35,10 +36,13 @@ GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of i
 class Court:
     """What has been tried so far on this evidence: each set of causes is fitted once.
 
-    finer: numbers of segments by which the simulation's own error is judged again.
+    evidence: with the simulation's doubt; first: as it was before there was a cause; floor: with noise alone.
+    finer: numbers of segments by which the simulation's own error is judged.
     """
 
     evidence: Evidence
+    first: Evidence
+    floor: Evidence
     finer: tuple[int, ...]
     base: Model
     library: Mapping[str, type[Effect]]
@@ -47,7 +51,6 @@ class Court:
     contexts: dict[Causes, dict[str, Fit]] = field(default_factory=dict)
     probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
     predictions: dict[Causes, HeldOut] = field(default_factory=dict)
-    leftovers: dict[Causes, float] = field(default_factory=dict)
 
     def hear(self, fit: Fit) -> None:
         """Remember a fit if it is the best of its causes."""
@@ -55,23 +58,39 @@ class Court:
         if key not in self.tried or fit.cost < self.tried[key].cost:
             self.tried[key] = fit
 
+    def fit(self, causes: Causes, near: Causes) -> Fit:
+        """The fit of these causes, made from that of others near them if it was never asked for."""
+        if causes not in self.tried:
+            other = self.tried[near]
+            theory = joined(self.tried[frozenset()].theory, *(self.library[name] for name in sorted(causes)))
+            known = {name: chi for name, chi in other.theory.named(other.chi).items() if name in theory.own}
+            self.hear(fitted(self.evidence, [theory], [theory.carried(known)], STEPS)[0])
+        return self.tried[causes]
+
     def held(self, causes: Causes) -> HeldOut:
         """What these causes say of trials that they were not fitted to."""
         if causes not in self.predictions:
-            self.predictions[causes] = held_out(self.evidence, self.tried[causes])
+            plain = self.held(frozenset()) if causes else None
+            self.predictions[causes] = held_out(self.evidence, self.tried[causes], plain)
         return self.predictions[causes]
 
     def mismatch(self, causes: Causes) -> float:
-        """What these causes leave that is not noise, where the simulation with them is not in doubt itself."""
-        if causes not in self.leftovers:
-            fit = self.tried[causes]
-            if causes:
-                again = self.evidence.doubted(fit.theory.model, fit.chi, self.finer)
-                fit = fitted(again, [fit.theory], [fit.chi], AGAIN)[0]
-                self.leftovers[causes] = mismatch(again, fit.residual)
-            else:
-                self.leftovers[causes] = mismatch(self.evidence, fit.residual)
-        return self.leftovers[causes]
+        """What these causes leave that is not noise: half with the simulation's doubt as it was before there was a
+        cause, half with it found anew."""
+        fit = self.tried[causes]
+        first = fit.residual * self.evidence.sigma / self.first.sigma
+        return (mismatch(self.evidence, fit.residual) + mismatch(self.first, first)) / 2
+
+    def renewed(self, causes: Causes) -> Court:
+        """The simulation's doubt found anew where these causes put the string, and all fits made anew."""
+        fit = self.tried[causes]
+        evidence = self.floor.doubted(fit.theory.model, fit.chi, self.finer)
+        court = replace(self, evidence=evidence, tried={}, contexts={}, predictions={}, probes=dict(self.probes))
+        old = list(self.tried.values())
+        for made in _fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
+            court.hear(made)
+        court.contexts = {c: {n: court.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
+        return court
 
     def extended(self, context: Causes) -> dict[str, Fit]:
         """The fits with one cause more than the context, for every promising effect."""
@@ -121,8 +140,11 @@ def _fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.
     ]
 
 
-def chosen(court: Court, progress: Callable[[float], object]) -> Causes:
-    """The causes that earn their place: added one by one, then each tried again without and replaced by others."""
+def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Causes]:
+    """The causes that earn their place: added one by one, then each tried again without and replaced by others.
+
+    Also what was tried in the end: where a cause moves the string elsewhere, the simulation's doubt is found anew.
+    """
     best: Causes = frozenset()
     while len(best) < MOST_CAUSES and court.mismatch(best) > 0:
         more = _added(court, best)
@@ -130,10 +152,11 @@ def chosen(court: Court, progress: Callable[[float], object]) -> Causes:
             more = _added(court, more)  # of two that are needed, one alone may predict nothing
         if not earns(court, best, more):
             break
-        best = _settled(court, more)
+        best = _needed(court, _settled(court, more))
+        court = court.renewed(best)
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
-    return best
+    return court, best
 
 
 def _added(court: Court, causes: Causes) -> Causes:
@@ -154,6 +177,16 @@ def _settled(court: Court, best: Causes) -> Causes:
     return best
 
 
+def _needed(court: Court, best: Causes) -> Causes:
+    """Without causes that no longer earn their place beside the others."""
+    for cause in sorted(best) if len(best) > 1 else ():
+        without = best - {cause}
+        court.fit(without, best)
+        if len(best) > 1 and not earns(court, without, best):
+            best = without
+    return best
+
+
 def earns(court: Court, without: Causes, causes: Causes) -> bool:
     """Whether a cause moves something by enough to matter, and predicts trials that it was not fitted to.
 
@@ -163,7 +196,8 @@ def earns(court: Court, without: Causes, causes: Causes) -> bool:
     acts = moved(court.evidence, plain, fit)
     if acts.max() < MATTERS:
         return False
-    least = GAIN * noisiness(court.evidence, fit)
+    explained = court.tried[frozenset()].cost - fit.cost
+    least = max(GAIN * noisiness(court.evidence, fit), INEXACT * explained)
     alone = np.flatnonzero(acts > max(MATTERS, MAINLY * acts.max()))
     if len(alone) == 1 and _explains(court.evidence, fit, int(alone[0])):
         price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))

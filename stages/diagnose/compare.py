@@ -11,18 +11,20 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, newton
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
+SHOWN = 10.0  # of the log-likelihood that a cause must gain on other trials to be shown by them
 AGAIN = 3  # steps of a fit without one trial
 
 
 @dataclass(frozen=True)
 class HeldOut:
     """A fit, and what it says of each trial when that trial is left out. residual: (N,) over sigma, each trial's
-    from the parameters fitted without it, chi: (K, P)."""
+    from the parameters fitted without it, chi: (K, P). spent: cost of each of these fits, (K,)."""
 
     fit: Fit
     chi: np.ndarray
     residual: np.ndarray
     trial: np.ndarray
+    spent: np.ndarray
 
     @cached_property
     def costs(self) -> np.ndarray:
@@ -30,16 +32,23 @@ class HeldOut:
         return 0.5 * np.bincount(self.trial, self.residual**2)
 
 
-def held_out(evidence: Evidence, fit: Fit) -> HeldOut:
-    """Each trial left out in turn, the others fitted anew."""
+def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> HeldOut:
+    """Each trial left out in turn, the others fitted anew.
+
+    plain: the same without causes. A cause that the other trials do not show is absent in what they predict.
+    """
     numbers = range(len(evidence.cases))
-    chi = np.stack([_without(evidence, fit, k) for k in numbers])
+    fits = [_without(evidence, fit, k) for k in numbers]
+    chi, spent = [each.chi for each in fits], [each.cost for each in fits]
+    for k in numbers:
+        if plain is not None and plain.spent[k] < spent[k] + SHOWN:
+            chi[k], spent[k] = fit.theory.carried(plain.fit.theory.named(plain.chi[k])), plain.spent[k]
     seen = [evidence.only([k]).residuals(fit.theory.model, chi[k][None])[0] for k in numbers]
-    return HeldOut(fit, chi, np.concatenate(seen), evidence.trial)
+    return HeldOut(fit, np.stack(chi), np.concatenate(seen), evidence.trial, np.array(spent))
 
 
-def _without(evidence: Evidence, fit: Fit, left_out: int) -> np.ndarray:
-    """(P,) fitted to the other trials.
+def _without(evidence: Evidence, fit: Fit, left_out: int) -> Fit:
+    """Fitted to the other trials.
 
     The first step is Gauss and Newton's with the slopes at hand: it takes what only that trial knew back to where it
     was expected. Then a few more.
@@ -47,7 +56,7 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> np.ndarray:
     kept = evidence.trial != left_out
     start = newton(fit.theory, fit.chi, fit.residual[kept], fit.slopes[kept], damping=0.0)
     others = evidence.only([k for k in range(len(evidence.cases)) if k != left_out])
-    return fitted(others, [fit.theory], [start], AGAIN)[0].chi
+    return fitted(others, [fit.theory], [start], AGAIN)[0]
 
 
 def blocks(evidence: Evidence) -> np.ndarray:

@@ -56,9 +56,10 @@ def diagnose(
     data = _Data(model, observations, rejected, held_out, matching, library())
     ground = prepared(model, observations, data.library, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
     evidence = ground.evidence.only(data.kept)
-    court = Court(evidence, finer(evidence), ground.model, data.library, seed)
+    floor = ground.undoubted.only(data.kept)
+    court = Court(evidence, evidence, floor, finer(evidence), ground.model, data.library, seed)
     court.hear(ground.base if len(data.kept) == len(observations) else again(evidence, ground.base))
-    causes = chosen(court, lambda share: progress((1 + 2 * share) / 3))
+    court, causes = chosen(court, lambda share: progress((1 + 2 * share) / 3))
     judgement = judged(court, causes, coarse(ground))
     if len(data.kept) == 1 and causes:
         judgement = replace(judgement, verdict="insufficient", causes=(), groups=())

@@ -15,9 +15,12 @@ from stages.diagnose.noise import cleaned, estimated
 from stages.diagnose.search import searched
 from stages.diagnose.theory import Theory, candidates, whole
 from stages.estimate.forward import Case, case
+from stages.estimate.result import values_of
+from stages.estimate.settle import settled
 from stages.model.effect import Effect
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.model import Model
+from stages.model.parameter import Parameter
 
 SEGMENTS = ((10, 14), (14, 20), (20, 28), (28, 40))
 GUESS = 1e-3  # [m] of noise before anything is known
@@ -25,8 +28,12 @@ TOLD_WRONG = 1.3  # times the noise that the data's author states: then the data
 DOUBTFUL = 1.5  # times the noise: a point whose simulation is as uncertain as that says less
 MANY = 0.35  # share of doubtful points from which more mass points are taken
 STEP = 1e-3  # [s] of the implicit integrator: at 20 points its error is a hundredth of theirs
-COARSE_WINS = 0.8  # of the mean square: then the data were made with the configured number of points
 STEPS = 20
+WIDENINGS = 6  # of a range, at most
+WIDER = 10.0
+AT_END = 0.02  # of a range
+PRESSED = 10.0  # of the log-likelihood that lies beyond an end
+SETTLINGS = 2  # of the states in which trials begin moving
 
 
 @dataclass(frozen=True)
@@ -34,13 +41,14 @@ class Ground:
     """What the diagnosis starts from.
 
     model: the base model with mass points that do not matter. evidence: with noise and the simulation's own doubt as
-    sigma. floor: noise of each point alone [m], (N,), two for each point. base: the base model at its best, of all
-    effects absent. configured: the same as it is configured, with its own number of mass points; plain: evidence for
-    that. outliers: points left out. told: the data say how noisy they are.
+    sigma; undoubted: with noise alone. floor: noise of each point [m], (N,), two for each point. base: the base model
+    at its best, of all effects absent. configured: the same as it is configured, with its own number of mass points;
+    plain: evidence for that. outliers: points left out. told: the data say how noisy they are.
     """
 
     model: Model
     evidence: Evidence
+    undoubted: Evidence
     plain: Evidence
     floor: np.ndarray
     base: Fit
@@ -58,21 +66,75 @@ def prepared(
     progress: Callable[[float], object],
 ) -> Ground:
     """Evidence and base model. Raises DataError where a trial cannot be used."""
-    fine = resolved(model)
     told = all("sigma" in o.points for o in observations)
-    evidence = Evidence(tuple(_known(case(fine, o), told) for o in observations), SEGMENTS[0])
-    theory = Theory(fine, (), fine.names)
-    found = searched(evidence, theory, rng, starts, progress)
-    noise = estimated(evidence, found[0].residual)
+    evidence = Evidence(tuple(_known(case(resolved(model), o), told) for o in observations), SEGMENTS[0])
+    found = searched(evidence, plain_theory(resolved(model)), rng, starts, progress)
+    model, found = widened(evidence, model, found)
+    evidence, found = settled_starts(evidence, found)
+    theory, best = found[0].theory, found[0]
+    noise = estimated(evidence, best.residual)
     evidence = evidence.scaled(noise if not told or noise > TOLD_WRONG else 1.0)
-    evidence, outliers = cleaned(evidence, evidence.residuals(fine, found[0].chi[None])[0])
+    evidence, outliers = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
     plain = replace(evidence, segments=(model.string.points - 1,))
-    named = [theory.named(fit.chi) for fit in found[:2]]
-    configured = _configured(plain, model, named)
+    named = [theory.named(fit.chi) for fit in found]
+    configured = _best(plain, plain_theory(model), named)
     floor = evidence.sigma
-    doubted = refined(evidence, theory, found[0].chi)
-    base = _absent(doubted, whole(fine, candidates(fine, library, evidence)), named)
-    return Ground(fine, doubted, plain, floor, base, configured, outliers, told)
+    doubted = refined(evidence, theory, best.chi)
+    base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence)), named)
+    undoubted = replace(evidence, segments=doubted.segments)
+    return Ground(theory.model, doubted, undoubted, plain, floor, base, configured, outliers, told)
+
+
+def plain_theory(model: Model) -> Theory:
+    """The base model alone."""
+    return Theory(model, (), model.names)
+
+
+def widened(evidence: Evidence, model: Model, found: Sequence[Fit]) -> tuple[Model, list[Fit]]:
+    """The model with wider ranges for parameters that the data press against an end of theirs, and the fits in it.
+
+    A range is a guess about strings; it must not make a cause of what a stiffer string is.
+    """
+    fits = list(found[:2])
+    for _ in range(WIDENINGS):
+        ranges = pressed(fits[0])
+        if not ranges:
+            break
+        model = replace(model, string=replace(model.string, ranges={**model.string.ranges, **ranges}))
+        theory = plain_theory(resolved(model))
+        fits = fitted(evidence, [theory] * len(fits), [theory.at(fit.values) for fit in fits], STEPS)
+        fits = sorted(fits, key=lambda fit: fit.cost)
+    return model, fits
+
+
+def pressed(fit: Fit) -> dict[str, Parameter]:
+    """Parameters at an end of their range beyond which the fit would gain, with the range that goes on there."""
+    gradient = fit.slopes.T @ fit.residual
+    gain = gradient**2 / (2 * np.maximum(np.diag(fit.normal), 1e-12))
+    ranges = {}
+    for place, (number, slope, more) in enumerate(zip(fit.theory.free, gradient, gain, strict=True)):
+        parameter, chi = fit.theory.model.parameters[number], fit.chi[fit.theory.free[place]]
+        if more < PRESSED or parameter.low <= 0:
+            continue
+        if chi > 1 - AT_END and slope < 0:
+            ranges[parameter.name] = replace(parameter, high=parameter.high * WIDER)
+        elif chi < AT_END and slope > 0:
+            ranges[parameter.name] = replace(parameter, low=parameter.low / WIDER)
+    return ranges
+
+
+def settled_starts(evidence: Evidence, found: Sequence[Fit]) -> tuple[Evidence, list[Fit]]:
+    """With the states in which trials begin moving corrected by how they go on, and the fits to that."""
+    fits = list(found)
+    for _ in range(SETTLINGS if any(c.initial is not None for c in evidence.cases) else 0):
+        model = fits[0].theory.model
+        divided = replace(model, string=replace(model.string, points=evidence.segments[-1] + 1))
+        values = values_of(model.parameters, fits[0].chi[None])[0]
+        cases = tuple(settled(replace(case, model=divided), values) for case in evidence.cases)
+        evidence = replace(evidence, cases=cases)
+        fits = fitted(evidence, [fit.theory for fit in fits], [fit.chi for fit in fits], STEPS)
+        fits = sorted(fits, key=lambda fit: fit.cost)
+    return evidence, fits
 
 
 def _known(ready: Case, told: bool) -> Case:
@@ -101,14 +163,7 @@ def finer(evidence: Evidence) -> tuple[int, ...]:
     return following.get(evidence.segments, SEGMENTS[-1])
 
 
-def _configured(plain: Evidence, model: Model, named: Sequence[dict[str, float]]) -> Fit:
-    """The base model as it is configured, from where the finer one is."""
-    theory = Theory(model, (), model.names)
-    fits = fitted(plain, [theory] * len(named), [theory.carried(known) for known in named], STEPS)
-    return min(fits, key=lambda fit: fit.cost)
-
-
-def _absent(evidence: Evidence, theory: Theory, named: Sequence[dict[str, float]]) -> Fit:
-    """The base model with all effects at hand and absent."""
+def _best(evidence: Evidence, theory: Theory, named: Sequence[Mapping[str, float]]) -> Fit:
+    """A theory from exponents known by name, the best of several."""
     fits = fitted(evidence, [theory] * len(named), [theory.carried(known) for known in named], STEPS)
     return min(fits, key=lambda fit: fit.cost)

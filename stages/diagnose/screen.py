@@ -27,6 +27,8 @@ PATH = 1000  # places on the string's way at which it is asked
 DRAWS = 10  # places of which an effect that depends on place is asked, as a power of two
 PLACES = 48  # of these that are simulated
 TOUCHED = 0.1  # of the string's places on its way, at most
+CLOSER = (0.06, 0.03, 0.015)  # of a range, within which places are tried about the best ones
+BEST, ABOUT = 4, 6  # how many of these, and how many places about each
 MOST = 2.0  # times a probe's size that it may be taken at
 
 
@@ -56,7 +58,25 @@ def screened(evidence: Evidence, fit: Fit, effects: Sequence[type[Effect]], seed
             seen = evidence.residuals(some[0][0].theory.model, np.concatenate([chi for _, chi in some]))
             parts = np.split(seen, np.cumsum([len(chi) for _, chi in some])[:-1])
             found |= {t.effect.name: _scored(t, chi, fit, own, r) for (t, chi), r in zip(some, parts, strict=True)}
+    for trial in trials:
+        if placed(trial.effect) and trial.effect.name in found:
+            found[trial.effect.name] = _closer(evidence, trial, found[trial.effect.name], fit, own, seed)
     return found
+
+
+def _closer(
+    evidence: Evidence, trial: _Trial, probes: list[Probe], fit: Fit, own: np.ndarray, seed: int
+) -> list[Probe]:
+    """With more probes about the best, closer and closer: where something stands must be known rather well before a
+    fit can find it."""
+    rng = np.random.default_rng(seed)
+    for reach in CLOSER:
+        chi = np.repeat(np.stack([probe.chi for probe in probes[:BEST]]), ABOUT, axis=0)
+        where = trial.own[1:]
+        chi[:, where] = np.clip(chi[:, where] + rng.uniform(-reach, reach, (len(chi), len(where))), 0, 1)
+        residual = evidence.residuals(trial.theory.model, chi)
+        probes = sorted([*probes, *_scored(trial, chi, fit, own, residual)], key=lambda probe: -probe.gain)
+    return probes
 
 
 @dataclass(frozen=True)

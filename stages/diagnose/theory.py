@@ -33,6 +33,11 @@ class Theory:
         return np.array([i for i, name in enumerate(self.model.names) if name in self.base or name in own])
 
     @cached_property
+    def own(self) -> frozenset[str]:
+        """Names of the parameters that are fitted."""
+        return frozenset(self.model.names[i] for i in self.free)
+
+    @cached_property
     def start(self) -> np.ndarray:
         """(P,) exponents at which all effects are absent and the base model is at its start."""
         return np.array([float(p.chi(np.asarray(p.start))) for p in self.model.parameters])
@@ -46,6 +51,11 @@ class Theory:
     def carried(self, known: Mapping[str, float]) -> np.ndarray:
         """(P,) exponents known by name; those of others at their start."""
         return np.array([known.get(name, chi) for name, chi in zip(self.model.names, self.start, strict=True)])
+
+    def at(self, values: Mapping[str, float]) -> np.ndarray:
+        """(P,) exponents of values known by name; those of others at their start."""
+        known = {p.name: float(p.chi(np.asarray(values[p.name]))) for p in self.model.parameters if p.name in values}
+        return self.carried(known)
 
     def named(self, chi: np.ndarray) -> dict[str, float]:
         """Exponents (P,) of the free parameters, by name."""
