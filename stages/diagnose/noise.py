@@ -102,7 +102,7 @@ def _near(case: Case, residual: np.ndarray, limit: float) -> np.ndarray:
     for track in tracks(case):
         if len(track) < 5:
             continue
-        padded = np.pad(residual[track], ((2, 2), (0, 0)), mode="edge")
+        padded = np.pad(residual[track], ((2, 2), (0, 0)), mode="reflect")
         middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
         near[track] = np.linalg.norm(residual[track] - middle, axis=1) < limit
     return near

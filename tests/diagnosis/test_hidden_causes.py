@@ -1,0 +1,77 @@
+"""Benches that hide something, diagnosed from what was measured; the envelope is opened after the verdict."""
+
+import json
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from hardware.virtual.blind import CASES, draw
+from pipeline.study.command import diagnosed
+
+TOLD = 1e-6  # by which probabilities may miss one
+
+
+@pytest.fixture(scope="module")
+def config():
+    with initialize_config_dir(str(Path("conf").resolve()), version_base="1.3"):
+        return OmegaConf.to_container(compose("config", ["+experiment=blind_study"]), resolve=True)
+
+
+@pytest.fixture
+def verdict(config, arm, camera, tmp_path):
+    """Draw the bench of a seed, diagnose its folder, and only then read the envelope."""
+
+    def of(seed):
+        bench = draw(seed, arm, camera)
+        bench.write(tmp_path / "data")
+        bench.envelope(tmp_path / "envelope.json")
+        said = diagnosed(tmp_path / "data", config)
+        return said, json.loads((tmp_path / "envelope.json").read_text())
+
+    return of
+
+
+def total(said):
+    return sum(each["probability"] for each in (*said["causes"], *said["alternatives"]))
+
+
+def test_a_mass_at_the_tip_is_found_with_its_size(verdict):
+    said, truth = verdict(CASES.index("tip_mass"))
+    assert said["verdict"] == "effect"
+    assert [cause["effect"] for cause in said["causes"]] == truth["names"] == ["tip_mass"]
+    found = said["causes"][0]["parameters"]["tip_mass.ratio"]
+    assert found["value"] == pytest.approx(truth["parameters"]["tip_mass.ratio"], rel=0.1)
+    assert total(said) == pytest.approx(1.0, abs=TOLD)
+    assert said["gain"]["rms_m"]["extended"] < 0.7 * said["gain"]["rms_m"]["base"]
+
+
+def test_a_turned_camera_is_found(verdict):
+    said, truth = verdict(CASES.index("camera_rotation"))
+    assert [cause["effect"] for cause in said["causes"]] == truth["names"] == ["camera_rotation"]
+
+
+def test_a_lag_and_an_offset_of_the_clock_are_not_told_apart(verdict):
+    said, truth = verdict(CASES.index("arm_lag"))
+    assert truth["names"] == ["arm_lag"]
+    assert said["verdict"] == "ambiguous"
+    assert {"arm_lag", "time_offset"} == set(said["indistinguishable"][0])
+    assert total(said) == pytest.approx(1.0, abs=TOLD)
+
+
+def test_nothing_is_named_where_nothing_is_hidden(verdict):
+    """All strings of the lab are finer than ten points of Eq. 1 can represent: that, and nothing else, may be said."""
+    said, truth = verdict(CASES.index("none"))
+    assert truth["kind"] == "none"
+    assert {cause["effect"] for cause in said["causes"]} <= {"resolution"}
+    assert said["verdict"] in ("none", "effect")
+
+
+def test_what_is_not_in_the_library_is_called_unknown(verdict):
+    said, truth = verdict(CASES.index("bumped_camera"))
+    assert truth["kind"] == "outside"
+    assert said["verdict"] == "unknown"
+    assert said["causes"] == []
+    assert all(each["probability"] <= 0.5 for each in said["alternatives"] if each["effect"] != "unknown")
+    assert said["unexplained"]["sentence"]

@@ -1,0 +1,150 @@
+"""The parts of a diagnosis, each against what is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from stages.diagnose.compare import held_out
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import fitted
+from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
+from stages.diagnose.prepare import pressed, resolved
+from stages.diagnose.screen import screened
+from stages.diagnose.theory import Theory, candidates, joined, whole
+from stages.estimate.forward import Case
+from stages.generate.curves import Curves
+from stages.model.camera import Camera
+from stages.model.hand import joint_motion
+from stages.model.library import library
+from stages.model.model import Model
+from stages.model.string import String
+
+SIGMA = 7e-4
+TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
+    "axial_stiffness": 6e5,
+    "axial_damping": 30.0,
+    "grasp_stiffness": 2.0,
+    "grasp_damping": 5e-3,
+}
+S = np.linspace(0.03, 0.3, 10)
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+
+
+def swings(arm, count):
+    """Gentle swings there and back, each of another size."""
+    for k in range(count):
+        control = np.zeros((1, 3, 6))
+        control[0, :, 1:-1] = (1.5 + 0.5 * k) * np.array([[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4])
+        yield Curves(np.array([[0.3, 0.5, 0.2]]), np.array([0.5]), control).sampled(arm.tick, 0.5)[0][0]
+
+
+def measured(arm, model, hidden=None, trials=3, noise=SIGMA):
+    """Evidence made by the model itself, with effects and their values."""
+    hidden = hidden or {}
+    names = {name.split(".")[0] for name in hidden}
+    true = model.with_effects(*(library()[name] for name in names))
+    true = replace(true, string=replace(true.string, points=81))
+    values, rng, cases = true.values({**TRUTH, **hidden})[None], np.random.default_rng(3), []
+    for k, angles in enumerate(swings(arm, trials)):
+        t = arm.tick * np.arange(len(angles))
+        motion = joint_motion(t, angles)
+        seen = true.seen(motion, values, t).points[0]
+        along = CubicSpline(true.string.arc_lengths(), seen, axis=1)(S)
+        points = along.reshape(-1, 2) + noise * rng.standard_normal((len(t) * len(S), 2))
+        sigma = np.full(len(points), SIGMA)
+        frame, s = np.repeat(np.arange(len(t)), len(S)), np.tile(S, len(t))
+        cases.append(Case(f"t{k}", model, motion, t, frame, s, points, sigma))
+    return Evidence(tuple(cases), (10, 14))
+
+
+def base(model, evidence):
+    """The base model fitted from the truth, with the library at hand."""
+    theory = whole(model, candidates(model, library(), evidence))
+    return fitted(evidence, [theory], [theory.at(TRUTH)], 15)[0]
+
+
+def test_two_numbers_of_segments_are_better_than_either(arm, model):
+    evidence = measured(arm, model, noise=0.0)
+    theory = Theory(model, (), model.names)
+    chi = theory.at(TRUTH)[None]
+
+    def off(segments):
+        return np.sqrt(np.mean(replace(evidence, segments=segments).residuals(model, chi) ** 2))
+
+    assert off((10, 14)) < 0.4 * off((14,))  # measured: 0.31
+    assert off((14,)) < 0.6 * off((10,))
+
+
+def test_noise_is_told_from_what_a_model_lacks(arm, model):
+    evidence = measured(arm, model, {"tip_mass.ratio": 0.1})
+    fit = base(model, evidence)
+    assert fit.mean_square > 2
+    assert estimated(evidence, fit.residual) == pytest.approx(1.0, abs=0.08)
+    assert mismatch(evidence, fit.residual) > 0
+    white = np.random.default_rng(0).standard_normal(len(fit.residual))
+    assert systematic(evidence, white) < 0.05
+    assert mismatch(evidence, white) < 0
+
+
+def test_points_that_are_far_out_are_left_out_and_no_others(arm, model):
+    evidence = measured(arm, model)
+    case = evidence.cases[0]
+    wild = case.points.copy()
+    wild[::97] += 0.05
+    dirty = replace(evidence, cases=(replace(case, points=wild), *evidence.cases[1:]))
+    fit = base(model, evidence)
+    kept, count = cleaned(dirty, dirty.residuals(fit.theory.model, fit.chi[None])[0])
+    assert count == len(wild[::97])
+    assert len(kept.cases[0].points) == len(case.points) - count
+
+
+def test_screening_puts_the_cause_first_and_a_fit_gets_its_size(arm, model):
+    evidence = measured(arm, model, {"rest_curvature.curvature": 3.0})
+    fit = base(model, evidence)
+    effects = candidates(model, library(), evidence)
+    probes = screened(evidence, fit, effects, 0)
+    assert max(probes, key=lambda name: probes[name][0].gain) == "rest_curvature"
+    best = probes["rest_curvature"][0]
+    found = fitted(evidence, [best.theory], [best.chi], 15)[0]
+    assert found.values["rest_curvature.curvature"] == pytest.approx(3.0, abs=0.1)
+    assert found.mean_square == pytest.approx(1.0, abs=0.05)
+    assert found.cost < fit.cost - 0.9 * best.gain
+
+
+def test_a_trial_left_out_is_predicted_by_a_right_cause_and_not_by_a_wrong_one(arm, model):
+    evidence = measured(arm, model, {"tip_mass.ratio": 0.1})
+    plain = base(model, evidence)
+    both = [joined(plain.theory, library()[name]) for name in ("tip_mass", "internal_friction")]
+    starts = [theory.carried(plain.theory.named(plain.chi)) for theory in both]
+    right, wrong = fitted(evidence, both, starts, 15)
+    before = held_out(evidence, plain)
+    gains = [float((before.costs - held_out(evidence, fit, before).costs).sum()) for fit in (right, wrong)]
+    assert gains[0] > 1000
+    assert gains[1] < 0.2 * gains[0]
+
+
+def test_a_range_that_ends_too_early_is_widened_where_the_data_press(arm, model):
+    narrow = next(p for p in model.string.parameters if p.name == "bending_stiffness")
+    narrow = replace(narrow, high=2.0)
+    squeezed = replace(model, string=replace(model.string, ranges={"bending_stiffness": narrow}))
+    evidence = measured(arm, model)
+    theory = Theory(squeezed, (), squeezed.names)
+    fit = fitted(evidence, [theory], [theory.at(TRUTH)], 15)[0]
+    assert set(pressed(fit)) == {"bending_stiffness"}
+    assert pressed(fit)["bending_stiffness"].high == pytest.approx(20.0)
+    assert pressed(base(model, evidence)) == {}
+
+
+def test_grasp_poses_leave_out_what_acts_on_joints(arm, model):
+    evidence = measured(arm, model)
+    posed = replace(evidence, cases=tuple(replace(c, motion=c.motion.grasp(arm)) for c in evidence.cases))
+    names = {effect.name for effect in candidates(model, library(), posed)}
+    assert "joint_gain" not in names
+    assert "arm_lag" in names
+    assert "joint_gain" in {effect.name for effect in candidates(model, library(), evidence)}
