@@ -7,7 +7,6 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 from matplotlib import style
@@ -21,10 +20,11 @@ from stages.report.figures.paths import path, paths
 from stages.report.figures.progress import progress
 from stages.report.figures.residual import residual
 from stages.report.figures.strip import strip
-from stages.report.picture import ON_FRAMES, STYLE, THEME
+from stages.report.picture import ON_FRAMES, STYLE
 from stages.report.player import animation
 from stages.report.record import Cast, Record
 from stages.report.scene import View, whole_view
+from stages.report.template import template
 
 HERE = Path(__file__).parent
 
@@ -33,7 +33,7 @@ def report(record: Record) -> str:
     """The page as text; the same record gives the same page."""
     script = (HERE / "player.js").read_text(encoding="utf-8")
     with style.context(STYLE):
-        return _template().render(
+        return template("page.html.j2").render(
             record=record,
             casts=_casts(record),
             paths=paths(record),
@@ -41,35 +41,10 @@ def report(record: Record) -> str:
             best=_best(record),
             parameters=_parameters(record),
             matchings=[] if record.casts else [matching(estimate) for estimate in record.estimates],
-            theme=THEME,
             on_frames=ON_FRAMES,
-            sheet=Markup((HERE / "page.css").read_text(encoding="utf-8")),
             script=Markup(script),
             script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         )
-
-
-def _template() -> jinja2.Template:
-    """Everything from data is escaped; a name that is not there is an error."""
-    page = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    named = (
-        words.mm,
-        words.ms,
-        words.rate,
-        words.significant,
-        words.symbol,
-        words.sentence,
-        words.unit,
-        words.settings,
-    )
-    page.filters |= {function.__name__: function for function in named}
-    return page.get_template("page.html.j2")
 
 
 def _casts(record: Record) -> list[dict[str, Any]]:

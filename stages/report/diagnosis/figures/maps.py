@@ -1,0 +1,91 @@
+"""Where and when a model is wrong: residuals over arc length and time, trial by trial."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import AsinhNorm
+from matplotlib.figure import Figure
+
+from stages.report.diagnosis.figures.colours import DIVERGING, NAMES, NOTHING
+from stages.report.diagnosis.record import DiagnosisRecord
+from stages.report.picture import MM, Picture, vector
+
+PLACES, MOMENTS = 30, 80  # cells at most, along the string and in time
+LEAST = 5.0  # standard deviations: the end of the colour scale is never nearer
+PARTS = {"normal": "across the string", "tangential": "along the string"}
+
+
+def maps(record: DiagnosisRecord, model: str) -> Picture | None:
+    """A row for each trial: the normal and the tangential part of the residual, over the noise floor."""
+    if not record.trials:
+        return None
+    rows = len(record.trials)
+    figure = Figure(figsize=(5.4, 1.1 + 0.95 * rows))
+    panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
+    scale = AsinhNorm(2.0, *np.array([-1, 1]) * _end(record))
+    for line, (trial, table) in zip(panels, record.trials.items(), strict=True):
+        split = parts(table, model)
+        drawn = [_map(axes, table, split[part], scale) for axes, part in zip(line, PARTS, strict=True)]
+        line[0].set_ylabel(f"{trial}\ns [mm]")
+    for axes, words in zip(panels[0], PARTS.values(), strict=True):
+        axes.set_title(words, fontsize=9)
+    for axes in panels[-1]:
+        axes.set_xlabel("time [ms]")
+    bar = figure.colorbar(drawn[0], ax=panels, location="bottom", aspect=40, shrink=0.9, pad=0.02, extend="both")
+    ticks = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= _end(record)]
+    bar.set_ticks(
+        [*(-t for t in ticks[::-1]), 0, *ticks], labels=[*(f"−{t}" for t in ticks[::-1]), "0", *map(str, ticks)]
+    )
+    bar.set_label("measured less simulated [noise floor]")
+    return vector(figure, f"Residuals of the {NAMES[model]} over arc length and time in {rows} trials.")
+
+
+def parts(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
+    """Normal and tangential part of the residual over the noise floor, (n,) each, in the base string's directions.
+
+    As complex numbers a residual is its two parts times the direction of the string.
+    """
+    base = (table["x"] - table["base_x"]) + 1j * (table["y"] - table["base_y"])
+    split = table["base_tangential"] + 1j * table["base_normal"]
+    direction = np.divide(base, split, out=np.ones(len(table), complex), where=np.abs(split) > 0)
+    off = (table["x"] - table[f"{model}_x"]) + 1j * (table["y"] - table[f"{model}_y"])
+    along = (off / direction / table["sigma"]).to_numpy()
+    return {"normal": along.imag, "tangential": along.real}
+
+
+def _end(record: DiagnosisRecord) -> float:
+    """Of the colour scale, the same for all trials and models."""
+    sizes = [np.abs(part) for table in record.trials.values() for part in parts(table, "base").values()]
+    return max(LEAST, float(np.quantile(np.concatenate(sizes), 0.99)))
+
+
+def _map(axes: Axes, table: pd.DataFrame, values: np.ndarray, scale: AsinhNorm) -> QuadMesh:
+    """Means in cells of arc length and time."""
+    edges = _along(table["s"].to_numpy()), _over(table["t"].to_numpy())
+    total, count = (np.histogram2d(table["s"], table["t"], edges, weights=w)[0] for w in (values, None))
+    cells = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    axes.grid(visible=False)
+    colours = DIVERGING.with_extremes(bad=NOTHING)
+    return axes.pcolormesh(edges[1] * MM, edges[0] * MM, cells, cmap=colours, norm=scale, rasterized=True)
+
+
+def _along(s: np.ndarray) -> np.ndarray:
+    """Edges of cells around the places measured, or even ones where there are many [m]."""
+    places = np.unique(np.round(s, 4))
+    if len(places) > PLACES:
+        return np.linspace(0, s.max() * (1 + 1e-9), PLACES + 1)
+    middle = (places[1:] + places[:-1]) / 2
+    half = middle[0] - places[0] if len(middle) else max(places[0] / 4, 1e-3)
+    last = places[-1] - middle[-1] if len(middle) else half
+    return np.concatenate([[max(places[0] - half, 0)], middle, [places[-1] + last]])
+
+
+def _over(t: np.ndarray) -> np.ndarray:
+    """Edges of even cells, a frame or more each; gaps between frames stay empty [s]."""
+    times = np.unique(t)
+    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
+    width = max(frame, float(np.ptp(times)) / MOMENTS)
+    return np.arange(times[0] - width / 2, times[-1] + width, width)

@@ -1,0 +1,82 @@
+"""The page of a diagnosis: the verdict, its evidence and the gain, in one file that needs nothing else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib import style
+
+from stages.report.diagnosis import words
+from stages.report.diagnosis.figures.cause import cause
+from stages.report.diagnosis.figures.colours import MODEL
+from stages.report.diagnosis.figures.gain import foretold, likelier
+from stages.report.diagnosis.figures.likeness import likeness
+from stages.report.diagnosis.figures.maps import maps
+from stages.report.diagnosis.figures.missing import missing
+from stages.report.diagnosis.figures.overlay import overlays
+from stages.report.diagnosis.figures.screening import screenings
+from stages.report.diagnosis.figures.size import size
+from stages.report.diagnosis.figures.tip import tips
+from stages.report.diagnosis.record import DiagnosisRecord
+from stages.report.picture import STYLE
+from stages.report.template import template
+
+FILTERS = (words.plain, words.percent, words.gain, words.quantity, words.interval, words.headline, words.joined)
+FEW = 12  # theories shown at once; the others are folded
+RARE = 0.01  # probability up to which an alternative is not worth a line
+
+
+def diagnosis_report(record: DiagnosisRecord) -> str:
+    """The page as text; the same record gives the same page."""
+    with style.context(STYLE):
+        return template("diagnosis/page.html.j2", *FILTERS).render(
+            record=record,
+            document=record.document,
+            extension=record.extension,
+            causes=_causes(record),
+            alternatives=[a for a in record.document["alternatives"] if a["probability"] > RARE],
+            maps={model: maps(record, model) for model in record.models},
+            size=size(record),
+            overlays=overlays(record),
+            tips=tips(record),
+            theories=_theories(record.diagnosis.theories),
+            few=FEW,
+            screenings=screenings(record),
+            likeness=likeness(record),
+            foretold=foretold(record),
+            likelier=likelier(record),
+            held_out=record.diagnosis.held_out.to_dict("records"),
+            missing=missing(record),
+            pushes=record.diagnosis.missing["s"].notna().any(),
+            colours=MODEL,
+        )
+
+
+def _causes(record: DiagnosisRecord) -> list[dict[str, Any]]:
+    """Each cause with its parameters, its picture and where it comes from."""
+    return [_cause(record, str(name), rows) for name, rows in record.diagnosis.causes.groupby("effect", sort=False)]
+
+
+def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> dict[str, Any]:
+    parameters = rows[rows["parameter"] != ""]
+    effect = record.library.get(name)
+    values = {p.parameter.rpartition(".")[2]: p.value for p in parameters.itertuples()}
+    return {
+        "name": name,
+        "probability": rows["probability"].iloc[0],
+        "sentence": rows["sentence"].iloc[0],
+        "parameters": parameters.to_dict("records"),
+        "picture": cause(effect, values) if effect else None,
+        "reference": effect.reference if effect else "",
+    }
+
+
+def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Those that leave least come first; the base model is among the few that are shown."""
+    rows = table.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
+    base = rows["causes"] == ""
+    late = base & (np.arange(len(rows)) >= FEW)
+    order = np.where(late, FEW - 1.5, np.arange(len(rows)))
+    return rows.iloc[np.argsort(order, kind="stable")].to_dict("records")
