@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from data.artifacts import Diagnosis
 from data.store import write_text
 from pipeline.origin import PACKAGES, code, versions
 from pipeline.run import Result
 from pipeline.world import World
+from stages.model.library import library
 from stages.report import Cast, Record, cast_record, report
+from stages.report.diagnosis import DiagnosisRecord, diagnosis_report
 
 
 def write(world: World, result: Result) -> None:
     """`report.html` in the run's folder."""
+    if result.diagnosis is not None:
+        write_text(result.folder / "report.html", diagnosis_report(_found(world, result.diagnosis)))
+        return
     estimates = [i.done.get("estimate") for i in result.iterations]
     record = Record(
         world.config["name"],
@@ -22,9 +30,17 @@ def write(world: World, result: Result) -> None:
         tuple(_casts(world, result)),
         tuple(e for e in estimates if e is not None),
         world.config,
-        {"seed": world.seed, "code": code(), "packages": versions(PACKAGES)},
+        _made_by(world),
     )
     write_text(result.folder / "report.html", report(record))
+
+
+def _found(world: World, diagnosis: Diagnosis) -> DiagnosisRecord:
+    return DiagnosisRecord(world.config["name"], diagnosis, world.model, library(), world.config, _made_by(world))
+
+
+def _made_by(world: World) -> dict[str, Any]:
+    return {"seed": world.seed, "code": code(), "packages": versions(PACKAGES)}
 
 
 def _casts(world: World, result: Result) -> list[Cast]:

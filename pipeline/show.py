@@ -32,7 +32,9 @@ def bars(console: Console) -> Iterator[Bar]:
 
 
 def summary(result: Result) -> Group:
-    """How the run ended, manipulation by manipulation."""
+    """How the run ended, manipulation by manipulation, or what a diagnosis found."""
+    if result.diagnosis is not None:
+        return _found(result)
     table = Table(box=None, pad_edge=False)
     for heading in ("cast", "tip in the box", "closest [mm]", "E before", "E after", "residual [mm]"):
         table.add_column(heading, justify="right")
@@ -46,6 +48,20 @@ def summary(result: Result) -> Group:
     below = [Text(more)] if more else []
     said = Panel(Group(table, "", words, *below), title=title, border_style=colour)
     return Group(said, *map(Text, faults(result)), Text(f"{result.folder / 'report.html'}", overflow="fold"))
+
+
+def _found(result: Result) -> Group:
+    """The verdict, and what each cause is and does."""
+    assert result.diagnosis is not None
+    table = Table(box=None, pad_edge=False)
+    for heading in ("cause", "probability", "parameter", "value", "95 % interval", "unit"):
+        table.add_column(heading)
+    for row in result.diagnosis.causes.itertuples():
+        ends = f"{row.low:.4g} to {row.high:.4g}" if row.parameter else ""
+        value = f"{row.value:.4g}" if row.parameter else ""
+        table.add_row(row.effect, f"{row.probability:.2f}", row.parameter, value, ends, row.unit)
+    said = Panel(Group(Text(result.sentence), "", table), title=f"[bold]{result.diagnosis.verdict}")
+    return Group(said, Text(f"{result.folder / 'report.html'}", overflow="fold"))
 
 
 def faults(result: Result) -> list[str]:
