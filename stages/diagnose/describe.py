@@ -84,16 +84,21 @@ def gain(held_out: pd.DataFrame) -> dict[str, Any]:
 def sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
     """The verdict in one or two sentences."""
     said = causes.drop_duplicates("effect").set_index("effect")["sentence"]
-    sure = {name: f"{said[name]} (probability {judgement.probability[name]:.2f})" for name in judgement.causes}
-    return {
-        "none": "The simulation agrees with what was measured, within the noise: there is nothing to name.",
-        "effect": f"What the simulation lacks: {_and(list(sure.values()))}.",
-        "ambiguous": "This data cannot tell apart "
-        + "; nor ".join(_and(list(group)) for group in judgement.groups)
-        + f". It may be that {', or that '.join(sure.values())}.",
-        "unknown": "The simulation disagrees with what was measured, and nothing in the library explains it.",
-        "insufficient": "This data cannot answer.",
-    }[judgement.verdict]
+    stated = {name: f"{said[name]} (probability {judgement.probability[name]:.2f})" for name in judgement.causes}
+    alike = set().union(*judgement.groups)
+    sure = [words for name, words in stated.items() if name not in alike]
+    doubtful = [_either([stated[name] for name in group], group) for group in judgement.groups]
+    named = [f"What the simulation lacks: {_and(sure)}."] if sure else []
+    fixed = {
+        "none": ["The simulation agrees with what was measured, within the noise: there is nothing to name."],
+        "unknown": ["The simulation disagrees with what was measured, and nothing in the library explains it."],
+        "insufficient": ["This data cannot answer."],
+    }
+    return " ".join(fixed.get(judgement.verdict, [*named, *doubtful]))
+
+
+def _either(stated: Sequence[str], group: Sequence[str]) -> str:
+    return f"This data cannot tell {_and(list(group))} apart: either {', or '.join(stated)}."
 
 
 def _and(words: Sequence[str]) -> str:
