@@ -1,0 +1,72 @@
+"""A diagnosis as a person asks for it, and the model that it leaves."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from data.artifacts import Diagnosis
+from data.store import load
+from hardware.virtual.blind import CASES, draw
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def pipeline(*overrides, folder):
+    command = [sys.executable, "-m", "pipeline", *overrides, f"hydra.run.dir={folder}"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False)
+
+
+@pytest.fixture(scope="module")
+def places(arm, camera, tmp_path_factory):
+    """A bench whose joints lag, its envelope, and the run that diagnosed it."""
+    place = tmp_path_factory.mktemp("lag")
+    bench = draw(CASES.index("arm_lag"), arm, camera)
+    bench.write(place / "data")
+    bench.envelope(place / "envelope.json")
+    done = pipeline("+experiment=diagnose", f"trials={place / 'data'}", folder=place / "run")
+    assert done.returncode == 0, done.stderr
+    return place
+
+
+def test_a_lag_and_an_offset_of_the_clock_are_not_told_apart(places):
+    said = json.loads((places / "run" / "diagnosis.json").read_text())
+    truth = json.loads((places / "envelope.json").read_text())
+    assert truth["names"] == ["arm_lag"]
+    assert said["verdict"] == "ambiguous"
+    assert {"arm_lag", "time_offset"} <= set(said["indistinguishable"][0])
+    whole = [each["probability"] for each in (*said["causes"], *said["alternatives"])]
+    assert sum(whole) == pytest.approx(1.0, abs=1e-6)
+    assert said["gain"]["rms_m"]["extended"] < said["gain"]["rms_m"]["base"]
+
+
+def test_it_leaves_evidence_and_a_page(places):
+    stored = next((places / "run" / "iterations").glob("*/diagnosis"))
+    made = load(Diagnosis, stored)
+    assert made.verdict == "ambiguous"
+    assert set(made.residuals["trial"]) == set(made.held_out["trial"])
+    assert "arm_lag" in (places / "run" / "report.html").read_text()
+
+
+def test_other_experiments_take_the_extended_model(places):
+    extended = yaml.safe_load((places / "run" / "extended.yaml").read_text())
+    assert set(extended["effects"]) <= {"arm_lag", "time_offset"}
+    wanted = ("+experiment=estimate", f"trials={places / 'data'}", f"extended={places / 'run'}")
+    done = pipeline(*wanted, "estimate.candidates=20", folder=places / "again")
+    assert done.returncode == 0, done.stderr
+    settings = json.loads((places / "again" / "config.json").read_text())
+    assert settings["effects"] == extended["effects"]
+    assert settings["string"]["points"] == extended["string"]["points"]
+    assert settings["known"] == extended["known"]
+
+
+def test_what_is_not_a_diagnosis_is_refused_by_name(places, tmp_path):
+    done = pipeline(
+        "+experiment=estimate", f"trials={places / 'data'}", f"extended={tmp_path}", folder=tmp_path / "run"
+    )
+    assert done.returncode == 1
+    assert "extended.yaml" in done.stderr
+    assert "Traceback" not in done.stderr
