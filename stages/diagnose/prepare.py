@@ -42,19 +42,15 @@ class Ground:
 
     model: the base model with mass points that do not matter. evidence: with noise and the simulation's own doubt as
     sigma; undoubted: with noise alone. floor: noise of each point [m], (N,), two for each point. base: the base model
-    at its best, of all effects absent. configured: the same as it is configured, with its own number of mass points;
-    plain: evidence for that. outliers: points left out. told: the data say how noisy they are.
+    at its best, of all effects absent. configured: the same as it is configured, with its own number of mass points.
     """
 
     model: Model
     evidence: Evidence
     undoubted: Evidence
-    plain: Evidence
     floor: np.ndarray
     base: Fit
     configured: Fit
-    outliers: int
-    told: bool
 
 
 def prepared(
@@ -74,7 +70,7 @@ def prepared(
     theory, best = found[0].theory, found[0]
     noise = estimated(evidence, best.residual)
     evidence = evidence.scaled(noise if not told or noise > TOLD_WRONG else 1.0)
-    evidence, outliers = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
+    evidence, _ = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
     plain = replace(evidence, segments=(model.string.points - 1,))
     named = [theory.named(fit.chi) for fit in found]
     configured = _best(plain, plain_theory(model), named)
@@ -82,7 +78,7 @@ def prepared(
     doubted = refined(evidence, theory, best.chi)
     base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence)), named)
     undoubted = replace(evidence, segments=doubted.segments)
-    return Ground(theory.model, doubted, undoubted, plain, floor, base, configured, outliers, told)
+    return Ground(theory.model, doubted, undoubted, floor, base, configured)
 
 
 def plain_theory(model: Model) -> Theory:
