@@ -15,7 +15,7 @@ HERE = Path(__file__).parent
 
 
 def template(name: str, *own: Callable[..., str]) -> jinja2.Template:
-    """A page's template, and filters of its own. Data are escaped; a name that is not there is an error."""
+    """A page's template, with filters of its own. Data are escaped; a name that is not there is an error."""
     page = jinja2.Environment(
         loader=jinja2.FileSystemLoader(HERE),
         autoescape=True,

@@ -22,6 +22,7 @@ from stages.report.diagnosis.figures.tip import tips
 from stages.report.diagnosis.record import DiagnosisRecord
 from stages.report.picture import STYLE
 from stages.report.template import template
+from stages.report.words import mm
 
 FILTERS = (words.plain, words.percent, words.gain, words.quantity, words.interval, words.headline, words.joined)
 FEW = 12  # theories shown at once; the others are folded
@@ -50,6 +51,7 @@ def diagnosis_report(record: DiagnosisRecord) -> str:
             held_out=record.diagnosis.held_out.to_dict("records"),
             missing=missing(record),
             pushes=record.diagnosis.missing["s"].notna().any(),
+            strongest=_strongest(record.diagnosis.missing),
             colours=MODEL,
         )
 
@@ -71,6 +73,12 @@ def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> dict[str, 
         "picture": cause(effect, values) if effect else None,
         "reference": effect.reference if effect else "",
     }
+
+
+def _strongest(table: pd.DataFrame) -> str:
+    """The most that is missing anywhere, with its unit. table: MISSING."""
+    size = float(np.hypot(table["x"].fillna(0), table["y"].fillna(0)).max())
+    return f"{size:.2g} m/s²" if table["s"].notna().any() else mm(size, 1)
 
 
 def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -20,7 +20,7 @@ def plain(name: str) -> str:
 
 
 def percent(share: float) -> str:
-    """A probability or share; never quite 0 or 100."""
+    """A probability or share; what is small or nearly certain in words."""
     if not np.isfinite(share):
         return UNKNOWN
     return "under 1 %" if share < 0.005 else "over 99 %" if 0.995 < share < 1 else f"{100 * share:.0f} %"

@@ -25,7 +25,8 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
     rows = len(record.trials)
     figure = Figure(figsize=(5.4, 1.1 + 0.95 * rows))
     panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
-    scale = AsinhNorm(2.0, *np.array([-1, 1]) * _end(record))
+    end = _end(record)
+    scale = AsinhNorm(2.0, -end, end)
     for line, (trial, table) in zip(panels, record.trials.items(), strict=True):
         split = parts(table, model)
         drawn = [_map(axes, table, split[part], scale) for axes, part in zip(line, PARTS, strict=True)]
@@ -34,13 +35,18 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
         axes.set_title(words, fontsize=9)
     for axes in panels[-1]:
         axes.set_xlabel("time [ms]")
-    bar = figure.colorbar(drawn[0], ax=panels, location="bottom", aspect=40, shrink=0.9, pad=0.02, extend="both")
-    ticks = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= _end(record)]
-    bar.set_ticks(
-        [*(-t for t in ticks[::-1]), 0, *ticks], labels=[*(f"−{t}" for t in ticks[::-1]), "0", *map(str, ticks)]
-    )
-    bar.set_label("measured less simulated [noise floor]")
+    _bar(figure, panels, drawn[0], end)
     return vector(figure, f"Residuals of the {NAMES[model]} over arc length and time in {rows} trials.")
+
+
+def _bar(figure: Figure, panels: np.ndarray, drawn: QuadMesh, end: float) -> None:
+    """What the colours mean, below all panels."""
+    bar = figure.colorbar(drawn, ax=panels, location="bottom", aspect=40, shrink=0.9, pad=0.02, extend="both")
+    above = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= end]
+    ticks = [*(-tick for tick in reversed(above)), 0, *above]
+    bar.set_ticks(ticks, labels=[str(tick).replace("-", "−") for tick in ticks])
+    bar.minorticks_off()
+    bar.set_label("measured less simulated [noise floor]")
 
 
 def parts(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -37,10 +39,8 @@ def _arrows(axes: Axes, part: pd.DataFrame, longest: float) -> None:
     """Arrows point as the force does in the plane, x to the right and y up."""
     place = (part["t"] * MM, part["s"] * MM)
     axes.plot(*place, ".", ms=1.5, color=LIGHT["axis"])
-    size = longest / LONGEST
-    axes.quiver(
-        *place, part["x"], part["y"], color=LIGHT["target"], angles="uv", scale_units="inches", scale=size, width=0.0022
-    )
+    arrows: dict[str, Any] = {"angles": "uv", "scale_units": "inches", "scale": longest / LONGEST, "width": 0.0022}
+    axes.quiver(*place, part["x"], part["y"], color=LIGHT["target"], **arrows)
     axes.margins(0.06, 0.3)
     axes.set_ylabel("s [mm]")
 

@@ -1,0 +1,370 @@
+"""The page of a diagnosis: every verdict, whole in itself, numbers as they are in the artifact."""
+
+import base64
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_hex
+
+from data.artifacts import Diagnosis
+from stages.model.library import library
+from stages.model.model import Model
+from stages.model.string import String
+from stages.report.diagnosis import DiagnosisRecord, diagnosis_report
+from stages.report.diagnosis.figures.colours import ABOVE, BELOW
+from stages.report.diagnosis.figures.maps import parts
+from stages.report.diagnosis.figures.overlay import worst
+from stages.report.diagnosis.figures.tip import last
+from stages.report.diagnosis.record import TRIALS, away, rms
+from stages.report.diagnosis.words import gain, headline, interval, percent, quantity
+
+SIGMA = 7e-4
+S = np.linspace(0.05, 0.3, 6)
+NAMED = {
+    "tip_mass": ("a mass of 5.1 % of the string's sits at the tip", "ratio", "1", 0.051, 0.046, 0.057),
+    "arm_lag": ("the joints lag 12.0 ms behind", "time_constant", "s", 0.012, 0.0113, 0.0127),
+    "time_offset": ("the arm's clock is 12.0 ms ahead", "offset", "s", -0.012, -0.0127, -0.0113),
+    "box_contact_2": ("it touches a box", "stiffness", "1/s2", 4321.0, 4000.0, 4700.0),
+}
+GAIN = {
+    "held_out_trials": ["t00", "t01"],
+    "rms_m": {"base": 0.0034, "extended": 0.0009, "noise_floor": 0.001},
+    "tip_rms_m": {"base": 0.0061, "extended": 0.0013},
+    "matching_rate": {"base": 0.71, "extended": 0.93},
+    "log_likelihood_per_trial": {"difference": 81234.0, "standard_error": 90.0},
+}
+
+
+# --- a plausible diagnosis, without one being made ------------------------------------------
+def measured(off=0.004, trials=2, frames=30):
+    """A straight string that swings; the base model is off to its right by `off` s/L, growing with time and trial."""
+    rng = np.random.default_rng(1)
+    t, s = (a.ravel() for a in np.meshgrid(np.arange(frames) * 0.01, S, indexing="ij"))
+    tables = []
+    for number in range(trials):
+        angle = 3 * t - 1
+        along, left = np.stack([np.cos(angle), np.sin(angle)]), np.stack([-np.sin(angle), np.cos(angle)])
+        noise = rng.normal(0, SIGMA, (2, len(t)))
+        extended = s * along
+        base = extended - (1 + number) * off * t / t.max() * s / S[-1] * left
+        x, y = extended + noise
+        table = {"trial": f"t{number:02d}", "t": t, "s": s, "x": x, "y": y, "sigma": SIGMA, "doubt": 1.2 * SIGMA}
+        table |= {"base_x": base[0], "base_y": base[1], "extended_x": extended[0], "extended_y": extended[1]}
+        residual = np.array([x, y]) - base
+        table |= {"base_normal": (residual * left).sum(axis=0), "base_tangential": (residual * along).sum(axis=0)}
+        tables.append(pd.DataFrame(table))
+    return pd.concat(tables, ignore_index=True)
+
+
+def unextended(table):
+    return table.assign(extended_x=table["base_x"], extended_y=table["base_y"])
+
+
+def caused(names, probability=0.97):
+    rows = [
+        {"effect": name, "probability": probability / len(names), "sentence": NAMED[name][0]}
+        | {"parameter": f"{name}.{NAMED[name][1]}", "meaning": "what it is", "unit": NAMED[name][2]}
+        | dict(zip(("value", "low", "high"), NAMED[name][3:], strict=True))
+        for name in names
+    ]
+    return pd.DataFrame(rows) if rows else Diagnosis.TABLES["causes"].empty()
+
+
+def held_out():
+    rows = [("t00", 0.003, 0.0009, 0.001, 0.005, 0.0012, 0.7, 0.93, 80000.0)]
+    rows += [("t01", 0.004, 0.0010, 0.001, 0.007, 0.0014, 0.72, 0.93, 82468.0)]
+    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["held_out"].columns])
+
+
+def theories(count=3):
+    rows = [("tip_mass", 9, 0.9, 56716.0, 65432.0, 23.8, 0.004, 0.98), ("", 8, 9.0, 0.0, 0.0, 0.0, 1.0, 0.0)]
+    rows += [(f"wind + other{n}", 11, 3.0, 100.0 + n, np.nan, 4.0, 0.5, 0.01) for n in range(count - 2)]
+    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["theories"].columns])
+
+
+def pushes(kind="force"):
+    s = [0.1, 0.2] if kind == "force" else [np.nan]
+    rows = [(kind, "t01", t, place, 0.002 * t, -3.4 if t == 0.1 else 0.0) for t in (0.0, 0.1, 0.2) for place in s]
+    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["missing"].columns])
+
+
+def diagnosed(verdict, names=(), sentence="So it is.", **tables):
+    """A diagnosis with everything that its verdict comes with; tables take the place of its own."""
+    causes = caused(names)
+    document = {"format": 1, "verdict": verdict, "alternatives": [{"effect": "unknown", "probability": 0.03}]}
+    document["causes"] = causes.drop_duplicates("effect")[["effect", "probability", "sentence"]].to_dict("records")
+    document["indistinguishable"] = [list(names)] if verdict == "ambiguous" else []
+    document |= {"base": {"parameters": {}}, "gain": tables.pop("gain", GAIN), "next_experiment": None}
+    document |= {"unexplained": {"fraction": 0.03, "where": "", "sentence": tables.pop("left", "")}}
+    document |= {"trials": {"used": ["t00", "t01"], "rejected": tables.pop("rejected", {})}}
+    extended = f"effects: [{', '.join(names)}]\nstring: {{points: 17}}\nknown: {{linear_drag: 0.37}}\n"
+    row = {"verdict": verdict, "sentence": sentence, "diagnosis": json.dumps(document), "extended": extended}
+    own = {name: table.empty() for name, table in Diagnosis.TABLES.items()}
+    own |= {"finding": pd.DataFrame([row]), "causes": causes, "held_out": held_out(), "theories": theories()}
+    own["residuals"] = measured() if names else unextended(measured())
+    bars = [("", "tip_mass", 45088.0), ("", "wind", 12.0), ("tip_mass", "wind", 9.0)]
+    own["screening"] = pd.DataFrame(bars, columns=["context", "effect", "predicted_gain"])
+    own["likeness"] = pd.DataFrame([("wind", "tip_mass", 0.42)], columns=["effect", "other", "cosine"])
+    return Diagnosis(**own | tables)
+
+
+def nothing_tried():
+    return {name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")}
+
+
+VERDICTS = {
+    "none": lambda: diagnosed("none", **nothing_tried()),
+    "effect": lambda: diagnosed("effect", ["tip_mass"]),
+    "pair": lambda: diagnosed("effect", ["tip_mass", "arm_lag"]),
+    "ambiguous": lambda: diagnosed("ambiguous", ["arm_lag", "time_offset"]),
+    "unknown": lambda: diagnosed("unknown", missing=pushes(), left="What is left looks like a force."),
+    "insufficient": lambda: diagnosed(
+        "insufficient",
+        left="there is one trial only",
+        gain={"held_out_trials": []},
+        held_out=Diagnosis.TABLES["held_out"].empty(),
+        rejected={"t05": "arm and camera overlap for 0.02 s only"},
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def write(arm, camera):
+    """The page of a diagnosis."""
+    origin = {"seed": 7, "code": {"commit": "0123456789abcdef"}, "packages": {"numpy": "2"}}
+
+    def written(diagnosis, **other):
+        facts = {"name": "bench-7", "settings": {"diagnose": {"starts": 4}}, "origin": origin} | other
+        return diagnosis_report(
+            DiagnosisRecord(diagnosis=diagnosis, model=Model(String(0.3), arm, camera), library=library(), **facts)
+        )
+
+    return written
+
+
+@pytest.fixture(scope="module")
+def pages(write):
+    return {name: Page(write(made())) for name, made in VERDICTS.items()}
+
+
+class Page(HTMLParser):
+    """Elements, and the text that a person sees; raises where tags do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.elements, self.words = [], [], []
+        self.feed(text)
+        assert self.open == [], f"never closed: {self.open}"
+        self.text = re.sub(r"\s+", " ", " ".join(self.words))
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        if tag not in {"meta", "img", "br"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.words.append(data)
+
+    def pictures(self):
+        return [attributes for tag, attributes in self.elements if tag == "img"]
+
+
+def drawing(picture):
+    return base64.b64decode(picture["src"].partition("base64,")[2]).decode()
+
+
+# --- every verdict ----------------------------------------------------------------------------
+SAID = {
+    "none": ["The simulation agrees with what was measured", "No cause is named", "nothing that was worth a search"],
+    "effect": [
+        *("The cause: tip mass", "A mass of 5.1 % of the string's sits at the tip.", "97 %"),
+        *("0.051", "0.046 to 0.057", "The extended model adds tip mass", "81 234 ± 90", "0.710 to 0.930"),
+        *("3.4 mm → 0.9 mm", "6.1 mm → 1.3 mm", "noise alone leaves 1.0 mm", "56 716", "65 432", "base model alone"),
+        *("Newton's second law", "leaves 3 % of the base model's systematic misfit", "0.37", "seed 7"),
+    ],
+    "pair": ["The causes: tip mass and arm lag", "that of all 2 is 97 %", "12.0 ms", "11.3 to 12.7 ms"],
+    "ambiguous": [
+        *("Arm lag or time offset: this data cannot tell them apart", "look alike here: arm lag and time offset"),
+        *("−12.0 ms", "−12.7 to −11.3 ms"),
+    ],
+    "unknown": [
+        *("Something is missing, and it is not in the library", "What is left looks like a force."),
+        *(
+            "The longest is 3.4 m/s²",
+            "There is no extended model to compare",
+            "something that the library does not hold",
+        ),
+    ],
+    "insufficient": [
+        *("This data cannot answer", "there is one trial only", "arm and camera overlap for 0.02 s only"),
+        *("No trial was left out of the fit", "not known"),
+    ],
+}
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_each_verdict_is_said_with_its_numbers(pages, verdict):
+    page = pages[verdict]
+    assert "So it is." in page.text
+    for words in SAID[verdict]:
+        assert re.sub(r"\s+", " ", words) in page.text
+    assert not re.search(r"\b(nan|inf|None|Undefined)\b", page.text)
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_the_page_needs_nothing_else(pages, verdict):
+    page = pages[verdict]
+    for tag, attributes in page.elements:
+        assert tag not in {"script", "link", "iframe"}
+        for name in ("src", "href", "srcset", "data"):
+            assert (attributes.get(name) or "#").startswith(("data:image/", "#")), f"<{tag} {name}>"
+    policy = next(a["content"] for tag, a in page.elements if tag == "meta" and "http-equiv" in a)
+    assert policy == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    for picture in page.pictures():
+        assert not re.search(r'href="(?!#|data:)|url\((?!#)|<!DOCTYPE|<script', drawing(picture))
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
+    for picture in pages[verdict].pictures():
+        assert len(picture["alt"]) > 30
+        assert "nan" not in picture["alt"]
+        # the ends of the colour scale stand out on light and dark
+        drawn = re.sub(r"<style>.*?</style>|<image[^>]*>|<defs>.*?</defs>", "", drawing(picture), flags=re.DOTALL)
+        left = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", drawn))
+        assert left <= {"#ffffff", to_hex(ABOVE), to_hex(BELOW)}, f"{picture['alt']}: {left} does not follow the theme"
+
+
+@pytest.mark.parametrize(("verdict", "count"), [("none", 7), ("effect", 12), ("pair", 14), ("unknown", 10)])
+def test_what_is_drawn(pages, verdict, count):
+    """Maps, sizes, two frames, two tips, predictions; and with causes more maps, laws, likelihoods and promises."""
+    assert len(pages[verdict].pictures()) == count, [p["alt"] for p in pages[verdict].pictures()]
+
+
+def test_the_same_record_gives_the_same_page(write):
+    assert write(diagnosed("effect", ["tip_mass"])) == write(diagnosed("effect", ["tip_mass"]))
+
+
+def test_what_data_say_cannot_become_code(write):
+    evil = "</p><img src=x onerror=alert(1)>"
+    page = Page(
+        write(diagnosed("none", sentence=evil, left=evil, rejected={evil: evil}), name=evil, settings={evil: evil})
+    )
+    assert not [a for _, a in page.elements if "onerror" in a]
+    assert page.text.count(evil) >= 6
+
+
+def test_an_effect_that_the_library_no_longer_has_is_still_named(write):
+    page = Page(write(diagnosed("effect", ["box_contact_2"])))
+    assert "box contact 2" in page.text
+    assert "4321 1/s 2" in page.text
+
+
+def test_too_few_mass_points_have_no_parameter(write):
+    causes = caused(["tip_mass"]).assign(effect="resolution", parameter="", value=np.nan, low=np.nan, high=np.nan)
+    page = Page(write(diagnosed("effect", causes=causes, sentence="It has too few mass points.")))
+    assert "The maps are those of 17 mass points in place of 10" in page.text
+    assert not re.search(r"\bnan\b", page.text)
+
+
+def test_nothing_measured_has_a_page(write):
+    empty = {name: Diagnosis.TABLES[name].empty() for name in ("residuals", "theories", "held_out")}
+    page = Page(write(diagnosed("insufficient", gain={"held_out_trials": []}, **empty, **nothing_tried())))
+    assert "Nothing was measured that could be compared." in page.text
+    assert page.pictures() == []
+
+
+def test_of_many_trials_the_worst_are_drawn_and_of_many_theories_the_best(write):
+    many = measured(trials=TRIALS + 4)
+    page = Page(write(diagnosed("effect", ["tip_mass"], residuals=many, theories=theories(40))))
+    drawn = {alt for picture in page.pictures() for alt in re.findall(r"^Trial (t\d+)", picture["alt"])}
+    assert drawn == {f"t{number:02d}" for number in range(4, TRIALS + 4)}
+    assert page.text.index("base model alone") < page.text.index("28 more") < page.text.index("wind + other5 ")
+
+
+@pytest.mark.parametrize("kind", ["motion of the grasp", "shift of the picture"])
+def test_what_acts_on_all_of_the_string_is_a_length(write, kind):
+    rows = pushes(kind).assign(y=0.0, x=[0.0, 0.0021, 0.0])
+    page = Page(write(diagnosed("unknown", missing=rows, left="It looks like that.")))
+    assert "at most 2.1 mm" in page.text
+    assert any(f"The missing {kind}" in picture["alt"] for picture in page.pictures())
+
+
+# --- what the pictures show is so ---------------------------------------------------------------
+def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
+    table = measured()
+    base, extended = parts(table, "base"), parts(table, "extended")
+    np.testing.assert_allclose(base["normal"], table["base_normal"] / SIGMA)
+    np.testing.assert_allclose(base["tangential"], table["base_tangential"] / SIGMA)
+    np.testing.assert_allclose(np.hypot(*extended.values()), away(table, "extended") / SIGMA)
+    assert base["normal"].mean() > 1, "the base model lies to the right, so the measured string is to its left"
+    assert np.abs(extended["normal"]).max() < 5
+
+
+def test_parts_where_measured_and_simulated_meet_exactly():
+    table = measured().assign(base_normal=0.0, base_tangential=0.0)
+    met = table.assign(x=table["base_x"], y=table["base_y"])
+    assert all(np.all(np.isfinite(part)) for part in parts(met, "extended").values())
+    assert not np.any(parts(met, "base")["normal"])
+
+
+def test_the_worst_frame_is_not_that_of_an_outlier():
+    table = measured(off=0.02, trials=1)
+    table.loc[(table["t"] == 0) & (table["s"] == S[2]), "x"] += 0.5
+    assert worst(table)["t"].iloc[0] > 0.25
+    assert list(worst(table)["s"]) == list(S)
+
+
+def test_frames_without_a_tip_say_nothing_of_it():
+    table = measured(trials=1)
+    hidden = table[~((table["t"] == 0.1) & (table["s"] > 0.2))]
+    ends = last(hidden)
+    assert 0.1 not in set(ends["t"])
+    assert set(ends["s"]) == {S[-1]}
+
+
+def test_rms_of_noise_alone_is_the_noise_floor():
+    """Of both coordinates; 360 of them scatter by 4 %."""
+    assert rms(measured(), "extended").to_numpy() == pytest.approx(np.sqrt(2) * SIGMA, rel=0.15)
+
+
+# --- words ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("unit", "value", "low", "high", "words", "between"),
+    [
+        ("s", -0.00058, -0.000592, -0.000569, "−0.580 ms", "−0.592 to −0.569 ms"),
+        ("m", 0.0123, 0.0119, 0.0127, "12.30 mm", "11.90 to 12.70 mm"),
+        ("rad", np.radians(2.5), np.radians(1.9), np.radians(3.1), "2.5 °", "1.9 to 3.1 °"),
+        ("1", 0.051, 0.046, 0.057, "0.051", "0.046 to 0.057"),
+        ("1/m", 12.0, 2.0, 22.0, "12 1/m", "2 to 22 1/m"),
+        ("1/s2", 5.5e5, np.nan, np.nan, "5.5 × 10⁵ 1/s<sup>2</sup>", "not known"),
+    ],
+)
+def test_values_have_the_figures_that_their_interval_is_worth(unit, value, low, high, words, between):
+    row = {"unit": unit, "value": value, "low": low, "high": high}
+    assert (quantity(row), interval(row)) == (words, between)
+
+
+def test_shares_and_gains():
+    assert [percent(p) for p in (0.0, 0.004, 0.58, 0.9994, 1.0)] == [
+        "under 1 %",
+        "under 1 %",
+        "58 %",
+        "over 99 %",
+        "100 %",
+    ]
+    assert [gain(v) for v in (719887.3, -12.0, np.nan)] == ["719\u202f887", "−12", "not known"]
+
+
+def test_a_certain_cause_beside_look_alikes():
+    causes = [{"effect": name} for name in ("wind", "arm_lag", "time_offset")]
+    document = {"verdict": "ambiguous", "causes": causes, "indistinguishable": [["arm_lag", "time_offset"]]}
+    assert headline(document) == "Wind and arm lag or time offset: this data cannot tell them apart"
