@@ -10,7 +10,6 @@ from matplotlib import style
 
 from stages.report.diagnosis import words
 from stages.report.diagnosis.figures.cause import cause
-from stages.report.diagnosis.figures.colours import MODEL
 from stages.report.diagnosis.figures.gain import foretold, likelier
 from stages.report.diagnosis.figures.likeness import likeness
 from stages.report.diagnosis.figures.maps import maps
@@ -52,7 +51,6 @@ def diagnosis_report(record: DiagnosisRecord) -> str:
             missing=missing(record),
             pushes=record.diagnosis.missing["s"].notna().any(),
             strongest=_strongest(record.diagnosis.missing),
-            colours=MODEL,
         )
 
 
