@@ -13,7 +13,7 @@ from stages.report.diagnosis.record import TRIALS, DiagnosisRecord
 from stages.report.picture import LIGHT, MM, Picture, vector
 from stages.report.words import significant
 
-LONGEST = 0.32  # [inch] an arrow
+LONGEST = 0.28  # [inch] an arrow
 
 
 def missing(record: DiagnosisRecord) -> Picture | None:
@@ -23,7 +23,7 @@ def missing(record: DiagnosisRecord) -> Picture | None:
         return None
     shown = list(table.groupby("trial")["size"].max().sort_values(ascending=False).index[:TRIALS])
     rows = table[table["trial"].isin(shown)].fillna({"x": 0.0, "y": 0.0}).groupby("trial")
-    figure = Figure(figsize=(8.4, 0.7 + 1.25 * len(rows)))
+    figure = Figure(figsize=(6.0, 0.7 + 1.25 * len(rows)))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     draw = _lines if table["s"].isna().all() else _arrows
     for axes, (trial, part) in zip(panels, rows, strict=True):
