@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, newton
+from stages.diagnose.fit import Fit, fitted, newton_step, shortened
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
 SHOWN = 10.0  # of the log-likelihood that a cause must gain on other trials to be shown by them
@@ -54,9 +54,12 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> Fit:
     was expected. Then a few more.
     """
     kept = evidence.trial != left_out
-    start = newton(fit.theory, fit.chi, fit.residual[kept], fit.slopes[kept], damping=0.0)
+    start = fit.chi.copy()
+    start[fit.theory.free] += shortened(
+        newton_step(fit.theory, fit.chi, fit.residual[kept], fit.slopes[kept], damping=0.0)
+    )
     others = evidence.only([k for k in range(len(evidence.cases)) if k != left_out])
-    return fitted(others, [fit.theory], [start], AGAIN)[0]
+    return fitted(others, [fit.theory], [np.clip(start, 0, 1)], AGAIN)[0]
 
 
 def blocks(evidence: Evidence) -> np.ndarray:

@@ -20,7 +20,8 @@ from stages.model.model import Model
 STEP = 1e-4  # of chi, for slopes
 PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
 DAMPINGS = (1e-6, 1e-3, 1e-1, 10.0)
-REACH = 0.25  # longest step of a chi
+REACH = 0.25  # longest step of a chi, where all are shortened alike
+FURTHER = 0.5  # longest step of a chi, where values and not exponents go straight
 CONVERGED = 1e-4  # relative improvement of the cost
 LITTLE = 0.2  # improvement of the cost that matters to nobody, in units of the log-likelihood
 
@@ -105,21 +106,41 @@ def _linearised(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
 
 def _stepped(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
     """Each run to the best of several damped steps; one that hardly improves is done."""
-    tried = np.concatenate([_steps(run) for run in runs])
-    seen = evidence.residuals(model, tried)
-    for number, run in enumerate(runs):
-        some = slice(number * len(DAMPINGS), (number + 1) * len(DAMPINGS))
-        costs = [_allowed_cost(run.theory, r, chi) for r, chi in zip(seen[some], tried[some], strict=True)]
+    tried = [_steps(run) for run in runs]
+    seen = np.split(evidence.residuals(model, np.concatenate(tried)), len(runs))
+    for run, some, residuals in zip(runs, tried, seen, strict=True):
+        costs = [_allowed_cost(run.theory, r, chi) for r, chi in zip(residuals, some, strict=True)]
         best = int(np.argmin(costs))
         better = run.cost - costs[best]
         run.active = better > max(CONVERGED * run.cost, LITTLE)
         if better > 0:
-            run.chi, run.cost = tried[some][best], costs[best]
+            run.chi, run.cost = some[best], costs[best]
 
 
 def _steps(run: _Run) -> np.ndarray:
-    """Where damped steps lead, (dampings, P)."""
-    return np.stack([newton(run.theory, run.chi, run.residual, run.slopes, damping) for damping in DAMPINGS])
+    """Where damped steps lead, (2 x dampings, P): straight in exponents, and straight in values.
+
+    Of two drags, or two dampings, one may take the place of the other: their sum is what the data know. In exponents
+    that is a bent valley, along which steps are short; in values it is straight.
+    """
+    free, chi = run.theory.free, run.chi
+    ways = [newton_step(run.theory, chi, run.residual, run.slopes, damping) for damping in DAMPINGS]
+    moved = np.repeat(chi[None], 2 * len(ways), axis=0)
+    moved[:, free] += np.stack([shortened(way) for way in ways] + [_in_values(run.theory, way) for way in ways])
+    return np.clip(moved, 0, 1)
+
+
+def shortened(step: np.ndarray) -> np.ndarray:
+    """A step of exponents, of at most REACH."""
+    return step * min(1.0, REACH / max(np.abs(step).max(), 1e-12))
+
+
+def _in_values(theory: Theory, step: np.ndarray) -> np.ndarray:
+    """The step of exponents (free,) by which values change as much as they would at the beginning of the given one."""
+    decades = theory.decades
+    growth = 1 + decades * step
+    straight = np.where(decades > 0, np.log(np.maximum(growth, 1e-9)) / np.maximum(decades, 1e-9), step)
+    return np.clip(straight, -FURTHER, FURTHER)
 
 
 def _allowed_cost(theory: Theory, residual: np.ndarray, chi: np.ndarray) -> float:
@@ -132,15 +153,13 @@ def cost_of(theory: Theory, residual: np.ndarray, chi: np.ndarray) -> float:
     return float(0.5 * np.sum(residual**2) + 0.5 * PRIOR * np.sum((chi[theory.free] - theory.centre) ** 2))
 
 
-def newton(theory: Theory, chi: np.ndarray, residual: np.ndarray, slopes: np.ndarray, damping: float) -> np.ndarray:
-    """(P,) after a damped Gauss-Newton step from chi (P,); what is pushed against a bound stays there."""
-    free = theory.free
-    here = chi[free]
+def newton_step(
+    theory: Theory, chi: np.ndarray, residual: np.ndarray, slopes: np.ndarray, damping: float
+) -> np.ndarray:
+    """The damped Gauss-Newton step (free,) from chi (P,); what is pushed against a bound stays there."""
+    here = chi[theory.free]
     gradient = slopes.T @ residual + PRIOR * (here - theory.centre)
     held = ((here <= 0) & (gradient > 0)) | ((here >= 1) & (gradient < 0))
     slopes = np.where(held, 0.0, slopes)
     normal = slopes.T @ slopes + PRIOR * np.eye(len(here))
-    step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -np.where(held, 0.0, gradient))
-    result = chi.copy()
-    result[free] = np.clip(here + step * min(1.0, REACH / max(np.abs(step).max(), 1e-12)), 0, 1)
-    return result
+    return np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -np.where(held, 0.0, gradient))

@@ -43,6 +43,12 @@ class Theory:
         return np.array([float(p.chi(np.asarray(p.start))) for p in self.model.parameters])
 
     @cached_property
+    def decades(self) -> np.ndarray:
+        """(free,) logarithm of high over low of what is sought in exponential form, else 0."""
+        ranges = [self.model.parameters[i] for i in self.free]
+        return np.array([np.log(p.high / p.low) if p.low > 0 else 0.0 for p in ranges])
+
+    @cached_property
     def centre(self) -> np.ndarray:
         """(free,) what is expected before the data speak: the middle of a range, and no cause."""
         base = np.array([self.model.names[i] in self.base for i in self.free])

@@ -81,6 +81,15 @@ def test_two_numbers_of_segments_are_better_than_either(arm, model):
     assert off((14,)) < 0.6 * off((10,))
 
 
+def test_a_fit_goes_along_the_valley_where_one_drag_takes_the_place_of_the_other(arm, model):
+    """Measured: both end at 0.0283; with steps in exponents alone the second was at 0.0409 after 12 steps."""
+    evidence = measured(arm, model, noise=0.0)
+    theory = Theory(model, (), model.names)
+    start = theory.at({**TRUTH, "linear_drag": 0.9, "quadratic_drag": 1e-3})
+    there, here = (fitted(evidence, [theory], [chi], 12)[0] for chi in (theory.at(TRUTH), start))
+    assert here.mean_square == pytest.approx(there.mean_square, abs=1e-3)
+
+
 def test_noise_is_told_from_what_a_model_lacks(arm, model):
     evidence = measured(arm, model, {"tip_mass.ratio": 0.1})
     fit = base(model, evidence)
