@@ -11,8 +11,8 @@ from stages.diagnose.compare import HeldOut, blocks, held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.noise import CLEAR, mismatch, visible
-from stages.diagnose.screen import Probe, screened
-from stages.diagnose.theory import Theory, candidates, joined
+from stages.diagnose.screen import Probe, screened, spread
+from stages.diagnose.theory import Theory, candidates, joined, placed
 from stages.model.effect import Effect
 from stages.model.model import Model
 
@@ -23,6 +23,7 @@ FIRST = 2  # steps of every promising effect's fit
 AGAIN = 4  # of a fit where doubt was found anew
 SHORTLIST = 6  # fits that then go on
 STARTS = 2  # probes of each from which it is fitted
+ROUNDS = ((8, 2), (4, 3), (2, 3))  # of an effect that depends on place: probes, and steps from each of them
 PROMISING = 5.0  # of a predicted gain of the log-likelihood
 STEPS = 14
 MATTERS = 3.0  # standard deviations by which a cause must move something somewhere
@@ -114,7 +115,8 @@ def promising(probes: Mapping[str, Sequence[Probe]]) -> list[Probe]:
 
 def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
     """The best of an effect of one parameter; of others a few, for they differ in place or time."""
-    return probes[: 1 if len(probes[0].effect.parameters) == 1 else STARTS]
+    effect = probes[0].effect
+    return spread(probes, 1 if len(effect.parameters) == 1 else ROUNDS[0][0] if placed(effect) else STARTS)
 
 
 def shortlisted(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
@@ -123,9 +125,29 @@ def shortlisted(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
     What an effect can do once the other parameters follow is not known before they do: the first order alone
     has been seen to put the true cause twelfth.
     """
-    begun = _fitted(evidence, [probe.theory for probe in probes], [probe.chi for probe in probes], FIRST)
+    there = {probe.effect for probe in probes if placed(probe.effect)}
+    begun = _begun(evidence, [probe for probe in probes if probe.effect not in there])
+    for effect in there:
+        begun += _closed_in(evidence, [probe for probe in probes if probe.effect is effect])
     best = sorted(begun, key=lambda fit: fit.cost)[:SHORTLIST]
     return _fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
+
+
+def _begun(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
+    """A few steps from each."""
+    return _fitted(evidence, [probe.theory for probe in probes], [probe.chi for probe in probes], FIRST)
+
+
+def _closed_in(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
+    """The best fits of an effect that depends on place, from many probes of which fewer and fewer go on.
+
+    A string that touches a little more or less moves elsewhere, so that the first steps often lead astray.
+    """
+    theories, chi = [probe.theory for probe in probes], [probe.chi for probe in probes]
+    for count, steps in ROUNDS:
+        fits = sorted(fitted(evidence, theories[:count], chi[:count], steps), key=lambda fit: fit.cost)
+        theories, chi = [fit.theory for fit in fits], [fit.chi for fit in fits]
+    return fits
 
 
 def _fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.ndarray], most: int) -> list[Fit]:

@@ -30,6 +30,8 @@ TOUCHED = 0.1  # of the string's places on its way, at most
 CLOSER = (0.06, 0.03, 0.015)  # of a range, within which places are tried about the best ones
 BEST, ABOUT = 4, 6  # how many of these, and how many places about each
 MOST = 2.0  # times a probe's size that it may be taken at
+SHARES = (0.125, 0.25, 0.5, 1.0)  # of a probe's size at which it is taken where the best is not plausible
+APART = 0.02  # of a range, between probes of an effect that are fitted
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,15 @@ class _Trial:
         return (-MOST if first.low < first.start < first.high else 0.0), MOST
 
 
+def spread(probes: Sequence[Probe], most: int) -> list[Probe]:
+    """The most promising probes of an effect that differ in where, when or which way."""
+    kept: list[Probe] = []
+    for probe in probes:
+        if all(np.abs(probe.chi - other.chi)[probe.theory.free].max() > APART for other in kept):
+            kept.append(probe)
+    return kept[:most]
+
+
 def start_of(theory: Theory, fit: Fit) -> np.ndarray:
     """(P,) of a theory with more causes, which are absent."""
     return theory.carried(fit.theory.named(fit.chi))
@@ -129,13 +140,19 @@ def _scored(trial: _Trial, chi: np.ndarray, fit: Fit, own: np.ndarray, residual:
     lowest, highest = trial.room
     step = np.clip(along, lowest * size, highest * size)
     gain = np.where(size > 1e-6, along * step - step**2 / 2, 0.0)
-    scaled = [_scaled(trial, c, s / max(z, 1e-9)) for c, s, z in zip(chi, step, size, strict=True)]
-    scaled = [new if trial.theory.plausible(new) else old for new, old in zip(scaled, chi, strict=True)]
+    scaled = [_taken(trial, *probe) for probe in zip(chi, along, np.maximum(size, 1e-9), strict=True)]
     found = [Probe(trial.theory, trial.effect, *rest) for rest in zip(scaled, gain.tolist(), direction, strict=True)]
     return sorted(found, key=lambda probe: -probe.gain)
 
 
-def sizes(trial: _Trial, path: Path, seed: int) -> np.ndarray:
+def _taken(trial: _Trial, chi: np.ndarray, along: float, size: float) -> np.ndarray:
+    """The probe at the size that gains most, of those at which the effect is what it says."""
+    best = float(np.clip(along / size, *trial.room))
+    allowed = [share for share in (best, *SHARES) if trial.theory.plausible(_scaled(trial, chi, share))]
+    return _scaled(trial, chi, max(allowed, key=lambda share: share * (along - share * size / 2), default=1.0))
+
+
+def sizes(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.ndarray:
     """Exponents (C, P) at which an effect is tried: some of its range, at several sizes to both sides.
 
     The first parameter is the effect's size; the others say where, when or which way.
@@ -162,24 +179,12 @@ def _ends(count: int, seed: int) -> np.ndarray:
     return some
 
 
-@dataclass(frozen=True)
-class Path:
-    """Where the string was and how it moved, as fitted: arguments of laws, (1, M) each."""
-
-    known: Mapping[str, np.ndarray]
-
-
-def followed(evidence: Evidence, fit: Fit) -> Path:
-    """The way of the fitted string through all trials, at a few places of it."""
+def followed(evidence: Evidence, fit: Fit) -> dict[str, np.ndarray]:
+    """The way of the fitted string through all trials, at a few places of it: arguments of laws, (1, M) each."""
     values = values_of(fit.theory.model.parameters, fit.chi[None])
-    parts = [_followed(evidence, model_of(fit), case, values) for case in evidence.cases]
+    parts = [_followed(evidence, fit.theory.model, case, values) for case in evidence.cases]
     every = max(sum(part["s"].size for part in parts) // PATH, 1)
-    return Path({name: np.concatenate([part[name] for part in parts])[None, ::every] for name in parts[0]})
-
-
-def model_of(fit: Fit) -> Model:
-    """The fitted model."""
-    return fit.theory.model
+    return {name: np.concatenate([part[name] for part in parts])[None, ::every] for name in parts[0]}
 
 
 def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -195,7 +200,7 @@ def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) 
     return {name: array[:, 1:].ravel() for name, array in known.items()}
 
 
-def touching(trial: _Trial, path: Path, seed: int) -> np.ndarray:
+def touching(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.ndarray:
     """Exponents (C, P) at which an effect that depends on place would act on the string, and not on all of it.
 
     Asked of the law itself along the string's way, without any simulation.
@@ -203,13 +208,13 @@ def touching(trial: _Trial, path: Path, seed: int) -> np.ndarray:
     own = trial.own
     chi = np.repeat(trial.start[None], 2**DRAWS, axis=0)
     chi[:, own] = qmc.Sobol(len(own), seed=seed).random_base2(DRAWS)
-    chi[:, own[0]] = trial.start[own[0]] + SIZES[0] * (1 - trial.start[own[0]])
+    chi[:, own[0]] = trial.start[own[0]] + SIZES[-1] * (1 - trial.start[own[0]])
     string = trial.theory.model.string
     values = values_of(trial.theory.model.parameters, chi)[:, : len(string.parameters)]
     material = string.material(values)
     law = trial.effect.laws()["load"]
     given = string.arguments_of(cast("type[StringEffect]", trial.effect), "load", material)
-    push = law(**taken(law, path.known), **given)
+    push = law(**taken(law, path), **given)
     share = np.mean(np.hypot(*push) > 0, axis=1)
     return chi[(share > 0) & (share < TOUCHED)][:PLACES]
 
