@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated, Any
 
 import pandas as pd
@@ -67,14 +66,12 @@ def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def summary(tables: Mapping[str, pd.DataFrame]) -> str:
     """The study in a few numbers."""
-    rates = [f"{row.name}: {row.right} of {row.count} ({100 * row.share:.0f} %)" for row in _named(tables["rates"])]
+    rates = [
+        f"{name}: {right} of {count} ({100 * share:.0f} %)"
+        for name, right, count, share in tables["rates"][["name", "right", "count", "share"]].itertuples(index=False)
+    ]
     error, runtime = tables["calibration_error"].iloc[0], tables["runtime"].iloc[0]
     return (
         f"{'; '.join(rates)}. Calibration error {error['error']:.3f} (by chance {error['chance']:.3f}). "
         f"Median runtime {runtime['median']:.0f} s on one core."
     )
-
-
-def _named(rates: pd.DataFrame) -> list[Any]:
-    renamed = rates.rename(columns={"name": "what"})
-    return [SimpleNamespace(name=row["what"], **row.drop("what")) for _, row in renamed.iterrows()]

@@ -26,7 +26,8 @@ STARTS = 2  # probes of each from which it is fitted
 ROUNDS = ((8, 2), (4, 3), (2, 3))  # of an effect that depends on place: probes, and steps from each of them
 PROMISING = 5.0  # of a predicted gain of the log-likelihood
 STEPS = 14
-MATTERS = 3.0  # standard deviations by which a cause must move something somewhere
+SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, though nothing need be there
+MATTERS = 2.5  # standard deviations by which a cause must move something somewhere
 PENALTY = 5.0  # of the log-likelihood for each parameter that no other trial confirms
 MAINLY = 0.4  # of where it moves most: a trial moved less can say little of a cause
 INEXACT = 0.002  # share of what a right model explains by which it may be wrong, and no cause be behind it
@@ -168,7 +169,7 @@ def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Ca
     Also what was tried in the end: where a cause moves the string elsewhere, the simulation's doubt is found anew.
     """
     best: Causes = frozenset()
-    while len(best) < MOST_CAUSES and court.mismatch(best) > 0:
+    while len(best) < MOST_CAUSES and court.mismatch(best) > SUSPECT:
         more = _added(court, best)
         if not earns(court, best, more):
             more = _added(court, more)  # of two that are needed, one alone may predict nothing

@@ -77,7 +77,7 @@ class Evidence:
         return first
 
     def _at_measured(self, model: Model, values: np.ndarray, segments: int) -> list[np.ndarray]:
-        divided = replace(model, string=replace(model.string, points=segments + 1))
+        divided = model.divided(segments)
         seen = seen_together(divided, self.cases, values)
         length = divided.string.segment
         pairs = zip(seen, self.cases, strict=True)

@@ -55,8 +55,8 @@ def held_out_table(
         row["log_likelihood_difference"] = float(np.sum(off[0] ** 2) - np.sum(off[1] ** 2)) / 2 / chance
         for name, residual, model, chi in zip(("base", "extended"), off, models, trial.chi, strict=True):
             row |= _measures(case, residual, name)
-            goal = (observations[trial.number], ground.evidence.segments[-1] + 1)
-            row[f"E_{name}"] = _rate(model, chi, *goal, matching)
+            finest = model.divided(ground.evidence.segments[-1])
+            row[f"E_{name}"] = _rate(finest, chi, observations[trial.number], matching)
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
 
@@ -69,10 +69,9 @@ def _measures(case: Case, residual: np.ndarray, name: str) -> dict[str, float]:
     return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
 
 
-def _rate(model: Model, chi: np.ndarray, observation: Observation, points: int, matching: Matching) -> float:
+def _rate(model: Model, chi: np.ndarray, observation: Observation, matching: Matching) -> float:
     """E of a trial."""
-    finest = replace(model, string=replace(model.string, points=points))
-    goal = targets(finest, [thinned(observation)], matching)[0]
+    goal = targets(model, [thinned(observation)], matching)[0]
     return float(np.mean(goal.per_frame(values_of(model.parameters, chi[None]))[0]))
 
 

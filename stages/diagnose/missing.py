@@ -17,7 +17,7 @@ from data.artifacts import MISSING
 from stages.diagnose.choose import Court
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit
-from stages.diagnose.noise import systematic
+from stages.diagnose.noise import parts, systematic
 from stages.diagnose.pulses import GraspShift, PictureShift, Push
 from stages.model.effect import Effect
 from stages.model.model import Model
@@ -105,10 +105,10 @@ def _by_place(table: pd.DataFrame) -> pd.DataFrame:
 
 def unexplained(court: Court, fit: Fit, left: float, found: Missing | None) -> dict[str, object]:
     """What diagnosis.json says of what is left. left: share of the systematic misfit."""
-    parts = [fit.residual[court.evidence.trial == k] for k in range(len(court.evidence.cases))]
-    size = np.array([systematic(court.evidence.only([k]), part) for k, part in enumerate(parts)])
     if found is None:
         return {"fraction": left, "where": "", "sentence": ""}
+    each = enumerate(parts(court.evidence, fit.residual))
+    size = np.array([systematic(court.evidence.only([k]), part) for k, part in each])
     case = court.evidence.cases[int(np.argmax(size))]
     share = float(size.max() / max(size.sum(), 1e-12))
     rows = found.table[found.table["trial"] == case.name]

@@ -41,16 +41,20 @@ class Ground:
     """What the diagnosis starts from.
 
     model: the base model with mass points that do not matter. evidence: with noise and the simulation's own doubt as
-    sigma; undoubted: with noise alone. floor: noise of each point [m], (N,), two for each point. base: the base model
-    at its best, of all effects absent. configured: the same as it is configured, with its own number of mass points.
+    sigma; undoubted: with noise alone. base: the base model at its best, of all effects absent. configured: the same
+    as it is configured, with its own number of mass points.
     """
 
     model: Model
     evidence: Evidence
     undoubted: Evidence
-    floor: np.ndarray
     base: Fit
     configured: Fit
+
+    @property
+    def floor(self) -> np.ndarray:
+        """Noise of each residual [m], (N,)."""
+        return self.undoubted.sigma
 
 
 def prepared(
@@ -74,11 +78,10 @@ def prepared(
     plain = replace(evidence, segments=(model.string.points - 1,))
     named = [theory.named(fit.chi) for fit in found]
     configured = _best(plain, plain_theory(model), named)
-    floor = evidence.sigma
     doubted = refined(evidence, theory, best.chi)
     base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence)), named)
     undoubted = replace(evidence, segments=doubted.segments)
-    return Ground(theory.model, doubted, undoubted, floor, base, configured)
+    return Ground(theory.model, doubted, undoubted, base, configured)
 
 
 def plain_theory(model: Model) -> Theory:
@@ -124,7 +127,7 @@ def settled_starts(evidence: Evidence, found: Sequence[Fit]) -> tuple[Evidence, 
     fits = list(found)
     for _ in range(SETTLINGS if any(c.initial is not None for c in evidence.cases) else 0):
         model = fits[0].theory.model
-        divided = replace(model, string=replace(model.string, points=evidence.segments[-1] + 1))
+        divided = model.divided(evidence.segments[-1])
         values = values_of(model.parameters, fits[0].chi[None])[0]
         cases = tuple(settled(replace(case, model=divided), values) for case in evidence.cases)
         evidence = replace(evidence, cases=cases)

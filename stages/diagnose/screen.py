@@ -8,7 +8,7 @@ projected out; its score is the part of the residual along that direction.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -188,7 +188,7 @@ def followed(evidence: Evidence, fit: Fit) -> dict[str, np.ndarray]:
 
 
 def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) -> dict[str, np.ndarray]:
-    coarse = replace(model, string=replace(model.string, points=evidence.segments[0] + 1))
+    coarse = model.divided(evidence.segments[0])
     points = coarse.true(case.motion, values, case.times, case.initial).points[0]
     velocity = np.gradient(points, case.times, axis=0)
     tangent = np.gradient(points, axis=1)

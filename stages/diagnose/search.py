@@ -12,8 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.theory import Evidence, Theory
+from stages.diagnose.theory import Theory
 
 HORIZONS = (0.2, 0.35, 0.6)  # [s], and then all
 STEPS = (6, 5, 4)

@@ -23,12 +23,12 @@ def joined_names(causes: Causes) -> str:
     return " + ".join(sorted(causes))
 
 
-def residuals(court: Court, floor: np.ndarray, causes: Causes) -> pd.DataFrame:
-    """Table RESIDUALS. floor: noise of each residual [m], (N,)."""
+def residuals(court: Court, causes: Causes) -> pd.DataFrame:
+    """Table RESIDUALS."""
     base, extended = court.tried[frozenset()], court.tried[causes]
     frames = []
     both = (parts(court.evidence, fit.residual) for fit in (base, extended))
-    floors = parts(court.evidence, floor)
+    floors = parts(court.evidence, court.floor.sigma)
     for case, plain, more, own in zip(court.evidence.cases, *both, floors, strict=True):
         first, then = (case.points + case.sigma[:, None] * off for off in (plain, more))
         along = _tangents(case.frame, case.s, first)
@@ -54,7 +54,7 @@ def _tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarra
 
 
 def theories(court: Court, judgement: Judgement) -> pd.DataFrame:
-    """Table THEORIES, the likeliest first."""
+    """Table THEORIES, those that fit best first."""
     base = court.tried[frozenset()]
     before = max(systematic(court.evidence, base.residual), 1e-12)
     rows = [

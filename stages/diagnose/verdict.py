@@ -21,7 +21,7 @@ STUBBORN = 0.01  # probability kept for each thing that was not foreseen
 COARSE = 2.0  # mean square at the configured number of mass points over that at enough of them
 # What noise alone makes of a parameter is less than what mass points, logs of the arm and pieces of time that go on
 # make of it: of 75 parameters on 100 sealed benches (seeds from 94) the plain intervals held 55 %, these 96 %.
-WIDER = 2.5
+WIDER = 2.0
 STEEP = 4.0  # of the odds of something that the library does not hold, with what is left
 LEFT = 0.06  # share of the misfit that a right cause may leave where something is still to be seen
 CLEAN = 0.5  # below this logarithm of a mismatch nothing is left, whatever its share

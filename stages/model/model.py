@@ -58,6 +58,10 @@ class Model:
             raise ValueError(f"effect '{effect.name}' is at work already. Name it once.")
         return effect.join(self)
 
+    def divided(self, segments: int) -> Model:
+        """The model with its string in so many segments."""
+        return replace(self, string=replace(self.string, points=segments + 1))
+
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, with qualified names: the string's first."""
