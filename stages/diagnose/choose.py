@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from stages.diagnose.closing import PROBES, closed_in
 from stages.diagnose.compare import HeldOut, blocks, held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
@@ -23,7 +24,6 @@ FIRST = 2  # steps of every promising effect's fit
 AGAIN = 4  # of a fit where doubt was found anew
 SHORTLIST = 6  # fits that then go on
 STARTS = 2  # probes of each from which it is fitted
-ROUNDS = ((8, 2), (4, 3), (2, 3))  # of an effect that depends on place: probes, and steps from each of them
 PROMISING = 5.0  # of a predicted gain of the log-likelihood
 STEPS = 14
 SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, though nothing need be there
@@ -117,7 +117,7 @@ def promising(probes: Mapping[str, Sequence[Probe]]) -> list[Probe]:
 def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
     """The best of an effect of one parameter; of others a few, for they differ in place or time."""
     effect = probes[0].effect
-    return spread(probes, 1 if len(effect.parameters) == 1 else ROUNDS[0][0] if placed(effect) else STARTS)
+    return spread(probes, 1 if len(effect.parameters) == 1 else PROBES if placed(effect) else STARTS)
 
 
 def shortlisted(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
@@ -129,7 +129,7 @@ def shortlisted(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
     there = {probe.effect for probe in probes if placed(probe.effect)}
     begun = _begun(evidence, [probe for probe in probes if probe.effect not in there])
     for effect in there:
-        begun += _closed_in(evidence, [probe for probe in probes if probe.effect is effect])
+        begun += closed_in(evidence, [probe for probe in probes if probe.effect is effect])
     best = sorted(begun, key=lambda fit: fit.cost)[:SHORTLIST]
     return _fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
 
@@ -137,18 +137,6 @@ def shortlisted(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
 def _begun(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
     """A few steps from each."""
     return _fitted(evidence, [probe.theory for probe in probes], [probe.chi for probe in probes], FIRST)
-
-
-def _closed_in(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
-    """The best fits of an effect that depends on place, from many probes of which fewer and fewer go on.
-
-    A string that touches a little more or less moves elsewhere, so that the first steps often lead astray.
-    """
-    theories, chi = [probe.theory for probe in probes], [probe.chi for probe in probes]
-    for count, steps in ROUNDS:
-        fits = sorted(fitted(evidence, theories[:count], chi[:count], steps), key=lambda fit: fit.cost)
-        theories, chi = [fit.theory for fit in fits], [fit.chi for fit in fits]
-    return fits
 
 
 def _fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.ndarray], most: int) -> list[Fit]:

@@ -81,6 +81,16 @@ def _closer(
     return probes
 
 
+def varied(theory: Theory, effect: type[Effect]) -> list[int]:
+    """Places of an effect's size, its first parameter, and of those that say where, when or which way.
+
+    Others that start at an end of their range are sizes too (of friction, say), and stay absent.
+    """
+    first, *others = effect.parameters
+    chosen = [first, *(p for p in others if p.low < p.start < p.high)]
+    return [theory.model.names.index(effect.qualified(p)) for p in chosen]
+
+
 @dataclass(frozen=True)
 class _Trial:
     """An effect to be tried. start: (P,) where it is absent and all else as fitted."""
@@ -91,13 +101,8 @@ class _Trial:
 
     @property
     def own(self) -> list[int]:
-        """Places of the parameters that are tried: its size, the first, and those that say where, when or which way.
-
-        Others that start at an end of their range are sizes too (of friction, say), and stay absent.
-        """
-        first, *others = self.effect.parameters
-        chosen = [first, *(p for p in others if p.low < p.start < p.high)]
-        return [self.theory.model.names.index(self.effect.qualified(p)) for p in chosen]
+        """Places of the parameters that are tried."""
+        return varied(self.theory, self.effect)
 
     @property
     def room(self) -> tuple[float, float]:

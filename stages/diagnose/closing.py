@@ -1,0 +1,55 @@
+"""Closing in on an effect that depends on place: a plane or a box that the string touches.
+
+A string that touches a little more or less moves elsewhere, so that most places are in the
+basin of a wrong one, and the first steps of a fit often lead astray. Many probes are begun, of
+which fewer and fewer go on; then places about the best are tried for what they really cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.screen import Probe, varied
+
+PROBES = 8  # from which it begins
+ROUNDS = ((PROBES, 2), (4, 3), (2, 3))  # how many go on, and steps of each
+REACHES = (0.06, 0.04, 0.03, 0.02)  # of a range, within which places are tried about the best
+KEPT, ABOUT, FITTED = 2, 24, 4  # how many are gone about, places about each, and how many of these are fitted
+STEPS = 4
+LAST = 2  # steps with all mass points
+
+
+def closed_in(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
+    """The best fits of an effect, best first, from probes of it."""
+    rough = replace(evidence, segments=evidence.segments[:1])  # good enough for where it is
+    theory = probes[0].theory
+    chi = [probe.chi for probe in probes]
+    for count, steps in ROUNDS:
+        fits = _best(fitted(rough, [theory] * len(chi[:count]), chi[:count], steps))
+        chi = [fit.chi for fit in fits]
+    rng = np.random.default_rng(0)
+    where = varied(theory, probes[0].effect)[1:]
+    for reach in REACHES:
+        fits = _best([*fits, *_about(rough, fits[:KEPT], where, reach, rng)])
+    return _best(fitted(evidence, [theory] * KEPT, [fit.chi for fit in fits[:KEPT]], LAST))
+
+
+def _best(fits: Sequence[Fit]) -> list[Fit]:
+    return sorted(fits, key=lambda fit: fit.cost)
+
+
+def _about(
+    evidence: Evidence, fits: Sequence[Fit], where: Sequence[int], reach: float, rng: np.random.Generator
+) -> list[Fit]:
+    """Fits from the best of many places within reach of those given."""
+    theory = fits[0].theory
+    chi = np.repeat(np.stack([fit.chi for fit in fits]), ABOUT, axis=0)
+    chi[:, where] = np.clip(chi[:, where] + rng.uniform(-reach, reach, (len(chi), len(where))), 0, 1)
+    cost = np.sum(evidence.residuals(theory.model, chi) ** 2, axis=1)
+    chosen = np.argsort(cost)[:FITTED]
+    return fitted(evidence, [theory] * len(chosen), list(chi[chosen]), STEPS)
