@@ -56,7 +56,7 @@ ATTEMPTS = Table(
 )
 MOTION_OUTCOME = Table(
     "outcome",
-    "one row: the motion that was chosen",
+    "one row: the motion that was chosen; NaN for a target where there is none",
     (
         Column("duration", "s", "movement time T"),
         Column("t_hit", "s", "when the simulated tip is nearest to the target's centre inside the box"),
@@ -426,6 +426,18 @@ MISSING = Table(
         Column("y", "m/s2", "along y; in m for motions and shifts"),
     ),
 )
+FORETOLD = Table(
+    "foretold",
+    "the string on the motion proposed: under the likeliest theory, and as near to that as each other can come",
+    (
+        Column("theory", "", "what differs in it, joined by ' + '; the likeliest comes first", "text"),
+        _TIME,
+        Column("s", "m", "arc length from the grasp"),
+        Column("x", "m", "position"),
+        Column("y", "m", "position"),
+        Column("sigma", "m", "noise and the simulation's own error of all points that this one stands for"),
+    ),
+)
 FINDING = Table(
     "finding",
     "one row: the verdict",
@@ -450,6 +462,9 @@ class Diagnosis:
     screening: pd.DataFrame
     likeness: pd.DataFrame
     missing: pd.DataFrame
+    commands: pd.DataFrame
+    control_points: pd.DataFrame
+    foretold: pd.DataFrame
 
     TABLES: ClassVar[dict[str, Table]] = {
         "finding": FINDING,
@@ -460,6 +475,9 @@ class Diagnosis:
         "screening": SCREENING,
         "likeness": LIKENESS,
         "missing": MISSING,
+        "commands": COMMANDS,
+        "control_points": CONTROL_POINTS,
+        "foretold": FORETOLD,
     }
 
     @property
@@ -471,3 +489,14 @@ class Diagnosis:
     def sentence(self) -> str:
         """The verdict in words."""
         return str(self.finding["sentence"].iloc[0])
+
+    @property
+    def motion(self) -> Motion | None:
+        """The motion that would tell look-alikes apart, ready to be performed; None where none is proposed."""
+        if self.commands.empty:
+            return None
+        likeliest = self.foretold[self.foretold["theory"] == self.foretold["theory"].iloc[0]]
+        outcome = {c.name: [np.nan] for c in MOTION_OUTCOME.columns}
+        outcome |= {"duration": [self.commands["t"].max()], "tried": [0]}
+        tables = (PREDICTED_STRING.check(likeliest[["t", "s", "x", "y"]]), ATTEMPTS.empty())
+        return Motion(self.commands, self.control_points, *tables, MOTION_OUTCOME.check(pd.DataFrame(outcome)))

@@ -25,7 +25,7 @@ from rich.markup import escape
 from data import store
 from data.schema import DataError
 from pipeline import report
-from pipeline.brought import brought_along, extended_model
+from pipeline.brought import brought_along, check_bench, extended_model
 from pipeline.run import Result, begin, cast, diagnose, estimate_again
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
@@ -101,6 +101,8 @@ def with_trials_settings(config: DictConfig) -> Any:
     whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
     if config.trials is not None:
         given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
+        if "execute" in config.steps:
+            check_bench(Path(config.trials), given)
         for name, value in brought_along(Path(config.trials), given).items():
             OmegaConf.update(whole, name, value, merge=False)
     if config.extended is not None:

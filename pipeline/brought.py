@@ -25,6 +25,11 @@ FROM_TRIALS = (
     "seed",
     "memory",
     "estimate",
+    "generate",
+    "execute",
+    "obstacles",
+    "specimen",
+    "hardware",
 )  # settings that stored trials bring along
 
 
@@ -55,3 +60,12 @@ def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
         for key, value in values.items()
         if key in FROM_DATASETS[group] and group not in given
     }
+
+
+def check_bench(folder: Path, given: set[str]) -> None:
+    """Refuse to move an arm for trials of which nobody says that they were made with it."""
+    if not (folder / "config.json").exists() and "hardware" not in given:
+        raise UserError(
+            f"trials={folder}: these trials do not say on which bench they were made, so the arm will not be moved. "
+            "Give hardware=serial or hardware=virtual if they were made there, or ask +experiment=diagnose alone."
+        )

@@ -32,6 +32,7 @@ FOLDERS = {
     "extract": "points",
     "estimate": "estimate",
     "diagnose": "diagnosis",
+    "propose": "motion",
 }
 
 
@@ -45,8 +46,8 @@ class Iteration:
 
     @property
     def name(self) -> str:
-        """Name of its trial."""
-        return f"t{self.number:02d}"
+        """Name of its trial, which no stored one has where it was proposed by a diagnosis of those."""
+        return f"performed-{self.number:02d}" if "propose" in self.done else f"t{self.number:02d}"
 
     @property
     def observation(self) -> Observation:
@@ -107,7 +108,11 @@ def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result
 
 
 def diagnose(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
-    """The diagnosis of stored trials, and what it leaves in the run's folder: diagnosis.json and extended.yaml."""
+    """The diagnosis of stored trials, and what it leaves in the run's folder: diagnosis.json and extended.yaml.
+
+    Where `steps` says that the arm may move: while look-alikes are left that a motion tells apart, that motion is
+    performed, and diagnosed with all the others, `manipulations` times at most.
+    """
     data = _usable(world, trials)
     begin(world, folder)
     observations: list[Observation] = []
@@ -118,12 +123,57 @@ def diagnose(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
         observations.append(observation)
         iterations.append(Iteration(number, done))
     past = replace(past, observations=tuple(observations), rejected=data.rejected, held_out=_held_out(data))
+    motions = world.config["manipulations"] if "execute" in world.config["steps"] else 0
+    past = _diagnosed(world, folder, past, iterations[-1], bar)
+    while len(iterations) < len(observations) + motions and past.diagnosis is not None and past.diagnosis.motion:
+        iterations.append(Iteration(past.number + 1, {}))
+        past = _performed(world, folder, past, iterations[-1], bar)
+        past = _diagnosed(world, folder, past, iterations[-1], bar)
+        _publish(world, folder, iterations[len(observations) :])
+    return _ended(folder, iterations, _concluded(past))
+
+
+def _diagnosed(world: World, folder: Path, past: Past, current: Iteration, bar: Bar) -> Past:
+    """Diagnose all that is there, write down the verdict, and leave the motion that comes next, if there is one."""
     made: Diagnosis = _step(world, folder, "diagnose", past, bar)
-    iterations[-1].done["diagnose"] = made
-    store.write_text(folder / "diagnosis.json", str(made.finding["diagnosis"].iloc[0]))
+    current.done["diagnose"] = made
+    past = replace(past, done=current.done, diagnosis=made)
+    text = json.loads(made.finding["diagnosis"].iloc[0])
+    if text["next_experiment"] is not None:
+        place = _place(past.number + 1, "propose") if made.motion else None
+        text["next_experiment"]["motion"] = place and place.as_posix()
+    if made.motion:
+        _step(world, folder, "propose", replace(past, number=past.number + 1), bar)
+    store.write_text(folder / "diagnosis.json", json.dumps(text, indent=2))
     store.write_text(folder / EXTENDED, str(made.finding["extended"].iloc[0]))
-    left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
-    return _ended(folder, iterations, made.sentence + left)
+    return past
+
+
+def _performed(world: World, folder: Path, past: Past, current: Iteration, bar: Bar) -> Past:
+    """Perform the motion that the last diagnosis proposed; what was seen joins the other trials."""
+    past = replace(past, number=current.number, done=current.done, film=None)
+    for name in ("propose", "execute", "extract"):
+        current.done[name] = _step(world, folder, name, past, bar)
+    fault = _fault(current)
+    if fault:
+        return replace(past, rejected={**past.rejected, current.name: fault})
+    return replace(past, observations=(*past.observations, current.observation))
+
+
+def _fault(current: Iteration) -> str:
+    """Why a trial just performed cannot be used; empty if it can."""
+    link = current.done["execute"].link.iloc[0]
+    if not link["valid"]:
+        return str(link["reason"])
+    return "" if current.done["extract"].readings["valid"].any() else "the string could not be read in any frame"
+
+
+def _concluded(past: Past) -> str:
+    """The verdict, what was left out, and what to do next."""
+    assert past.diagnosis is not None
+    following = json.loads(past.diagnosis.finding["diagnosis"].iloc[0])["next_experiment"]
+    left = f"Left out: {_reasons(past.rejected)}." if past.rejected else ""
+    return " ".join(filter(None, (past.diagnosis.sentence, left, following and following["sentence"])))
 
 
 def _held_out(data: dataset.Dataset) -> tuple[str, ...]:
@@ -149,7 +199,7 @@ def _read_again(
     world: World, folder: Path, stored: Observation, past: Past, bar: Bar
 ) -> tuple[dict[str, Any], Observation]:
     """What was extracted, if anything was, and the observation with its points."""
-    asked = "extract" in world.config["steps"]
+    asked = world.config["steps"][0] == "extract"
     if past.film is None or not (stored.points.empty or asked):
         return {}, stored
     points = _step(world, folder, "extract", past, bar)
@@ -203,7 +253,8 @@ def _inputs(world: World, folder: Path, past: Past) -> dict[str, str]:
     """Content hashes of all that a step may have looked at, by path: this iteration so far, what the last ones
     within memory left, and what was stored elsewhere."""
     this = [_place(past.number, step) for step in past.done]
-    recent = range(max(past.number - max(world.config["memory"], 2) + 1, 1), past.number)
+    reach = max(world.config["memory"], len(past.observations), 2)
+    recent = range(max(past.number - reach + 1, 1), past.number)
     earlier = [_place(number, step) for number in recent for step in FOLDERS]
     there = [place for place in (*earlier, *this) if (folder / place).is_dir()]
     return {place.as_posix(): _hash(folder / place) for place in there} | dict(past.hashes)

@@ -19,7 +19,7 @@ class Past:
     """What a step may look at: earlier iterations, earlier steps of this one, and what was stored elsewhere.
 
     film: the trial's frames there. hashes: of the files there. rejected: its trials that cannot be used, with the
-    reason. held_out: those that are to measure a gain.
+    reason. held_out: those that are to measure a gain. diagnosis: the last one.
     """
 
     number: int
@@ -31,6 +31,7 @@ class Past:
     hashes: Mapping[str, str] = field(default_factory=dict)
     rejected: Mapping[str, str] = field(default_factory=dict)
     held_out: tuple[str, ...] = ()
+    diagnosis: Diagnosis | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ def _generate(world: World, past: Past, seed: int, progress: Progress) -> Motion
 
 def _execute(world: World, past: Past, seed: int, progress: Progress) -> Trial:
     lab = world.stages["hardware"](world.arm, world.camera, seed=world.seed, trial=past.number)
-    return world.stages["execute"](past.done["generate"], lab.arm, lab.camera)
+    planned = next(made for made in past.done.values() if isinstance(made, Motion))
+    return world.stages["execute"](planned, lab.arm, lab.camera)
 
 
 def _extract(world: World, past: Past, seed: int, progress: Progress) -> Points:
@@ -70,8 +72,14 @@ def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estima
 
 
 def _diagnose(world: World, past: Past, seed: int, progress: Progress) -> Diagnosis:
-    given = (world.model, past.observations, past.rejected, past.held_out)
+    given = (world.model, past.observations, past.rejected, past.held_out, world.obstacles)
     return world.stages["diagnose"](*given, seed=seed, progress=progress)
+
+
+def _propose(world: World, past: Past, seed: int, progress: Progress) -> Motion:
+    assert past.diagnosis is not None
+    assert past.diagnosis.motion is not None
+    return past.diagnosis.motion
 
 
 STEPS: dict[str, Step] = {
@@ -80,4 +88,5 @@ STEPS: dict[str, Step] = {
     "extract": Step(Points, _extract),
     "estimate": Step(Estimate, _estimate),
     "diagnose": Step(Diagnosis, _diagnose),
+    "propose": Step(Motion, _propose),
 }

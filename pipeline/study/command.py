@@ -59,7 +59,7 @@ def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
     data = dataset.fits(dataset.read(folder), here.string.length)
     if not data.trials:
         raise DataError(f"{folder}: no trial can be used.")
-    made = here.stages["diagnose"](here.model, list(data.trials.values()), data.rejected, (), seed=here.seed)
+    made = here.stages["diagnose"](here.model, list(data.trials.values()), data.rejected, (), (), seed=here.seed)
     said: Mapping[str, Any] = json.loads(made.finding["diagnosis"].iloc[0])
     return said
 

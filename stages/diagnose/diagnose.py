@@ -16,6 +16,7 @@ from pydantic import Field
 from data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
 from data.schema import DataError
 from stages.diagnose import tables
+from stages.diagnose.casts import Design
 from stages.diagnose.choose import Causes, Court, chosen
 from stages.diagnose.describe import document, sentence
 from stages.diagnose.evidence import Evidence
@@ -23,14 +24,17 @@ from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import extended_settings, held_out_table, unseen
 from stages.diagnose.missing import missing, unexplained
 from stages.diagnose.prepare import DOUBTFUL, Ground, finer, prepared
+from stages.diagnose.separate import Proposal, separated
 from stages.diagnose.verdict import Judgement, judged
 from stages.estimate.matching import Matching
+from stages.model.box import Box
 from stages.model.effect import Effect
 from stages.model.library import library
 from stages.model.model import Model
 
 Progress = Callable[[float], object]
 AGAIN = 20  # steps of a fit to other trials
+DESIGN = 1  # keeps the chance of the design apart from that of the fits
 ALONE = "there is one trial only: a cause found in it could not be checked on a trial that it has not seen"
 
 
@@ -39,17 +43,21 @@ def diagnose(
     observations: Sequence[Observation],
     rejected: Mapping[str, str],
     held_out: Sequence[str],
+    obstacles: Sequence[Box],
     *,
     seed: int,
     starts: Annotated[int, Field(ge=2)],
     matching: Matching,
+    design: Design,
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """What the model gets wrong in these trials, and why.
 
     rejected: trials that cannot be used, with the reason. held_out: names of trials that are kept for measuring the
     gain; where there are none, each trial is left out in turn. starts: of the search for the base model's
-    parameters. matching: how the matching rate E is counted. Raises DataError where no trial can be used.
+    parameters. matching: how the matching rate E is counted. design: of the motion that would decide between
+    look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises DataError where no trial
+    can be used.
     """
     if not observations:
         raise DataError("there is no trial that can be used. Look at the reasons given for each.")
@@ -63,7 +71,8 @@ def diagnose(
     judgement = judged(court, causes, coarse(ground))
     if len(data.kept) == 1 and causes:
         judgement = replace(judgement, verdict="insufficient", causes=(), groups=())
-    return _written(court, ground, causes, judgement, data)
+    proposal = separated(court, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))
+    return _written(court, ground, causes, judgement, data, proposal)
 
 
 @dataclass(frozen=True)
@@ -101,7 +110,9 @@ def coarse(ground: Ground) -> float:
     return float(np.mean(ground.configured.residual[trusted] ** 2) / max(np.mean(noise[trusted]), 1e-12))
 
 
-def _written(court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data) -> Diagnosis:
+def _written(
+    court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data, proposal: Proposal
+) -> Diagnosis:
     """The artifact."""
     fit = court.tried[causes]
     found = missing(court, fit) if judgement.verdict == "unknown" else None
@@ -113,7 +124,7 @@ def _written(court: Court, ground: Ground, causes: Causes, judgement: Judgement,
         trials = unseen(court, causes, data.kept, data.rest)
         gains = held_out_table(court, ground, causes, trials, data.observations, data.matching)
     named = tables.causes(court, causes, judgement, data.library)
-    text = document(court, ground, judgement, named, gains, data.rejected, left, None)
+    text = document(court, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
     settings = extended_settings(data.model, court, causes)
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(text, indent=2)}
@@ -126,4 +137,7 @@ def _written(court: Court, ground: Ground, causes: Causes, judgement: Judgement,
         tables.screening(court),
         tables.likeness(court),
         MISSING.empty() if found is None else found.table,
+        proposal.commands,
+        proposal.control_points,
+        proposal.foretold,
     )

@@ -91,13 +91,21 @@ def _log_odds(court: Court, fit: Fit, best: Fit) -> float:
     Of two right models whose log-likelihoods differ by d with a standard deviation of s, 2 (d / s)^2 is what
     independent noise would make of d. No model is exact: what it explains, it explains but for a small share.
     """
-    piece = np.bincount(blocks(court.evidence), fit.residual**2 - best.residual**2) / 2
-    inexact = INEXACT * (court.tried[frozenset()].cost - best.cost)
-    deviation = max(float(np.hypot(np.sqrt(np.sum((piece - piece.mean()) ** 2)), inexact)), 1e-9)
-    ratio = float(piece.sum()) / deviation
-    plain = float(piece.sum()) / noisiness(court.evidence, best)
+    piece = np.bincount(blocks(court.evidence), best.residual**2 - fit.residual**2) / 2
+    explained = court.tried[frozenset()].cost - best.cost
     spare = PARAMETER * (len(fit.theory.free) - len(best.theory.free))
-    return -float(np.sign(ratio) * min(abs(plain), 2 * ratio**2)) - spare
+    return float(weighed(piece, explained, noisiness(court.evidence, best))) - spare
+
+
+def weighed(piece: np.ndarray, explained: np.ndarray | float, chance: float) -> np.ndarray:
+    """Log odds from what each piece of time says for one of two fits, (K, ...), by log-likelihood.
+
+    explained: gain of the log-likelihood by the better of them over the base model. chance: its `noisiness`.
+    """
+    scatter = np.sqrt(np.sum((piece - piece.mean(axis=0)) ** 2, axis=0))
+    deviation = np.maximum(np.hypot(scatter, INEXACT * explained), 1e-9)
+    ratio, plain = piece.sum(axis=0) / deviation, piece.sum(axis=0) / chance
+    return np.sign(ratio) * np.minimum(np.abs(plain), 2 * ratio**2)
 
 
 def _probability(chances: Mapping[Causes, float], causes: Causes, strange: float) -> dict[str, float]:

@@ -115,7 +115,7 @@ def _tried(
     """Check the arm, simulate what is allowed, and keep what hits, in the order drawn."""
     arm, until = model.arm, float(curves.duration.max())
     angles, speeds = curves.sampled(arm.tick, until)
-    reasons = _arm_faults(arm, obstacles, angles, speeds)
+    reasons = arm_faults(arm, obstacles, angles, speeds)
     allowed = np.flatnonzero(reasons == "")
     if allowed.size:
         seen = _simulated(model, target, values, angles[allowed], speeds[allowed], until)
@@ -131,7 +131,7 @@ def _tried(
     return found
 
 
-def _arm_faults(arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+def arm_faults(arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
     """Why the arm cannot do each movement, '' where it can, (B,). Whole curves are checked."""
     reasons = np.full(len(angles), "", dtype=object)
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
@@ -190,7 +190,7 @@ def _motion(arm: Arm, target: Box, string: String, curve: Curves, seen: Simulate
     predicted = _predicted(seen, index, string, duration)
     return stay, Motion(
         commands_of(arm, curve),
-        _control(curve),
+        control_points_of(curve),
         predicted,
         ATTEMPTS.empty(),
         MOTION_OUTCOME.check(pd.DataFrame([outcome])),
@@ -205,7 +205,8 @@ def commands_of(arm: Arm, curve: Curves) -> pd.DataFrame:
     return COMMANDS.check(pd.DataFrame(columns))
 
 
-def _control(curve: Curves) -> pd.DataFrame:
+def control_points_of(curve: Curves) -> pd.DataFrame:
+    """Table CONTROL_POINTS of one movement."""
     joints, index = np.indices(curve.control.shape[1:])
     t = index * curve.duration[0] / INTERVALS
     columns = {

@@ -43,6 +43,22 @@ def test_a_lag_and_an_offset_of_the_clock_are_not_told_apart(places):
     assert said["gain"]["rms_m"]["extended"] < said["gain"]["rms_m"]["base"]
 
 
+def test_where_no_motion_would_help_it_says_so(places):
+    """A lag of 0.6 ms and an offset of as much are the same to 0.03 sigmas of log odds, however the arm is moved."""
+    said = json.loads((places / "run" / "diagnosis.json").read_text())["next_experiment"]
+    assert said["inseparable"] == [["arm_lag", "time_offset"]]
+    assert said["probability_to_decide"] < 0.05
+    assert said["motion"] is None
+    assert "No motion tells them apart" in (places / "run" / "report.html").read_text()
+
+
+def test_an_arm_is_not_moved_for_trials_of_which_nobody_says_where_they_were_made(places, tmp_path):
+    done = pipeline("+experiment=decide", f"trials={places / 'data'}", folder=tmp_path / "run")
+    assert done.returncode == 1
+    assert "hardware=serial" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_it_leaves_evidence_and_a_page(places):
     stored = next((places / "run" / "iterations").glob("*/diagnosis"))
     made = load(Diagnosis, stored)

@@ -44,6 +44,7 @@ def test_a_mass_at_the_tip_is_found_with_its_size(verdict):
     found = said["causes"][0]["parameters"]["tip_mass.ratio"]
     assert found["value"] == pytest.approx(truth["parameters"]["tip_mass.ratio"], rel=0.1)
     assert total(said) == pytest.approx(1.0, abs=TOLD)
+    assert said["next_experiment"] is None
     assert said["gain"]["rms_m"]["extended"] < 0.7 * said["gain"]["rms_m"]["base"]
 
 

@@ -231,7 +231,7 @@ def composed(*overrides):
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_composes_and_is_valid(name):
-    stored = ["trials=outputs/some-run"] if name in ("estimate", "diagnose") else []
+    stored = ["trials=outputs/some-run"] if name in ("estimate", "diagnose", "decide") else []
     assert composed(f"+experiment={name}", *stored).string.points == (25 if name == "stringD" else 10)
 
 

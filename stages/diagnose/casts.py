@@ -1,0 +1,79 @@
+"""Movements that the arm could make, as trials that nobody has made yet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from stages.estimate.forward import Case
+from stages.generate.curves import Curves, first_curves
+from stages.generate.generate import arm_faults
+from stages.model.box import Box
+from stages.model.hand import JointMotion
+from stages.model.model import Model
+
+GENTLER = (1.0, 0.5, 0.25, 0.12)  # of the accelerations: a violent cast says little where its simulation is uncertain
+DRAWN = 512  # at once
+TRIES = 200  # such draws at most
+PLACES = 8  # on the string, that stand for all that are measured
+FRAMES = 100  # a second, that stand for all that are filmed
+
+Positive = Annotated[float, Field(gt=0)]
+Rest = Annotated[float, Field(ge=0, le=10)]
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which movements are considered. motions: how many. shortest, longest: range of T [s]. alpha: limit of the random
+    accelerations [rad/s^2]. before, after: rest filmed around the movement [s]."""
+
+    motions: Annotated[int, Field(ge=1)]
+    shortest: Positive
+    longest: Positive
+    alpha: Positive
+    before: Rest
+    after: Rest
+
+
+def possible(model: Model, obstacles: Sequence[Box], design: Design, rng: np.random.Generator) -> Curves:
+    """Random movements within the arm's limits, fewer than wanted where hardly any is."""
+    arm, found, count = model.arm, [], 0
+    for number in range(TRIES):
+        alpha = design.alpha * GENTLER[number % len(GENTLER)]
+        curves = first_curves(arm, rng, DRAWN, (design.shortest, design.longest), alpha)
+        sampled = curves.sampled(arm.tick, float(curves.duration.max()))
+        share = -(-design.motions // len(GENTLER))
+        allowed = np.flatnonzero(arm_faults(arm, obstacles, *sampled) == "")[:share]
+        found.append(curves.only(allowed))
+        count += len(allowed)
+        if count >= design.motions:
+            break
+    return Curves(*(np.concatenate([getattr(c, part) for c in found]) for part in ("start", "duration", "control")))
+
+
+def imagined(model: Model, curve: Curves, like: Case, design: Design) -> Case:
+    """The trial that a movement would make: where points would be measured, and all of them at the origin.
+
+    like: a trial that was made, whose places on the string and noise the new one has. Few points stand for many, and
+    are as much more certain.
+    """
+    tick, duration = model.arm.tick, float(curve.duration[0])
+    motion = JointMotion(0.0, tick, *curve.sampled(tick, duration))
+    fullest = like.frame == np.argmax(np.bincount(like.frame))
+    measured = like.s[fullest]
+    places = measured[np.unique(np.linspace(0, len(measured) - 1, PLACES).round().astype(int))]
+    rate = min(FRAMES, model.camera.fps)
+    times = np.arange(-round(design.before * rate), round((duration + design.after) * rate) + 1) / rate
+    frame, s = (a.ravel() for a in np.meshgrid(np.arange(len(times)), places, indexing="ij"))
+    sigma = np.full(len(s), float(np.median(like.sigma)))
+    return Case("proposed", model, motion, times, frame, s, np.zeros((len(s), 2)), sigma)
+
+
+def standing_for(model: Model, case: Case, like: Case) -> float:
+    """How many points that would be measured one of an imagined trial stands for."""
+    each = len(like.s) / len(like.times) / (len(case.s) / len(case.times))
+    return each * model.camera.fps * (case.times[1] - case.times[0])

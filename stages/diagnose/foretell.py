@@ -1,0 +1,105 @@
+"""What a trial that nobody has made yet would say for one theory or another, as the diagnosis would then count it.
+
+Everything is linear about the fits at hand: each theory may move its free parameters as far as the trials made
+allow. All residuals are over sigma.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from stages.diagnose.compare import blocks
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit
+from stages.diagnose.verdict import PARAMETER, weighed
+
+DECIDED = float(np.log(20))  # log odds at which the data decide: below, `verdict` calls two causes alike
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """A theory before a new trial. past: its fit to the trials made. new: the same theory on the new trial, with
+    residuals from any origin that all theories share."""
+
+    past: Fit
+    new: Fit
+
+    def imagined(self, chance: float, draws: int, rng: np.random.Generator) -> np.ndarray:
+        """Data of the new trial if this theory is true, (n, draws). chance: variance of what noise does in common."""
+        root = np.linalg.cholesky(np.linalg.inv(self.past.normal))
+        moved = root @ rng.standard_normal((len(root), draws))
+        noise = rng.standard_normal((len(self.new.residual), draws))
+        return self.expected + np.sqrt(chance) * (self.new.slopes @ moved + noise)
+
+    @property
+    def expected(self) -> np.ndarray:
+        """Data of the new trial if this theory is as it was fitted and there is no noise, (n, 1)."""
+        return self.new.residual[:, None]
+
+    def refitted(self, data: np.ndarray) -> np.ndarray:
+        """Residuals of all trials, the new one last, once the theory is fitted to all, (N + n, draws).
+
+        data: of the new trial, (n, draws). Exponents stay in their range.
+        """
+        gap, slopes = self.expected - data, self.new.slopes
+        chi = self.past.chi[self.past.theory.free][:, None]
+        step = _bounded_step(self.past.normal + slopes.T @ slopes, slopes.T @ gap, chi)
+        return np.concatenate([self.past.residual[:, None] + self.past.slopes @ step, gap + slopes @ step])
+
+
+def _bounded_step(normal: np.ndarray, gradient: np.ndarray, chi: np.ndarray) -> np.ndarray:
+    """Newton's steps (p, draws) from chi (p, 1). What would leave its range stops at its end, and the others are found
+    anew. normal: (p, p). gradient: (p, draws)."""
+    free = -np.linalg.solve(normal, gradient)
+    stopped = np.clip(chi + free, 0, 1) - chi
+    held = ((chi + free < 0) | (chi + free > 1)).T
+    system = np.where(held[:, :, None], np.eye(len(normal)), normal)
+    step = np.linalg.solve(system, np.where(held, stopped.T, -gradient.T)[:, :, None])[:, :, 0].T
+    return np.clip(chi + step, 0, 1) - chi
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """A new trial. rivals: what each theory says of it; base: what the base model does. evidence: of the trials made;
+    new: of this one, for its pieces of time. chance: `noisiness`."""
+
+    rivals: Sequence[Outlook]
+    base: Outlook
+    evidence: Evidence
+    new: Evidence
+    chance: float
+
+    @cached_property
+    def pieces(self) -> csr_array:
+        """(K, N + n) which residuals belong to a piece of time."""
+        old, new = blocks(self.evidence), blocks(self.new)
+        piece = np.concatenate([old, old.max() + 1 + new])
+        return csr_array((np.full(len(piece), 0.5), (piece, np.arange(len(piece)))))
+
+    def expected(self) -> np.ndarray:
+        """Log odds (R, R) of each theory, if it is true and without noise, over each other."""
+        return np.stack([self._odds(true, rival.expected)[:, 0] for true, rival in enumerate(self.rivals)])
+
+    def drawn(self, draws: int, rng: np.random.Generator) -> np.ndarray:
+        """The same with chance at work, (R, R, draws)."""
+        imagined = (rival.imagined(self.chance, draws, rng) for rival in self.rivals)
+        return np.stack([self._odds(true, data) for true, data in enumerate(imagined)])
+
+    def _odds(self, true: int, data: np.ndarray) -> np.ndarray:
+        """Log odds (R, draws) of one theory over each, in these data (n, draws)."""
+        costs = [self.pieces @ rival.refitted(data) ** 2 for rival in self.rivals]
+        explained = (self.pieces @ self.base.refitted(data) ** 2 - costs[true]).sum(axis=0)
+        number = [len(rival.past.theory.free) for rival in self.rivals]
+        odds = [weighed(cost - costs[true], explained, self.chance) for cost in costs]
+        return np.stack([o + PARAMETER * (n - number[true]) for o, n in zip(odds, number, strict=True)])
+
+
+def again(fit: Fit, trial: np.ndarray, number: int) -> Fit:
+    """A theory's fit on one of the trials made, as if it were performed once more. trial: of each residual, (N,)."""
+    own = trial == number
+    return replace(fit, residual=fit.residual[own], slopes=fit.slopes[own])

@@ -1,0 +1,277 @@
+"""The motion that would tell look-alikes apart: out of many random ones, that on which they differ most beyond what
+each could explain by moving its own parameters as far as the trials made allow.
+
+First all motions with the theories as they were fitted, then the promising ones with all that their parameters can
+do, and of the best few what chance makes of it. What is counted is the log odds that the diagnosis itself would find.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
+from stages.diagnose.casts import Design, imagined, possible, standing_for
+from stages.diagnose.choose import Causes, Court, noisiness
+from stages.diagnose.evidence import LOST, Evidence
+from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.foretell import DECIDED, Outlook, Prospect, again
+from stages.diagnose.noise import parts
+from stages.diagnose.prepare import SEGMENTS
+from stages.diagnose.verdict import Judgement
+from stages.estimate.forward import Case
+from stages.generate.curves import Curves
+from stages.generate.generate import commands_of, control_points_of
+from stages.model.box import Box
+from stages.model.hand import JointMotion
+
+RIVAL = 0.02  # of the likeliest: sets of causes at least as likely are worth an experiment
+TOGETHER = 16  # motions simulated at once
+PROMISING = 48  # motions of which all that the theories could do is simulated
+BEST = 3  # of these, of which chance is drawn
+DRAWS = 100
+TELLS = 1.0  # log odds that a motion must be expected to give, or it tells nothing
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """next_experiment: as in diagnosis.json, None where nothing is left to be decided. The motion's tables, and where
+    each theory has the string in it; all empty where no motion would help."""
+
+    next_experiment: Mapping[str, Any] | None
+    commands: pd.DataFrame
+    control_points: pd.DataFrame
+    foretold: pd.DataFrame
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Theories that stand against one another. names: of what differs in them. chances: that each is right, summing to
+    one. base: the base model's fit. evidence: the trials made."""
+
+    names: tuple[str, ...]
+    fits: tuple[Fit, ...]
+    chances: np.ndarray
+    base: Fit
+    evidence: Evidence
+
+    @cached_property
+    def chance(self) -> float:
+        """By how much noise counts for more than if it were white."""
+        return noisiness(self.evidence, self.fits[int(np.argmax(self.chances))])
+
+    @property
+    def likeliest(self) -> Fit:
+        """The fit that is right if any has to be."""
+        return self.fits[int(np.argmax(self.chances))]
+
+    def prospects(self, new: Evidence) -> list[Prospect]:
+        """What each of some new trials would say."""
+        every = (*self.fits, self.base)
+        seen = [fitted(new, [fit.theory], [fit.chi], 0)[0] for fit in every]
+        return [self._prospect([again(f, new.trial, k) for f in seen], new.only([k])) for k in range(len(new.cases))]
+
+    def performed(self) -> list[Prospect]:
+        """The same if a trial were made once more."""
+        return [
+            self._prospect([again(f, self.evidence.trial, k) for f in (*self.fits, self.base)], self.evidence.only([k]))
+            for k in range(len(self.evidence.cases))
+        ]
+
+    def _prospect(self, seen: Sequence[Fit], new: Evidence) -> Prospect:
+        *rivals, base = (Outlook(p, n) for p, n in zip((*self.fits, self.base), seen, strict=True))
+        return Prospect(rivals, base, self.evidence, new, self.chance)
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a motion is expected to do. probability: that the log odds of the true theory over the others exceed those
+    at which the data decide. odds: the least of these log odds, on average; spread: its standard deviation."""
+
+    probability: float
+    odds: float
+    spread: float
+
+    def stated(self) -> dict[str, float]:
+        """As it stands in diagnosis.json."""
+        numbers = {"probability_to_decide": self.probability, "expected_log_odds": self.odds, "spread": self.spread}
+        return {name: round(value, 3) for name, value in numbers.items()}
+
+
+def contest(court: Court, judgement: Judgement) -> Contest | None:
+    """The theories that could each be right, in the order of their names, or None where there is but one."""
+    chances = judgement.chances
+    keys = [key for key in chances if chances[key] > RIVAL * max(chances.values())]
+    if judgement.verdict not in ("effect", "ambiguous") or len(keys) < 2:
+        return None
+    shared: Causes = frozenset.intersection(*keys)
+    named = sorted((" + ".join(sorted(key - shared)), key) for key in keys)
+    share = np.array([chances[key] for _, key in named])
+    fits = tuple(court.tried[key] for _, key in named)
+    return Contest(tuple(n for n, _ in named), fits, share / share.sum(), court.tried[frozenset()], court.evidence)
+
+
+def separated(
+    court: Court, judgement: Judgement, obstacles: Sequence[Box], design: Design, rng: np.random.Generator
+) -> Proposal:
+    """The motion to perform next, and what it will do; nothing where one theory stands alone or the arm is unknown."""
+    rivals = contest(court, judgement)
+    if rivals is None or not all(isinstance(case.motion, JointMotion) for case in court.evidence.cases):
+        return without_motion(None)
+    curves = possible(court.base, obstacles, design, rng)
+    if not len(curves.duration):
+        return without_motion(None)
+    return proposed(rivals, court.floor, court.finer, curves, obstacles, design, rng)
+
+
+def without_motion(next_experiment: Mapping[str, Any] | None) -> Proposal:
+    """Words alone."""
+    return Proposal(next_experiment, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
+
+
+def proposed(
+    rivals: Contest,
+    floor: Evidence,
+    finer: tuple[int, ...],
+    curves: Curves,
+    obstacles: Sequence[Box],
+    design: Design,
+    rng: np.random.Generator,
+) -> Proposal:
+    """The best of some motions. floor: the trials made, with noise alone. finer: see `Court`."""
+    like = max(floor.cases, key=lambda case: len(case.s))
+    model = rivals.likeliest.theory.model
+    cases = [imagined(model, curves.only(np.array([i])), like, design) for i in range(len(curves.duration))]
+    few = promising(rivals, cases, like, obstacles)
+    if not few:
+        return without_motion(None)
+    told = _told([p for k in range(0, len(few), TOGETHER) for p in _first(rivals, cases, like, few[k : k + TOGETHER])])
+    pairs = told.max(axis=0) > TELLS
+    asked = pairs if pairs.any() else ~np.eye(len(pairs), dtype=bool)
+    best = [few[i] for i in np.argsort(-_least(told, asked), kind="stable")[:BEST]]
+    fine = trusted(rivals, [cases[i] for i in best], like, rivals.evidence.segments, finer)
+    prospects = rivals.prospects(fine)
+    found = [forecast(rivals, prospect, asked, rng) for prospect in prospects]
+    first = max(range(len(best)), key=lambda i: (round(found[i].probability, 2), found[i].odds))
+    text = _document(rivals, pairs, asked, found[first], _performed(rivals, asked, rng), len(cases))
+    if not pairs.any():
+        return without_motion(text)
+    curve = curves.only(np.array([best[first]]))
+    seen = foretold(rivals, prospects[first], fine.cases[first])
+    return Proposal(text, commands_of(model.arm, curve), control_points_of(curve), seen)
+
+
+def promising(rivals: Contest, cases: Sequence[Case], like: Case, obstacles: Sequence[Box]) -> list[int]:
+    """The motions on which the theories differ most as they were fitted: on no other can they differ much.
+
+    Not those on which a simulation fails, or the string would touch an obstacle.
+    """
+    every = trusted(rivals, cases, like, *SEGMENTS[:2])
+    seen = [every.residuals(fit.theory.model, fit.chi[None])[0] for fit in rivals.fits]
+    apart = np.min([np.bincount(every.trial, (a - b) ** 2) for a, b in combinations(seen, 2)], axis=0)
+    failed = np.bincount(every.trial, np.any(np.array(seen) == LOST, axis=0)) > 0
+    lines = parts(every, seen[int(np.argmax(rivals.chances))] * every.sigma)
+    struck = np.array([_touches(line, case, obstacles) for line, case in zip(lines, cases, strict=True)])
+    allowed = np.flatnonzero(~failed & ~struck)
+    return [int(i) for i in allowed[np.argsort(-apart[allowed], kind="stable")][:PROMISING]]
+
+
+def _touches(points: np.ndarray, case: Case, obstacles: Sequence[Box]) -> bool:
+    """Whether a string (N, 2) is ever in an obstacle."""
+    line = points.reshape(len(case.times), -1, 2)
+    return any(bool(box.crossed(line[:, :-1], line[:, 1:]).any()) for box in obstacles)
+
+
+def _first(rivals: Contest, cases: Sequence[Case], like: Case, some: Sequence[int]) -> list[Prospect]:
+    """What some motions would say, by few mass points."""
+    return rivals.prospects(trusted(rivals, [cases[i] for i in some], like, *SEGMENTS[:2]))
+
+
+def trusted(
+    rivals: Contest, cases: Sequence[Case], like: Case, segments: tuple[int, ...], finer: tuple[int, ...]
+) -> Evidence:
+    """Imagined trials with noise and the simulation's own error as sigma, each point as certain as those it stands
+    for."""
+    fit = rivals.likeliest
+    doubted = Evidence(tuple(cases), segments).doubted(fit.theory.model, fit.chi, finer)
+    many = [standing_for(fit.theory.model, case, like) for case in cases]
+    weighted = [replace(c, sigma=c.sigma / np.sqrt(m)) for c, m in zip(doubted.cases, many, strict=True)]
+    return replace(doubted, cases=tuple(weighted))
+
+
+def _told(prospects: Sequence[Prospect]) -> np.ndarray:
+    """(M, R, R) log odds that each motion is expected to give between two theories, whichever of them is true."""
+    expected = np.stack([prospect.expected() for prospect in prospects])
+    return np.minimum(expected, expected.transpose(0, 2, 1))
+
+
+def _least(odds: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """The least over pairs of theories (R, R) that are asked of, (M,). odds: (M, R, R)."""
+    return np.where(asked, odds, np.inf).min(axis=(1, 2))
+
+
+def forecast(rivals: Contest, prospect: Prospect, asked: np.ndarray, rng: np.random.Generator) -> Forecast:
+    """What a motion does with chance at work. asked: (R, R) between which theories it is to decide."""
+    odds = prospect.drawn(DRAWS, rng)
+    worst = np.where(asked[..., None], odds, np.inf).min(axis=1)[asked.any(axis=1)]
+    share = rivals.chances[asked.any(axis=1)]
+    share = np.repeat(share / share.sum() / DRAWS, DRAWS)
+    mean = float(share @ worst.ravel())
+    spread = float(np.sqrt(share @ (worst.ravel() - mean) ** 2))
+    return Forecast(float(share @ (worst.ravel() > DECIDED)), mean, spread)
+
+
+def _performed(rivals: Contest, asked: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
+    """The same of the best trial made, if it were made once more."""
+    prospects = rivals.performed()
+    best = int(np.argmax(_least(_told(prospects), asked)))
+    return {"trial": rivals.evidence.cases[best].name, **forecast(rivals, prospects[best], asked, rng).stated()}
+
+
+def foretold(rivals: Contest, prospect: Prospect, case: Case) -> pd.DataFrame:
+    """Table FORETOLD: the string under the likeliest theory, and as near to that as each other can come."""
+    first = int(np.argmax(rivals.chances))
+    order = [first, *(i for i in range(len(rivals.names)) if i != first)]
+    expected, count = prospect.rivals[first].expected, 2 * len(case.s)
+    frames = []
+    for i in order:
+        off = expected if i == first else expected + prospect.rivals[i].refitted(expected)[-count:]
+        x, y = (off.reshape(-1, 2) * case.sigma[:, None]).T
+        table = {"theory": rivals.names[i], "t": case.times[case.frame], "s": case.s, "x": x, "y": y}
+        frames.append(pd.DataFrame(table | {"sigma": case.sigma}))
+    return FORETOLD.check(pd.concat(frames, ignore_index=True))
+
+
+def _document(
+    rivals: Contest, pairs: np.ndarray, asked: np.ndarray, found: Forecast, old: Mapping[str, Any], count: int
+) -> dict[str, Any]:
+    """next_experiment, but for the place where the motion will be."""
+    alike = [[rivals.names[i], rivals.names[j]] for i, j in combinations(range(len(pairs)), 2) if not pairs[i, j]]
+    between = [name for i, name in enumerate(rivals.names) if asked[i].any()]
+    text = {"sentence": _sentence(between, alike, found, old, count, bool(pairs.any())), "between": between}
+    return text | found.stated() | {"already_performed": old, "inseparable": alike, "motions_compared": count}
+
+
+def _sentence(
+    between: Sequence[str],
+    alike: Sequence[Sequence[str]],
+    found: Forecast,
+    old: Mapping[str, Any],
+    count: int,
+    helps: bool,
+) -> str:
+    pairs = "; ".join(" and ".join(pair) for pair in alike)
+    if not helps:
+        return f"No motion tells them apart, of {count} within the arm's limits: {pairs}."
+    told = (
+        f"Of {count} motions within the arm's limits, one tells {', '.join(between)} apart with a probability of "
+        f"{found.probability:.2f} (expected log odds {found.odds:.1f}, spread {found.spread:.1f}; {DECIDED:.1f} "
+        f"decides). Trial {old['trial']} made once more would with {old['probability_to_decide']:.2f}."
+    )
+    return told + (f" None of them tells apart: {pairs}." if alike else "")

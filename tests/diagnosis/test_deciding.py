@@ -1,0 +1,184 @@
+"""Deciding between look-alikes: which motion is proposed, and whether it does what was foretold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages.diagnose.casts import Design, imagined, possible
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import fitted
+from stages.diagnose.foretell import DECIDED, _bounded_step
+from stages.diagnose.prepare import resolved
+from stages.diagnose.separate import Contest, proposed, trusted
+from stages.diagnose.theory import Theory, joined
+from stages.generate.curves import Curves
+from stages.generate.generate import arm_faults
+from stages.model.box import Box
+from stages.model.camera import Camera
+from stages.model.effects.arm_lag import ArmLag
+from stages.model.effects.time_offset import TimeOffset
+from stages.model.model import Model
+from stages.model.string import String
+
+SIGMA = 7e-4
+TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
+    "axial_stiffness": 6e5,
+    "axial_damping": 30.0,
+    "grasp_stiffness": 2.0,
+    "grasp_damping": 5e-3,
+}
+DESIGN = Design(motions=12, shortest=0.2, longest=0.6, alpha=150.0, before=0.1, after=0.1)
+FINER = (14, 20)
+
+
+class Lead(TimeOffset):
+    """The same by nature, counted the other way."""
+
+    name = "lead"
+
+    @staticmethod
+    def times(t, offset):
+        return t - offset
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+
+
+@pytest.fixture(scope="module")
+def slow(arm, model):
+    """Two gentle swings of joints that lag by 8 ms, as they would be measured."""
+    speeds = np.array([[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4])
+    control = np.zeros((2, 3, 6))
+    control[..., 1:-1] = np.array([0.8, 1.2])[:, None, None] * speeds
+    curves = Curves(np.array([[0.3, 0.5, 0.2], [0.6, 0.2, -0.3]]), np.array([0.6, 0.6]), control)
+    like = imagined(model, curves.only(np.array([0])), _Like(np.linspace(0.03, 0.3, 8)), DESIGN)
+    cases = [imagined(model, curves.only(np.array([i])), like, DESIGN) for i in range(2)]
+    return measured(Evidence(tuple(cases), (10, 14)), model.with_effects(ArmLag), {"arm_lag.time_constant": 0.008}, 0)
+
+
+class _Like:
+    """What `imagined` takes of a trial."""
+
+    def __init__(self, s):
+        self.s, self.frame = s, np.zeros(len(s), dtype=int)
+        self.sigma = np.full(len(s), SIGMA)
+
+
+def measured(evidence, model, hidden, seed):
+    """Trials as a model has them, with noise."""
+    values = model.values({**TRUTH, **hidden})[None]
+    seen = evidence.extrapolated(model, values, evidence.segments)
+    rng = np.random.default_rng(seed)
+    points = [p[0] + SIGMA * rng.standard_normal(p[0].shape) for p in seen]
+    return replace(evidence, cases=tuple(replace(c, points=p) for c, p in zip(evidence.cases, points, strict=True)))
+
+
+def contest_of(evidence, model, *effects):
+    """The base model with each of some effects, all fitted."""
+    base = Theory(model, (), model.names)
+    theories = [base, *(joined(base, effect) for effect in effects)]
+    plain, *fits = (fitted(evidence, [t], [t.at(TRUTH)], 15)[0] for t in theories)
+    chances = np.full(len(fits), 1 / len(fits))
+    return Contest(tuple(e.name for e in effects), tuple(fits), chances, plain, evidence)
+
+
+@pytest.fixture(scope="module")
+def contest(slow, model):
+    return contest_of(slow, model, ArmLag, TimeOffset)
+
+
+@pytest.fixture(scope="module")
+def curves(model):
+    return possible(model, (), DESIGN, np.random.default_rng(1))
+
+
+def the_proposal(contest, curves, seed=0, obstacles=()):
+    return proposed(contest, contest.evidence, FINER, curves, obstacles, DESIGN, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def proposal(contest, curves):
+    return the_proposal(contest, curves)
+
+
+def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves):
+    arm = model.arm
+    sampled = curves.sampled(arm.tick, float(curves.duration.max()))
+    assert len(curves.duration) == DESIGN.motions
+    assert (arm_faults(arm, (), *sampled) == "").all()
+    wall = Box(0.5, 0.4, 0.1, 0.1)
+    around = possible(model, (wall,), DESIGN, np.random.default_rng(1))
+    sampled = around.sampled(arm.tick, float(around.duration.max()))
+    assert (arm_faults(arm, (wall,), *sampled) == "").all()
+    assert not (arm_faults(arm, (wall,), *curves.sampled(arm.tick, float(curves.duration.max()))) == "").all()
+
+
+def test_the_motion_proposed_separates_better_than_others_and_than_what_was_done(contest, curves, proposal):
+    said = proposal.next_experiment
+    assert said["between"] == ["arm_lag", "time_offset"]
+    assert said["inseparable"] == []
+    assert said["expected_log_odds"] > DECIDED
+    assert said["probability_to_decide"] > 0.95
+    assert said["already_performed"]["expected_log_odds"] < 0.5 * said["expected_log_odds"]
+    like = contest.evidence.cases[0]
+    cases = [imagined(like.model, curves.only(np.array([i])), like, DESIGN) for i in range(len(curves.duration))]
+    every = contest.prospects(trusted(contest, cases, like, (10, 14), FINER))
+    told = [prospect.expected()[0, 1] for prospect in every]
+    assert said["expected_log_odds"] > 2 * np.median(told)
+
+
+def test_what_is_the_same_by_nature_is_said_to_be(slow, model, curves):
+    alike = the_proposal(contest_of(slow, model, Lead, TimeOffset), curves)
+    said = alike.next_experiment
+    assert said["inseparable"] == [["lead", "time_offset"]]
+    assert said["probability_to_decide"] == 0.0
+    assert abs(said["expected_log_odds"]) < 0.1
+    assert "No motion tells them apart" in said["sentence"]
+    assert alike.commands.empty
+
+
+def test_of_three_the_pair_that_can_be_told_apart_is(slow, model, curves):
+    said = the_proposal(contest_of(slow, model, ArmLag, Lead, TimeOffset), curves).next_experiment
+    assert said["inseparable"] == [["lead", "time_offset"]]
+    assert said["between"] == ["arm_lag", "lead", "time_offset"]
+    assert said["expected_log_odds"] > DECIDED
+
+
+def test_the_order_of_theories_does_not_matter(contest, curves):
+    like = contest.evidence.cases[0]
+    cases = [imagined(like.model, curves.only(np.array([i])), like, DESIGN) for i in range(4)]
+    turned = replace(contest, names=contest.names[::-1], fits=contest.fits[::-1])
+    both = [each.prospects(trusted(contest, cases, like, (10, 14), FINER)) for each in (contest, turned)]
+    for one, other in zip(*both, strict=True):
+        np.testing.assert_allclose(one.expected(), other.expected()[::-1, ::-1], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("number", [1, 4, 8])
+def test_what_is_foretold_is_what_noise_makes(contest, curves, model, number):
+    """Data of a new trial drawn, and both theories fitted anew to all trials, not linearly: the difference of their
+    log-likelihoods. Measured: 20 to 150, within 1.5 of the spreads foretold."""
+    like = contest.evidence.cases[0]
+    rng = np.random.default_rng(number)
+    new = Evidence((imagined(model, curves.only(np.array([number])), like, DESIGN),), (10, 14))
+    true, other = contest.prospects(new)[0].rivals
+    told = difference(true, other, true.imagined(1.0, 200, rng))
+    for data in true.imagined(1.0, 2, rng).T:
+        case = replace(new.cases[0], points=(data * new.sigma).reshape(-1, 2))
+        every = replace(new, cases=(*contest.evidence.cases, case))
+        costs = [fitted(every, [fit.theory], [fit.chi], 6)[0].residual for fit in contest.fits]
+        found = float(np.sum(costs[1] ** 2) - np.sum(costs[0] ** 2)) / 2
+        assert abs(found - told.mean()) < 3 * told.std()
+
+
+def difference(true, other, data):
+    """Of the log-likelihoods in data (n, draws)."""
+    return (np.sum(other.refitted(data) ** 2, axis=0) - np.sum(true.refitted(data) ** 2, axis=0)) / 2
+
+
+def test_a_step_stops_at_the_end_of_a_range_and_the_others_follow():
+    normal, chi = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([[0.9], [0.5]])
+    step = _bounded_step(normal, np.array([[-0.6], [0.0]]), chi)
+    assert step[:, 0] == pytest.approx([0.1, -0.05])  # the second minimises what is left once the first is held

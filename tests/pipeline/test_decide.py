@@ -1,0 +1,95 @@
+"""Deciding with a bench attached: what a diagnosis proposes is performed, filmed and diagnosed with all the rest.
+
+The diagnosis itself is replaced by one that proposes a swing until it has seen it: here only the shell is asked.
+"""
+
+import json
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+from data.artifacts import Diagnosis, Motion
+from data.store import content_hash, load, origin_of
+from hardware.virtual.blind import CASES, draw
+from pipeline.run import diagnose
+from pipeline.world import world
+from tests.conftest import swing
+
+COARSE = ("camera.width=320", "camera.height=320", "camera.px_per_m=170.0", "camera.origin_px=[125.5,193.5]")
+SEEN = []  # names of the trials of each diagnosis made
+
+
+def proposing(model, observations, rejected, held_out, obstacles, *, seed, progress):
+    """A diagnosis that wants a swing until it has seen one performed."""
+    SEEN.append([o.trial for o in observations])
+    wanted = not any(o.trial.startswith("performed") for o in observations)
+    text = {"verdict": "ambiguous" if wanted else "effect"}
+    text["next_experiment"] = {"sentence": "Swing.", "between": ["a", "b"]} if wanted else None
+    row = {"verdict": text["verdict"], "sentence": "So.", "diagnosis": json.dumps(text), "extended": "effects: []"}
+    tables = {name: table.empty() for name, table in Diagnosis.TABLES.items()} | {"finding": pd.DataFrame([row])}
+    if wanted:
+        string = pd.DataFrame({"theory": ["a"], "t": [0.0], "s": [0.1], "x": [0.0], "y": [0.0], "sigma": [1e-3]})
+        tables |= {"commands": swing(duration=0.2).commands, "foretold": string}
+    return Diagnosis(**tables)
+
+
+@contextmanager
+def silent(name):
+    yield lambda share: None
+
+
+@pytest.fixture(scope="module")
+def data(arm, camera, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("theirs")
+    draw(CASES.index("none"), arm, camera).write(folder)
+    return folder
+
+
+def decide(data, folder, experiment="decide"):
+    with initialize_config_dir(str(Path("conf").resolve()), version_base="1.3"):
+        overrides = [f"+experiment={experiment}", f"trials={data}", "string.length=0.33", *COARSE]
+        config = OmegaConf.to_container(compose("config", overrides), resolve=True)
+    here = world(config, lambda block: f"conf/{block}")
+    SEEN.clear()
+    return diagnose(replace(here, stages={**here.stages, "diagnose": proposing}), folder, data, silent)
+
+
+def test_the_motion_proposed_is_performed_and_seen_with_the_others(data, tmp_path):
+    result = decide(data, tmp_path)
+    first, second = SEEN
+    assert second == [*first, f"performed-{len(first) + 1:02d}"]
+    place = tmp_path / "iterations" / f"{len(first) + 1:02d}"
+    assert {p.name for p in place.iterdir()} == {"motion", "trial", "points", "diagnosis"}
+    assert result.diagnosis.verdict == "effect"
+    assert json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
+    assert set(pd.read_parquet(tmp_path / "points.parquet")["trial"]) == {second[-1]}
+    sources = origin_of(place / "diagnosis" / "finding.parquet")["inputs"]
+    trial = place.relative_to(tmp_path) / "points"
+    assert sources[trial.as_posix()] == content_hash(tmp_path / trial)
+
+
+def test_an_interrupted_run_goes_on_where_it_was(data, tmp_path):
+    decide(data, tmp_path)
+    whole = content_hash(tmp_path / "iterations")
+    last = sorted((tmp_path / "iterations").iterdir())[-1]
+    for name in ("points", "diagnosis"):
+        for file in (last / name).iterdir():
+            file.unlink()
+        (last / name).rmdir()
+    decide(data, tmp_path)
+    assert len(SEEN) == 1  # the first diagnosis was read
+    assert content_hash(tmp_path / "iterations") == whole
+
+
+def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(data, tmp_path):
+    result = decide(data, tmp_path, "diagnose")
+    said = json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"]
+    motion = load(Motion, tmp_path / said["motion"])
+    assert motion.duration == pytest.approx(0.2)
+    assert not list((tmp_path / "iterations").rglob("trial"))
+    assert result.sentence == "So. Swing."
