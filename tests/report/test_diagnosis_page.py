@@ -98,7 +98,8 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
     document = {"format": 1, "verdict": verdict, "alternatives": [{"effect": "unknown", "probability": 0.03}]}
     document["causes"] = causes.drop_duplicates("effect")[["effect", "probability", "sentence"]].to_dict("records")
     document["indistinguishable"] = [list(names)] if verdict == "ambiguous" else []
-    document |= {"base": {"parameters": {}}, "gain": tables.pop("gain", GAIN), "next_experiment": None}
+    document |= {"base": {"parameters": {}}, "gain": tables.pop("gain", GAIN)}
+    document |= {"next_experiment": tables.pop("following", None)}
     document |= {"unexplained": {"fraction": 0.03, "where": "", "sentence": tables.pop("left", "")}}
     document |= {"trials": {"used": ["t00", "t01"], "rejected": tables.pop("rejected", {})}}
     extended = f"effects: [{', '.join(names)}]\nstring: {{points: 17}}\nknown: {{linear_drag: 0.37}}\n"
@@ -368,3 +369,26 @@ def test_a_certain_cause_beside_look_alikes():
     causes = [{"effect": name} for name in ("wind", "arm_lag", "time_offset")]
     document = {"verdict": "ambiguous", "causes": causes, "indistinguishable": [["arm_lag", "time_offset"]]}
     assert headline(document) == "Wind and arm lag or time offset: this data cannot tell them apart"
+
+
+def foretold(off=0.005):
+    """A straight string on two theories, which are `off` apart at its tip at 0.2 s and nowhere else."""
+    t, s = (a.ravel() for a in np.meshgrid([0.0, 0.1, 0.2], S, indexing="ij"))
+    away = np.where((t == 0.2) & (s == S[-1]), off, 0.0)
+    common = {"t": t, "s": s, "x": s, "sigma": SIGMA}
+    return pd.concat(
+        [pd.DataFrame({"theory": "arm_lag", **common, "y": 0.0})]
+        + [pd.DataFrame({"theory": "time_offset", **common, "y": away})]
+    )
+
+
+def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(write):
+    following = {"sentence": "One of 300 motions tells them apart."}
+    page = write(diagnosed("ambiguous", ["arm_lag", "time_offset"], following=following, foretold=foretold()))
+    assert following["sentence"] in page
+    assert "The proposed motion at 200" in page
+    assert "time offset 5.0" in page
+    hopeless = write(diagnosed("ambiguous", ["arm_lag", "time_offset"], following={"sentence": "No motion."}))
+    assert "No motion." in hopeless
+    assert "The proposed motion" not in hopeless
+    assert "What to try next" not in write(VERDICTS["effect"]())

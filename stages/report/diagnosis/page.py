@@ -15,6 +15,7 @@ from stages.report.diagnosis.figures.likeness import likeness
 from stages.report.diagnosis.figures.maps import maps
 from stages.report.diagnosis.figures.missing import missing
 from stages.report.diagnosis.figures.overlay import overlays
+from stages.report.diagnosis.figures.proposed import proposed
 from stages.report.diagnosis.figures.screening import screenings
 from stages.report.diagnosis.figures.size import size
 from stages.report.diagnosis.figures.tip import tips
@@ -49,6 +50,7 @@ def diagnosis_report(record: DiagnosisRecord) -> str:
             likelier=likelier(record),
             held_out=record.diagnosis.held_out.to_dict("records"),
             missing=missing(record),
+            proposed=proposed(record),
             pushes=record.diagnosis.missing["s"].notna().any(),
             strongest=_strongest(record.diagnosis.missing),
         )
