@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import os
 import re
-import shutil
 import sys
 import uuid
 from collections.abc import Iterator
@@ -26,6 +25,7 @@ from data import store
 from data.schema import DataError
 from pipeline.brought import brought_along, extended_model
 from pipeline.commands import COMMANDS, listed
+from pipeline.keep import forget
 from pipeline.perform import perform
 from pipeline.run import Result
 from pipeline.settings import UserError
@@ -56,7 +56,7 @@ def main(config: DictConfig) -> float | None:
         sys.exit(1)
     except KeyboardInterrupt:
         place = HydraConfig.get().runtime.output_dir
-        console.print(f"Interrupted. To go on, give the same command with hydra.run.dir={place}", soft_wrap=True)
+        console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True)
         sys.exit(INTERRUPTED)
     last = result.iterations[-1].done.get("estimate") if result.iterations else None
     return None if last is None else float(last.fit["after"].iloc[0])
@@ -66,12 +66,6 @@ def run(config: DictConfig, console: Console) -> Result:
     """Check, run, report."""
     here = world(with_trials_settings(config), where)
     return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
-
-
-def forget(folder: Path) -> None:
-    """Remove the folder of a run that was refused before it made anything."""
-    if folder.is_dir() and {file.name for file in folder.iterdir()} <= {"config.json"}:
-        shutil.rmtree(folder)
 
 
 def with_trials_settings(config: DictConfig) -> Any:

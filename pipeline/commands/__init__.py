@@ -8,10 +8,15 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from pipeline.commands import resume
+from pipeline.commands import diff, index, lineage, resume, verify, why
 
 COMMANDS: dict[str, ModuleType] = {
     "resume": resume,
+    "index": index,
+    "verify": verify,
+    "why": why,
+    "diff": diff,
+    "lineage": lineage,
 }
 
 

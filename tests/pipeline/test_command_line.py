@@ -204,7 +204,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     _, said = running.communicate(timeout=60)
     assert running.returncode == 130
     assert "Traceback" not in said
-    assert f"hydra.run.dir={tmp_path / 'run'}" in said.replace("\n", "")
+    assert f"resume {tmp_path / 'run'}" in said.replace("\n", "")
 
 
 def test_a_damaged_trial_is_named(quick, tmp_path):
