@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -78,15 +78,18 @@ class Keeper:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Nobody else works in a run's folder meanwhile; raises DataError where somebody does."""
-    try:
-        disk.make_folder(folder)
-        with disk.locked(folder / LOCK):
-            yield
-    except BlockingIOError as error:
-        raise DataError(
-            f"{folder}: another process is working in this folder. Wait for it, or choose another folder."
-        ) from error
+    """Nobody else works in a run's folder meanwhile; raises DataError where somebody does, or it cannot be written."""
+    with ExitStack() as held:
+        try:
+            disk.make_folder(folder)
+            held.enter_context(disk.locked(folder / LOCK))
+        except BlockingIOError as error:
+            raise DataError(
+                f"{folder}: another process is working in this folder. Wait for it, or choose another folder."
+            ) from error
+        except OSError as error:
+            raise DataError(f"{folder}: cannot be written ({error.strerror}). {store.remedy_for(error)}.") from error
+        yield
 
 
 def begin(world: World, folder: Path) -> None:
