@@ -27,6 +27,7 @@ from data.store import content_hash, read_table, write_table, write_text
 FORMAT = 1
 BLOCKS = ("string", "noise", "arm", "camera", "trials")  # of dataset.yaml
 TRIAL = Column("trial", "", "name of the trial", "text")
+PUBLISHED = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours
 BEYOND = 1.05  # times the string's length: points further along are another string's
 OVERLAP = 0.1  # [s] that arm and camera must have in common
 

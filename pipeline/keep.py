@@ -55,8 +55,10 @@ class Keeper:
         return store.load(STEPS[name].kind, place)
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Keep the run a dataset that others can read."""
-        publish(self.world, self.folder, self.folder, iterations)
+        """Keep the run a dataset that others can read. One that holds these trials already stays: no reader of a
+        finished run is to see fewer of them."""
+        if not published(self.folder, iterations):
+            publish(self.world, self.folder, self.folder, iterations)
 
     def _stays(self, found: Found, name: str, number: int) -> bool:
         """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
@@ -142,6 +144,20 @@ def publish(world: World, folder: Path, to: Path, iterations: list[Iteration]) -
         "camera": camera,
     }
     places = {i.name: place_of(i.number, "execute") for i in iterations}
+    dataset.publish(to, trials, places, about, origin(world.config, "dataset", world.seed, _trials(folder, iterations)))
+
+
+def published(folder: Path, iterations: list[Iteration]) -> bool:
+    """Whether the dataset in a run's folder holds these trials as they are."""
+    wanted = _trials(folder, iterations).items()
+    try:
+        tables = [store.origin_of(folder / f"{table.name}.parquet")["inputs"] for table in dataset.PUBLISHED]
+    except (*store.UNREADABLE, KeyError):
+        return False
+    return (folder / "dataset.yaml").exists() and all(wanted <= inputs.items() for inputs in tables)
+
+
+def _trials(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
+    """Content hashes of what a dataset is made of, by path."""
     made_of = [place_of(i.number, step) for i in iterations for step in ("execute", "extract")]
-    hashes = {place.as_posix(): store.content_hash(folder / place) for place in made_of}
-    dataset.publish(to, trials, places, about, origin(world.config, "dataset", world.seed, hashes))
+    return {place.as_posix(): store.content_hash(folder / place) for place in made_of}

@@ -22,9 +22,12 @@ MODEL = "stages.model.model"
 
 def sources(settings: Mapping[str, Any]) -> dict[str, str]:
     """Hashes of the files behind a step, by path. settings: those that the step uses."""
-    roots = {_file(get_object(target).__module__) for target in targets(settings)} | {_file(MODEL)}
+    modules = {get_object(target).__module__ for target in targets(settings)}
+    modules |= {MODEL} if "string" in settings else set()
     effects = {Path(inspect.getfile(effect)) for effect in named(settings.get("effects", []))}
-    files = closure({root for root in roots if root is not None} | effects) | {ROOT / name for name in GLUE}
+    files = closure({root for root in map(_file, modules) if root is not None} | effects) | {
+        ROOT / name for name in GLUE
+    }
     return {_short(file): _digest(file) for file in sorted(files)}
 
 

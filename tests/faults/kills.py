@@ -84,15 +84,13 @@ def round_of(run, folder, whole, rng, span):
     return rows
 
 
-def rounds(run, folder, whole, seed, count):
-    """`count` rounds, each in a folder of its own; the uninterrupted time is measured first."""
+def rounds(run, folder, seed, numbers):
+    """Rounds of these numbers, each in a folder of its own; the uninterrupted run is made, and timed, first."""
     rng = np.random.default_rng(seed)
     begun = time.monotonic()
     assert ended_by(run, run.start(folder / "whole"), 600) == 0
     span = time.monotonic() - begun
-    rows = [
-        {"seed": seed, "round": n} | row
-        for n in range(count)
-        for row in round_of(run, folder / str(n), whole or contents(folder / "whole"), rng, span)
+    whole = contents(folder / "whole")
+    return [
+        {"seed": seed, "round": n} | row for n in numbers for row in round_of(run, folder / str(n), whole, rng, span)
     ]
-    return rows

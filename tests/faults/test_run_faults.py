@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from datetime import UTC, datetime
 
 import numpy as np
@@ -17,7 +18,7 @@ import pytest
 from data.schema import DataError
 from pipeline import keep
 from tests.faults.kills import Forked, rounds
-from tests.faults.strike import KINDS, STEPS, strike
+from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
 from tests.faults.toy import ROOT, contents, toy_run, toy_world
 
 CLOCKS = {"time", "time_ns", "now", "utcnow", "today", "st_mtime", "st_mtime_ns", "st_ctime", "getmtime", "getctime"}
@@ -53,7 +54,8 @@ def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(tmp_path, mo
 
 
 def test_killed_processes_lose_nothing_they_had_finished(tmp_path, whole):
-    rows = rounds(Forked(toy_world(2, pause=0.01)), tmp_path, whole, seed=5, count=2)
+    rows = rounds(Forked(toy_world(2, pause=0.01)), tmp_path, 5, range(2))
+    assert contents(tmp_path / "whole") == whole
     assert sum(row["killed"] for row in rows) >= 3
     assert any(0 < row["steps"] < 8 for row in rows if row["killed"])
 
@@ -69,6 +71,20 @@ def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
         assert made == [STEPS[file.parent.name]]
         assert file.name in said
         assert contents(tmp_path / "run") == whole
+
+
+def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(tmp_path, whole, monkeypatch):
+    """Killed at any operation: its dataset is the same (at first it was written anew, beginning with one trial)."""
+    toy_run(tmp_path / "run", toy_world())
+    for n in range(2, 30, 3):
+        with monkeypatch.context() as patch:
+            faults = Faults(patch, n, Killed(), True)
+            with suppress(Killed):
+                toy_run(tmp_path / "run", toy_world())
+        assert contents(tmp_path / "run") == whole
+        if faults.struck is None:
+            return
+    pytest.fail("going on with a finished run must not write much")
 
 
 def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
