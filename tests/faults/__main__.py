@@ -71,6 +71,7 @@ def killed(place: Path, toy: int, real: int, seed: int) -> pd.DataFrame:
     rows = [
         {"run": name} | row
         for name, (run, count) in runs.items()
+        if count
         for row in rounds(run, place / name, seed, track(range(count), f"kills, {name}", console=Console(stderr=True)))
     ]
     return pd.DataFrame(rows)
