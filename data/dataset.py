@@ -20,12 +20,14 @@ import yaml
 
 from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from data.films import Shots, filmed, listed, videos
+from data.images import ImageFiles, Images
 from data.schema import Column, DataError, Table
 from data.store import content_hash, read_table, write_table, write_text
 
 FORMAT = 1
 BLOCKS = ("string", "noise", "arm", "camera", "trials")  # of dataset.yaml
 TRIAL = Column("trial", "", "name of the trial", "text")
+PUBLISHED = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours
 BEYOND = 1.05  # times the string's length: points further along are another string's
 OVERLAP = 0.1  # [s] that arm and camera must have in common
 
@@ -100,7 +102,7 @@ def read(folder: Path) -> Dataset:
         trials[name] = replace(Observation(name, *parts, **moved), moving=name in moving)
         if name in shots:
             films[name] = Film(*shots[name], **moved)
-    return Dataset(folder, trials, films, rejected, known, _hashes(folder))
+    return Dataset(folder, trials, films, rejected, known, _hashes(folder, shots))
 
 
 def _seen(folder: Path, known: Mapping[str, Any], need_points: bool) -> list[pd.DataFrame]:
@@ -155,12 +157,16 @@ def _shots(folder: Path, known: Mapping[str, Any]) -> dict[str, Shots]:
     return filmed(folder, float(camera["fps"])) if found and "fps" in camera else {}
 
 
-def _hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of the content of what a dataset is made of, by file."""
+def _hashes(folder: Path, shots: Mapping[str, Shots]) -> dict[str, str]:
+    """SHA-256 of the content of what a dataset is made of, by path in its folder: tables, folders of frames, videos."""
     tables = (ARM, GRASP, POINTS, READINGS, MASKS, FRAMES)
-    found = [path for table in tables if (path := _find(folder, table.name))]
-    films = [folder / "frames"] if (folder / "frames").is_dir() else videos(folder)
-    return {path.name: content_hash(path) for path in (*found, *films)}
+    found = {path for table in tables if (path := _find(folder, table.name))} | set(videos(folder))
+    found |= {(folder / file).parent for _, images in shots.values() for file in _files(images)}
+    return {path.relative_to(folder).as_posix(): content_hash(path) for path in sorted(found)}
+
+
+def _files(images: Images) -> tuple[str, ...]:
+    return images.files if isinstance(images, ImageFiles) else ()
 
 
 def about(folder: Path) -> dict[str, Any]:

@@ -1,11 +1,10 @@
-"""`python -m pipeline`: compose the configuration, run, report; errors without tracebacks."""
+"""`python -m pipeline`: compose the configuration and run, or hand over to a command; errors without tracebacks."""
 
 from __future__ import annotations
 
 import difflib
 import os
 import re
-import shutil
 import sys
 import uuid
 from collections.abc import Iterator
@@ -24,18 +23,20 @@ from rich.markup import escape
 
 from data import store
 from data.schema import DataError
-from pipeline import report
 from pipeline.brought import brought_along, check_bench, extended_model
-from pipeline.run import Result, begin, cast, diagnose, estimate_again
+from pipeline.commands import COMMANDS, listed
+from pipeline.keep import forget
+from pipeline.perform import perform
+from pipeline.run import Result
 from pipeline.settings import UserError
-from pipeline.show import bars, summary
-from pipeline.study import command as study
-from pipeline.world import World, world
+from pipeline.world import world
 from stages.generate import MotionNotFoundError
 from stages.roles import HardwareError
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
+OmegaConf.register_new_resolver("commands", lambda *_: listed())
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
+UNANSWERED = 2  # exit status of a command that found no answer
 REFUSED: list[str] = []  # errors of a sweep's jobs
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
 
@@ -47,7 +48,7 @@ def main(config: DictConfig) -> float | None:
     try:
         result = run(config, console)
     except EXPECTED as error:
-        console.print(f"[bold red]Error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+        complain(error, console)
         forget(Path(HydraConfig.get().runtime.output_dir))
         if HydraConfig.get().mode == hydra.types.RunMode.MULTIRUN:
             REFUSED.append(str(error))  # the other jobs of the sweep go on
@@ -55,7 +56,7 @@ def main(config: DictConfig) -> float | None:
         sys.exit(1)
     except KeyboardInterrupt:
         place = HydraConfig.get().runtime.output_dir
-        console.print(f"Interrupted. To go on, give the same command with hydra.run.dir={place}", soft_wrap=True)
+        console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True)
         sys.exit(INTERRUPTED)
     last = result.iterations[-1].done.get("estimate") if result.iterations else None
     return None if last is None else float(last.fit["after"].iloc[0])
@@ -63,37 +64,8 @@ def main(config: DictConfig) -> float | None:
 
 def run(config: DictConfig, console: Console) -> Result:
     """Check, run, report."""
-    settings = with_trials_settings(config)
-    here = world(settings, where)
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    if settings["steps"] == ["study"]:
-        return blind_study(here, folder, console)
-    with bars(console) as bar:
-        if "diagnose" in settings["steps"]:
-            result = diagnose(here, folder, Path(settings["trials"]), bar)
-        elif settings["trials"] is not None:
-            result = estimate_again(here, folder, Path(settings["trials"]), bar)
-        else:
-            result = cast(here, folder, bar)
-        with bar("report"):
-            report.write(here, result)
-    console.print(summary(result))
-    return result
-
-
-def blind_study(here: World, folder: Path, console: Console) -> Result:
-    """Its scores on the terminal, its tables and pictures in the folder."""
-    begin(here, folder)
-    with bars(console) as bar, bar("blind study") as progress:
-        sentence = study.run(here, folder, progress)
-    console.print(sentence, soft_wrap=True)
-    return Result(folder, (), sentence)
-
-
-def forget(folder: Path) -> None:
-    """Remove the folder of a run that was refused before it made anything."""
-    if folder.is_dir() and {file.name for file in folder.iterdir()} <= {"config.json"}:
-        shutil.rmtree(folder)
+    here = world(with_trials_settings(config), where)
+    return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
 
 
 def with_trials_settings(config: DictConfig) -> Any:
@@ -123,10 +95,28 @@ def where(block: str) -> str:
     return f"{file} or the command line" if given else file
 
 
+def complain(error: Exception, console: Console) -> None:
+    """One clear message."""
+    console.print(f"[bold red]Error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+
+
+def asked(name: str, arguments: list[str]) -> int:
+    """Hand over to a command; its exit status."""
+    try:
+        return int(COMMANDS[name].main(arguments))
+    except EXPECTED as error:
+        complain(error, Console(stderr=True))
+        return UNANSWERED
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
 def called() -> None:
-    """Run, and turn what Hydra refuses into one clear message too."""
+    """Hand over to a command, or run, and turn what Hydra refuses into one clear message too."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
     try:
+        if sys.argv[1:] and sys.argv[1] in COMMANDS:
+            sys.exit(asked(sys.argv[1], sys.argv[2:]))
         main()
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"Error: {refusal(error)}")

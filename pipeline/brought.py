@@ -8,9 +8,9 @@ from typing import Any
 import yaml
 
 from data import dataset
-from pipeline.run import EXTENDED
 from pipeline.settings import UserError
 
+EXTENDED = "extended.yaml"  # the model that a diagnosis made
 FROM_DATASETS = {
     "string": ("length",),
     "arm": ("links", "base"),

@@ -31,7 +31,10 @@ def origin(config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str,
 
 def versions(packages: Sequence[str]) -> dict[str, str]:
     """Installed versions by name."""
-    return {name: version(name) for name in packages}
+    return {name: _version(name) for name in packages}
+
+
+_version = cache(version)  # which reads a file each time
 
 
 @cache

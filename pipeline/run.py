@@ -1,39 +1,24 @@
 """The loop: iterate until the real tip is in the box or the budget is spent (II-A).
 
-Everything an iteration makes is on disk before the next step begins. A step whose artifact
-is there already is read, not made again: an interrupted run goes on where it stopped, with
-the same result, for every step's seed is its own.
+The order of the steps, and what each may look at. Where they are made, or only looked up, is the desk's affair: a run
+makes and keeps them (`pipeline.keep`), `verify` computes them again, `why` asks what has changed.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from data import dataset, store
-from data.artifacts import Diagnosis, Motion, Observation, Points, Trial
+from data import dataset
+from data.artifacts import Diagnosis, Motion, Observation, Points
 from data.schema import DataError
-from pipeline.origin import origin
-from pipeline.steps import STEPS, Past, Progress, step_seed
+from pipeline.steps import Past
 from pipeline.world import World
 from stages.judge import Verdict, judge
-
-EXTENDED = "extended.yaml"  # the model that a diagnosis made
-Bar = Callable[[str], AbstractContextManager[Progress]]
-FOLDERS = {
-    "generate": "motion",
-    "execute": "trial",
-    "extract": "points",
-    "estimate": "estimate",
-    "diagnose": "diagnosis",
-    "propose": "motion",
-}
 
 
 @dataclass(frozen=True)
@@ -75,85 +60,94 @@ class Result:
         return any(i.verdict is not None and i.verdict.hit for i in self.iterations)
 
 
-def cast(world: World, folder: Path, bar: Bar) -> Result:
+class Desk(Protocol):
+    """Where a run's steps come from."""
+
+    def step(self, name: str, past: Past) -> Any:
+        """The artifact of a step."""
+
+    def publish(self, iterations: list[Iteration]) -> None:
+        """Called whenever a cast is whole."""
+
+
+def work(world: World, folder: Path, desk: Desk) -> Result:
+    """All that the settings ask for. folder: the run's."""
+    if world.config["trials"] is None:
+        return cast(world, folder, desk)
+    again = diagnose if "diagnose" in world.config["steps"] else estimate_again
+    return again(world, folder, Path(world.config["trials"]), desk)
+
+
+def cast(world: World, folder: Path, desk: Desk) -> Result:
     """Cast until it hits or the manipulations are spent."""
-    begin(world, folder)
     iterations: list[Iteration] = []
     while len(iterations) < world.config["manipulations"] and not (iterations and _hit(iterations[-1])):
-        iterations.append(_iterate(world, folder, iterations, bar))
-        _publish(world, folder, iterations)
-    return _finish(folder, iterations)
+        iterations.append(_iterate(world, iterations, desk))
+        desk.publish(iterations)
+    return Result(folder, tuple(iterations), _ended(iterations))
 
 
-def estimate_again(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
+def estimate_again(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
     """Estimation alone, from stored trials: each in turn, beginning with the one before it.
 
     Points are made from a trial's frames where it has no points, or where `steps` asks for it.
     """
     data = _usable(world, trials)
-    begin(world, folder)
     iterations: list[Iteration] = []
     observations: list[Observation] = []
     for number, stored in enumerate(data.trials.values(), start=1):
         last = iterations[-1].done["estimate"] if iterations else None
-        past = Past(number, {}, None, last, tuple(observations), data.films.get(stored.trial), data.hashes)
-        done, observation = _read_again(world, folder, stored, past, bar)
+        past = Past(number, {}, None, last, tuple(observations), data.films.get(stored.trial), _hashes(data))
+        done, observation = _read_again(world, stored, past, desk)
         observations.append(observation)
         past = replace(past, done=done, observations=tuple(observations[-world.config["memory"] :]))
-        iterations.append(Iteration(number, done | {"estimate": _step(world, folder, "estimate", past, bar)}))
+        iterations.append(Iteration(number, done | {"estimate": desk.step("estimate", past)}))
     rates = [float(i.done["estimate"].fit["after"].iloc[0]) for i in iterations]
     sentence = f"Estimated from {len(iterations)} trial(s) of {trials.name}; the matching rate E is {rates[-1]:.3f}."
     left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
-    return _ended(folder, iterations, sentence + left)
+    return Result(folder, tuple(iterations), sentence + left)
 
 
-def diagnose(world: World, folder: Path, trials: Path, bar: Bar) -> Result:
-    """The diagnosis of stored trials, and what it leaves in the run's folder: diagnosis.json and extended.yaml.
+def diagnose(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
+    """The diagnosis of stored trials.
 
     Where `steps` says that the arm may move: while look-alikes are left that a motion tells apart, that motion is
     performed, and diagnosed with all the others, `manipulations` times at most.
     """
     data = _usable(world, trials)
-    begin(world, folder)
     observations: list[Observation] = []
     iterations: list[Iteration] = []
     for number, stored in enumerate(data.trials.values(), start=1):
-        past = Past(number, {}, None, None, tuple(observations), data.films.get(stored.trial), data.hashes)
-        done, observation = _read_again(world, folder, stored, past, bar)
+        past = Past(number, {}, None, None, tuple(observations), data.films.get(stored.trial), _hashes(data))
+        done, observation = _read_again(world, stored, past, desk)
         observations.append(observation)
         iterations.append(Iteration(number, done))
     past = replace(past, observations=tuple(observations), rejected=data.rejected, held_out=_held_out(data))
     motions = world.config["manipulations"] if "execute" in world.config["steps"] else 0
-    past = _diagnosed(world, folder, past, iterations[-1], bar)
+    past = _diagnosed(past, iterations[-1], desk)
     while len(iterations) < len(observations) + motions and past.diagnosis is not None and past.diagnosis.motion:
         iterations.append(Iteration(past.number + 1, {}))
-        past = _performed(world, folder, past, iterations[-1], bar)
-        past = _diagnosed(world, folder, past, iterations[-1], bar)
-        _publish(world, folder, iterations[len(observations) :])
-    return _ended(folder, iterations, _concluded(past))
+        past = _performed(past, iterations[-1], desk)
+        past = _diagnosed(past, iterations[-1], desk)
+        desk.publish(iterations[len(observations) :])
+    return Result(folder, tuple(iterations), _concluded(past))
 
 
-def _diagnosed(world: World, folder: Path, past: Past, current: Iteration, bar: Bar) -> Past:
-    """Diagnose all that is there, write down the verdict, and leave the motion that comes next, if there is one."""
-    made: Diagnosis = _step(world, folder, "diagnose", past, bar)
+def _diagnosed(past: Past, current: Iteration, desk: Desk) -> Past:
+    """Diagnose all that is there, and leave the motion that comes next, if there is one."""
+    made: Diagnosis = desk.step("diagnose", past)
     current.done["diagnose"] = made
     past = replace(past, done=current.done, diagnosis=made)
-    text = json.loads(made.finding["diagnosis"].iloc[0])
-    if text["next_experiment"] is not None:
-        place = _place(past.number + 1, "propose") if made.motion else None
-        text["next_experiment"]["motion"] = place and place.as_posix()
     if made.motion:
-        _step(world, folder, "propose", replace(past, number=past.number + 1), bar)
-    store.write_text(folder / "diagnosis.json", json.dumps(text, indent=2))
-    store.write_text(folder / EXTENDED, str(made.finding["extended"].iloc[0]))
+        desk.step("propose", replace(past, number=past.number + 1))
     return past
 
 
-def _performed(world: World, folder: Path, past: Past, current: Iteration, bar: Bar) -> Past:
+def _performed(past: Past, current: Iteration, desk: Desk) -> Past:
     """Perform the motion that the last diagnosis proposed; what was seen joins the other trials."""
     past = replace(past, number=current.number, done=current.done, film=None)
     for name in ("propose", "execute", "extract"):
-        current.done[name] = _step(world, folder, name, past, bar)
+        current.done[name] = desk.step(name, past)
     fault = _fault(current)
     if fault:
         return replace(past, rejected={**past.rejected, current.name: fault})
@@ -176,6 +170,11 @@ def _concluded(past: Past) -> str:
     return " ".join(filter(None, (past.diagnosis.sentence, left, following and following["sentence"])))
 
 
+def _hashes(data: dataset.Dataset) -> dict[str, str]:
+    """Of the files of stored trials, by path."""
+    return {(data.folder / name).as_posix(): digest for name, digest in data.hashes.items()}
+
+
 def _held_out(data: dataset.Dataset) -> tuple[str, ...]:
     """Trials that dataset.yaml sets aside."""
     roles = data.about.get("trials") or {}
@@ -195,30 +194,16 @@ def _reasons(rejected: Mapping[str, str]) -> str:
     return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
 
 
-def _read_again(
-    world: World, folder: Path, stored: Observation, past: Past, bar: Bar
-) -> tuple[dict[str, Any], Observation]:
+def _read_again(world: World, stored: Observation, past: Past, desk: Desk) -> tuple[dict[str, Any], Observation]:
     """What was extracted, if anything was, and the observation with its points."""
     asked = world.config["steps"][0] == "extract"
     if past.film is None or not (stored.points.empty or asked):
         return {}, stored
-    points = _step(world, folder, "extract", past, bar)
+    points = desk.step("extract", past)
     return {"extract": points}, replace(stored, points=points.points, readings=points.readings, masks=points.masks)
 
 
-def begin(world: World, folder: Path) -> None:
-    """Make the run's folder, or see that it is this run's."""
-    path = folder / "config.json"
-    text = json.dumps(world.config, indent=2, sort_keys=True)
-    if path.exists() and path.read_text(encoding="utf-8") != text:
-        raise DataError(
-            f"{folder}: this folder holds a run with other settings (see config.json). "
-            "Leave hydra.run.dir to its default, or repeat the settings of that run."
-        )
-    store.write_text(path, text)
-
-
-def _iterate(world: World, folder: Path, before: list[Iteration], bar: Bar) -> Iteration:
+def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
     """One manipulation, step by step."""
     current = Iteration(len(before) + 1, {})
     for name in world.config["steps"]:
@@ -230,88 +215,29 @@ def _iterate(world: World, folder: Path, before: list[Iteration], bar: Bar) -> I
             before[-1].done.get("estimate") if before else None,
             tuple(i.observation for i in seen[-world.config["memory"] :]),
         )
-        current.done[name] = _step(world, folder, name, past, bar)
+        current.done[name] = desk.step(name, past)
     motion: Motion = current.done["generate"]
     points: Points = current.done["extract"]
     return Iteration(current.number, current.done, judge(points, world.target, world.obstacles, motion.duration))
-
-
-def _step(world: World, folder: Path, name: str, past: Past, bar: Bar) -> Any:
-    """Read a step's artifact if it is there, else make and store it."""
-    step = STEPS[name]
-    place = folder / _place(past.number, name)
-    if place.is_dir():
-        return store.load(step.kind, place)
-    with bar(f"{past.number}. {name}") as progress:
-        seed = step_seed(world.seed, past.number, name)
-        made = step.make(world, past, seed, progress)
-        store.save(made, place, origin(world.config, name, seed, _inputs(world, folder, past)))
-    return store.load(step.kind, place)
-
-
-def _inputs(world: World, folder: Path, past: Past) -> dict[str, str]:
-    """Content hashes of all that a step may have looked at, by path: this iteration so far, what the last ones
-    within memory left, and what was stored elsewhere."""
-    this = [_place(past.number, step) for step in past.done]
-    reach = max(world.config["memory"], len(past.observations), 2)
-    recent = range(max(past.number - reach + 1, 1), past.number)
-    earlier = [_place(number, step) for number in recent for step in FOLDERS]
-    there = [place for place in (*earlier, *this) if (folder / place).is_dir()]
-    return {place.as_posix(): _hash(folder / place) for place in there} | dict(past.hashes)
-
-
-@cache
-def _hash(artifact: Path) -> str:
-    """Content hash of an artifact, which never changes once it is there."""
-    return store.content_hash(artifact)
-
-
-def _place(number: int, step: str) -> Path:
-    """The folder of a step's artifact, relative to the run's."""
-    return Path("iterations") / f"{number:02d}" / FOLDERS[step]
-
-
-def _publish(world: World, folder: Path, iterations: list[Iteration]) -> None:
-    """Keep the run a dataset that others can read."""
-    trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
-    camera = {k: world.config["camera"][k] for k in ("fps", "width", "height", "px_per_m", "origin_px", "distortion")}
-    about = {
-        "name": world.config["name"],
-        "string": {"length": world.string.length},
-        "arm": {"links": list(world.arm.links), "base": list(world.arm.base)},
-        "camera": camera,
-    }
-    places = {i.name: _place(i.number, "execute") for i in iterations}
-    inputs = {path.as_posix(): _hash(folder / path) for i in iterations for path in _sources(i.number)}
-    dataset.publish(folder, trials, places, about, origin(world.config, "dataset", world.seed, inputs))
-
-
-def _sources(number: int) -> tuple[Path, Path]:
-    """What the dataset's tables are made of."""
-    return _place(number, "execute"), _place(number, "extract")
 
 
 def _hit(iteration: Iteration) -> bool:
     return iteration.verdict is not None and iteration.verdict.hit
 
 
-def _finish(folder: Path, iterations: list[Iteration]) -> Result:
-    """Say how it ended."""
+def _ended(iterations: list[Iteration]) -> str:
+    """How casting ended, in a sentence."""
     last = iterations[-1]
-    assert last.verdict is not None
+    if _hit(last):
+        return f"The tip reached the target in manipulation {last.number}."
     tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
-    if last.verdict.hit:
-        sentence = f"The tip reached the target in manipulation {last.number}."
-    else:
-        sentence = f"The tip did not reach the target in {tries}; the budget is spent."
-    return _ended(folder, iterations, sentence)
+    return f"The tip did not reach the target in {tries}; the budget is spent."
 
 
-def _ended(folder: Path, iterations: list[Iteration], sentence: str) -> Result:
-    """Write run.json: the run in a few numbers."""
-    result = Result(folder, tuple(iterations), sentence)
+def in_numbers(result: Result) -> dict[str, Any]:
+    """The run in a few numbers: run.json."""
     rows = []
-    for i in iterations:
+    for i in result.iterations:
         fit = i.done["estimate"].fit.iloc[0] if "estimate" in i.done else {}
         row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
         if i.verdict is not None:
@@ -319,7 +245,4 @@ def _ended(folder: Path, iterations: list[Iteration], sentence: str) -> Result:
             row |= {"touched": i.verdict.touched}
         row = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
         rows.append(row)
-    store.write_text(
-        folder / "run.json", json.dumps({"hit": result.hit, "sentence": sentence, "iterations": rows}, indent=2)
-    )
-    return result
+    return {"hit": result.hit, "sentence": result.sentence, "iterations": rows}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 
 from rich.console import Console, Group
 from rich.markup import escape
@@ -12,8 +12,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.run import Bar, Iteration, Result
+from pipeline.run import Iteration, Result
 from pipeline.steps import Progress as Report
+
+Bar = Callable[[str], AbstractContextManager[Report]]
 
 
 @contextmanager

@@ -36,10 +36,18 @@ class Past:
 
 @dataclass(frozen=True)
 class Step:
-    """kind: the artifact it makes. make: how, from the world, the past, a seed and a progress report."""
+    """kind: the artifact it makes. make: how, from the world, the past, a seed and a progress report.
+
+    What it looks at: uses: blocks of the settings. this, last: steps of this and of the last iteration.
+    observes: trials and their points, this one's and those before it within memory.
+    """
 
     kind: type
     make: Callable[[World, Past, int, Progress], Any]
+    uses: tuple[str, ...]
+    this: tuple[str, ...] = ()
+    last: tuple[str, ...] = ()
+    observes: bool = False
 
 
 def step_seed(seed: int, number: int, name: str) -> int:
@@ -82,11 +90,14 @@ def _propose(world: World, past: Past, seed: int, progress: Progress) -> Motion:
     return past.diagnosis.motion
 
 
+MODEL = ("arm", "camera", "string", "effects", "known")
 STEPS: dict[str, Step] = {
-    "generate": Step(Motion, _generate),
-    "execute": Step(Trial, _execute),
-    "extract": Step(Points, _extract),
-    "estimate": Step(Estimate, _estimate),
-    "diagnose": Step(Diagnosis, _diagnose),
-    "propose": Step(Motion, _propose),
+    "generate": Step(
+        *(Motion, _generate, (*MODEL, "target", "obstacles", "generate", "seed")), last=("generate", "estimate")
+    ),
+    "execute": Step(Trial, _execute, ("arm", "camera", "hardware", "execute", "seed"), this=("generate",)),
+    "extract": Step(Points, _extract, ("arm", "camera", "extract"), this=("execute",)),
+    "estimate": Step(Estimate, _estimate, (*MODEL, "estimate", "memory", "seed"), last=("estimate",), observes=True),
+    "diagnose": Step(Diagnosis, _diagnose, (*MODEL, "obstacles", "diagnose", "seed"), observes=True),
+    "propose": Step(Motion, _propose, (), last=("diagnose",)),
 }

@@ -92,6 +92,14 @@ def test_an_interrupted_run_goes_on_to_the_same_result(quick, tmp_path):
     assert "other settings" in other.stderr
 
 
+def test_a_run_comes_out_the_same_when_it_is_computed_again(quick):
+    command = [sys.executable, "-m", "pipeline", "verify", str(quick)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "iterations/01/trial: the same to the bit" in done.stdout
+    assert done.stdout.count("the same to the bit") == 4 * len(list((quick / "iterations").iterdir())) + 2
+
+
 def test_estimation_again_from_stored_trials_is_bit_identical(quick, tmp_path):
     again = pipeline("+experiment=estimate", f"trials={quick}", folder=tmp_path / "again")
     assert again.returncode == 0, again.stderr
@@ -204,7 +212,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     _, said = running.communicate(timeout=60)
     assert running.returncode == 130
     assert "Traceback" not in said
-    assert f"hydra.run.dir={tmp_path / 'run'}" in said.replace("\n", "")
+    assert f"resume {tmp_path / 'run'}" in said.replace("\n", "")
 
 
 def test_a_damaged_trial_is_named(quick, tmp_path):

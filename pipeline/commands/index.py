@@ -1,0 +1,143 @@
+"""List runs and how they ended, on the terminal or as one Parquet or CSV file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import track
+from rich.table import Table as Printed
+
+from data import dataset, store
+from data.artifacts import FIT
+from data.schema import Column, DataError, Table
+from pipeline import keep
+from pipeline.commands.stored import stored_world
+from pipeline.commands.why import states_of
+from pipeline.origin import PACKAGES, code, versions
+from pipeline.settings import UserError
+
+RUNS = Table(
+    "runs",
+    "a row a run",
+    (
+        Column("run", "", "its folder, relative to the one that was listed", "text"),
+        Column("experiment", "", "its name", "text"),
+        Column("date", "", "when its first step began, UTC; empty before any", "text"),
+        Column("state", "", "ended, failed or incomplete", "text"),
+        Column("outcome", "", "hit or missed, the verdict of a diagnosis, or estimated; empty before the end", "text"),
+        Column("iterations", "1", "casts, or trials looked at", "int"),
+        Column("best_E", "1", "best matching rate E of its estimates; NaN if there is none"),
+        Column("seconds", "s", "spent in its steps"),
+        Column("stale", "", "why a step of it is stale; empty if all are fresh", "text"),
+        Column("said", "", "how it ended or why it stopped, in words", "text"),
+    ),
+)
+SHOWN = ("run", "experiment", "state", "outcome", "iterations", "best_E", "seconds", "stale")
+
+
+def main(arguments: list[str]) -> int:
+    """0; also where there is no run."""
+    parser = argparse.ArgumentParser("python -m pipeline index", description=__doc__)
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("outputs"), help="where runs are; default outputs")
+    parser.add_argument("--to", type=Path, help="a .parquet or .csv file to write the list to")
+    asked = parser.parse_args(arguments)
+    runs = index(asked.folder)
+    if asked.to is not None:
+        write(runs, asked.to)
+    Console().print(printed(runs))
+    return 0
+
+
+def index(folder: Path) -> pd.DataFrame:
+    """Table RUNS of all runs in a folder, however deep. Raises UserError where there is no such folder."""
+    if not folder.is_dir():
+        raise UserError(f"{folder}: there is no such folder. Name one that holds runs.")
+    found = track(sorted(_runs(folder)), "index", console=Console(stderr=True), transient=True)
+    rows = [{"run": run.relative_to(folder).as_posix()} | row(run) for run in found]
+    return RUNS.check(pd.DataFrame(rows)) if rows else RUNS.empty()
+
+
+def write(runs: pd.DataFrame, to: Path) -> None:
+    """As Parquet or CSV, by the file's ending."""
+    if to.suffix == ".csv":
+        store.write_text(to, runs.to_csv(index=False))
+    elif to.suffix == ".parquet":
+        store.write_table(RUNS, runs, to, {"step": "index", "code": code(), "packages": versions(PACKAGES)})
+    else:
+        raise UserError(f"--to {to}: it must end in .parquet or .csv. Change it.")
+
+
+def row(run: Path) -> dict[str, Any]:
+    """One run. What is damaged does not stop the list: it says so."""
+    try:
+        settings, ended = dataset.settings(run / "config.json"), _json(run / keep.ENDED)
+        return {"experiment": str(settings["name"]), **_ending(run, ended), **_steps(run)}
+    except DataError as error:
+        nothing: dict[str, Any] = {"experiment": "", "outcome": "", "date": "", "iterations": 0, "best_E": float("nan")}
+        return nothing | {"seconds": 0.0, "state": "damaged", "stale": "", "said": str(error)}
+
+
+def printed(runs: pd.DataFrame) -> Printed:
+    """The list for people."""
+    table = Printed(box=None, pad_edge=False)
+    for name in SHOWN:
+        table.add_column(name, overflow="fold")
+    for one in runs[list(SHOWN)].itertuples(index=False):
+        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else escape(str(cell)) for cell in one))
+    return table
+
+
+def _runs(folder: Path) -> Iterator[Path]:
+    """Folders with a config.json of ours."""
+    for path in folder.rglob("config.json"):
+        if '"steps"' in path.read_text(encoding="utf-8", errors="replace"):
+            yield path.parent
+
+
+def _json(path: Path) -> dict[str, Any]:
+    return dataset.settings(path) if path.is_file() else {}
+
+
+def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
+    """State, outcome and words."""
+    failed = run / keep.FAILED
+    if ended:
+        diagnosis = run / "diagnosis.json"
+        cast = "hit" if ended["hit"] else "missed"
+        estimated = cast if any("hit" in i for i in ended["iterations"]) else "estimated"
+        outcome = json.loads(diagnosis.read_text(encoding="utf-8"))["verdict"] if diagnosis.is_file() else estimated
+        return {"state": "ended", "outcome": outcome, "said": ended["sentence"]}
+    said = failed.read_text(encoding="utf-8").strip() if failed.is_file() else ""
+    return {"state": "failed" if said else "incomplete", "outcome": "", "said": said}
+
+
+def _steps(run: Path) -> dict[str, Any]:
+    """What its steps say: when, how long, how good, and whether they are fresh."""
+    steps = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
+    made = [store.origin_of(sorted(step.glob("*.parquet"))[0]).get("made", {}) for step in steps]
+    rates = [
+        float(store.read_table(FIT, fit)["after"].iloc[0]) for fit in run.glob("iterations/*/estimate/fit.parquet")
+    ]
+    return {
+        "date": min((one["at"] for one in made if one), default=""),
+        "iterations": len({step.parent for step in steps}),
+        "best_E": max(rates, default=float("nan")),
+        "seconds": float(sum(one.get("seconds", 0.0) for one in made)),
+        "stale": _stale(run),
+    }
+
+
+def _stale(run: Path) -> str:
+    """The first reason why a step would be made again."""
+    try:
+        states = states_of(stored_world(run), run)
+    except (UserError, DataError) as error:
+        return str(error)
+    return next((f"{state.place}: {state.reasons[0]}" for state in states if state.there and state.reasons), "")

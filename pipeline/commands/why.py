@@ -1,0 +1,68 @@
+"""Say of each step of a run whether it is fresh or stale, and why."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.commands.stored import NotMadeError, run_of, stored_world, walk
+from pipeline.fresh import FOLDERS, inputs, look, performed, place_of
+from pipeline.settings import UserError
+from pipeline.steps import Past
+from pipeline.world import World
+
+
+def main(arguments: list[str]) -> int:
+    """0 if all that was asked for is fresh, 1 if anything is stale or missing."""
+    parser = argparse.ArgumentParser("python -m pipeline why", description=__doc__)
+    parser.add_argument("place", type=Path, help="a run's folder, or that of one step: <run>/iterations/01/estimate")
+    place = parser.parse_args(arguments).place
+    folder = run_of(place)
+    asked = place.resolve().relative_to(folder.resolve()).as_posix()
+    states = [state for state in states_of(stored_world(folder), folder) if asked in (".", state.place)]
+    if not states:
+        known = ", ".join(FOLDERS.values())
+        raise UserError(f"{place}: the run has no such step. Name a folder iterations/<number>/<one of {known}>.")
+    for state in states:
+        print(f"{state.place}: {state.words}", *state.reasons, sep="\n    ")
+    return 1 if any(state.reasons for state in states) else 0
+
+
+@dataclass(frozen=True)
+class State:
+    """A step's folder within its run, and why it is not fresh; no reasons if it is. stays: it is used all the same."""
+
+    place: str
+    reasons: tuple[str, ...]
+    there: bool = True
+    stays: bool = False
+
+    @property
+    def words(self) -> str:
+        """Fresh, stale or missing."""
+        if not self.there:
+            return "missing"
+        return "fresh" if not self.reasons else "stale, but stays: the arm has moved by it" if self.stays else "stale"
+
+
+def states_of(here: World, folder: Path) -> list[State]:
+    """Of all steps of a run, in their order, up to the first that is missing."""
+    states: dict[str, State] = {}
+
+    def ask(name: str, past: Past) -> Any:
+        place = place_of(past.number, name).as_posix()
+        found = look(here, folder, name, past)
+        above = [states[other] for other in inputs(folder, name, past) if other in states]
+        doubt = [
+            f"{state.place}, an input, is to be made again" for state in above if state.reasons and not state.stays
+        ]
+        stays = performed(here, folder, name, past.number)
+        states[place] = State(place, (*found.reasons, *doubt), (folder / place).is_dir(), stays)
+        if found.artifact is None:
+            raise NotMadeError
+        return found.artifact
+
+    walk(here, folder, ask)
+    return list(states.values())

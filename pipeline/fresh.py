@@ -1,0 +1,125 @@
+"""Whether a step that is on the disk is what would be made now, and why not.
+
+Nothing here asks a clock: a step is stale if an input's content, a setting, a source file or a package is another than
+its footers say. What has the same content is the same, whenever it was written.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from data import store
+from data.schema import DataError
+from pipeline.origin import origin
+from pipeline.sources import sources
+from pipeline.steps import STEPS, Past, step_seed
+from pipeline.world import World
+
+FOLDERS = {
+    "generate": "motion",
+    "execute": "trial",
+    "extract": "points",
+    "estimate": "estimate",
+    "diagnose": "diagnosis",
+    "propose": "motion",
+}
+LAB = "hardware.virtual."  # what it does can be done again, to the bit
+
+
+@dataclass(frozen=True)
+class Found:
+    """What is on the disk of a step. artifact: None where there is none that can be read. reasons: why it is not to be
+    used as it is; none if it is fresh."""
+
+    artifact: Any
+    reasons: tuple[str, ...] = ()
+
+
+def look(world: World, folder: Path, name: str, past: Past) -> Found:
+    """A step's artifact in a run's folder, and what has changed since it was made."""
+    place = folder / place_of(past.number, name)
+    if not place.is_dir():
+        return Found(None, ("it has not been made yet",))
+    try:
+        artifact: Any = store.load(STEPS[name].kind, place)
+        made = [store.origin_of(file) for file in sorted(place.glob("*.parquet"))]
+    except DataError as error:
+        return Found(None, (str(error),))
+    return Found(artifact, tuple(changes(made[0], made_now(world, folder, name, past), STEPS[name].uses)))
+
+
+def made_now(world: World, folder: Path, name: str, past: Past) -> dict[str, Any]:
+    """The origin that a step would have if it were made now."""
+    config = {key: world.config[key] for key in STEPS[name].uses}
+    seed = step_seed(world.seed, past.number, name)
+    return origin(world.config, name, seed, inputs(folder, name, past)) | {"sources": sources(config)}
+
+
+def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]) -> list[str]:
+    """What differs between two origins, in words. uses: the settings that count."""
+    if "sources" not in made:
+        return ["its files do not say of which sources they were made"]
+    settings = (leaves({key: o["config"].get(key) for key in uses}) for o in (made, json.loads(json.dumps(now))))
+    return [
+        *_differing("input", made["inputs"], now["inputs"], "has another content"),
+        *(f"setting {key} was {a}, is {b}" for key, a, b in pairs(*settings)),
+        *_differing("source", made["sources"], now["sources"], "has changed"),
+        *(f"package {key} was {a}, is {b}" for key, a, b in pairs(made["packages"], now["packages"])),
+        *([] if made["python"] == now["python"] else [f"Python was {made['python']}, is {now['python']}"]),
+    ]
+
+
+def pairs(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Names whose values differ, with both values; 'absent' where there is none."""
+    names = [*a, *(name for name in b if name not in a)]
+    both = [(name, a.get(name, "absent"), b.get(name, "absent")) for name in names]
+    return [(name, one, other) for name, one, other in both if one != other]
+
+
+def _differing(what: str, a: Mapping[str, str], b: Mapping[str, str], words: str) -> Iterator[str]:
+    """The same of hashes, which say nothing to people."""
+    for name, one, other in pairs(a, b):
+        yield f"{what} {name} {'is new' if one == 'absent' else 'is gone' if other == 'absent' else words}"
+
+
+def leaves(block: Any, place: str = "") -> dict[str, Any]:
+    """Every value of nested settings by its full name."""
+    if not isinstance(block, dict) or not block:
+        return {place: block}
+    return {
+        name: value
+        for key, inside in block.items()
+        for name, value in leaves(inside, f"{place}.{key}" if place else key).items()
+    }
+
+
+def inputs(folder: Path, name: str, past: Past) -> dict[str, str]:
+    """Content hashes of all that a step looks at, by path: in the run's folder, and of what was stored elsewhere."""
+    step = STEPS[name]
+    places = [place_of(past.number - 1, other) for other in step.last]
+    places += [place_of(past.number, other) for other in step.this]
+    if step.observes:
+        seen = range(past.number - len(past.observations) + 1, past.number + 1)
+        places += [place_of(number, other) for number in seen for other in ("execute", "extract")]
+    there = [place for place in places if (folder / place).is_dir()]
+    return {place.as_posix(): store.content_hash(folder / place) for place in there} | dict(past.hashes)
+
+
+def place_of(number: int, step: str) -> Path:
+    """The folder of a step's artifact, relative to the run's."""
+    return Path("iterations") / f"{number:02d}" / FOLDERS[step]
+
+
+def repeatable(world: World, name: str) -> bool:
+    """Whether a step can be made again: all but what a real arm and camera did."""
+    return name != "execute" or str(world.config["hardware"]["_target_"]).startswith(LAB)
+
+
+def performed(world: World, folder: Path, name: str, number: int) -> bool:
+    """Whether a real arm has moved by what this step made: then it stays, for what was measured hangs on it."""
+    nearest = number if name in ("generate", "propose", "execute") else number + 1
+    return not repeatable(world, "execute") and (folder / place_of(nearest, "execute")).is_dir()

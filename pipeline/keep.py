@@ -1,0 +1,172 @@
+"""A run's folder: steps are made once and kept, each whole before the next begins.
+
+A step that is there and fresh is read, not made again: an interrupted run goes on where it stopped, with the same
+result, for every step's seed is its own. One that is stale or damaged is made again, unless a real arm has moved by
+it. `run.json` is there if, and only if, the run has ended.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from data import dataset, disk, store
+from data.artifacts import Diagnosis, Points, Trial
+from data.schema import DataError
+from pipeline.brought import EXTENDED
+from pipeline.fresh import Found, look, made_now, performed, place_of
+from pipeline.origin import origin
+from pipeline.run import Iteration, Result, in_numbers
+from pipeline.show import Bar
+from pipeline.steps import STEPS, Past, step_seed
+from pipeline.world import World
+
+ENDED = "run.json"
+FAILED = "failed.txt"  # why a run stopped
+LOCK = ".lock"
+NOTHING = {"config.json", LOCK, FAILED}  # what a run that made nothing leaves
+
+
+@dataclass(frozen=True)
+class Keeper:
+    """The desk at which a run works. say: tells the user of a step that is made again."""
+
+    world: World
+    folder: Path
+    bar: Bar
+    say: Callable[[str], object]
+
+    def step(self, name: str, past: Past) -> Any:
+        """Read a step's artifact if it is there and fresh, else make and store it."""
+        found = look(self.world, self.folder, name, past)
+        if found.artifact is not None and not found.reasons:
+            return found.artifact
+        place = self.folder / place_of(past.number, name)
+        if place.is_dir() and self._stays(found, name, past.number):
+            return found.artifact
+        disk.remove(self.folder / ENDED)
+        self._make(name, past, place)
+        return store.load(STEPS[name].kind, place)
+
+    def publish(self, iterations: list[Iteration]) -> None:
+        """Keep the run a dataset that others can read. One that holds these trials already stays: no reader of a
+        finished run is to see fewer of them."""
+        if not published(self.folder, iterations):
+            publish(self.world, self.folder, self.folder, iterations)
+
+    def _stays(self, found: Found, name: str, number: int) -> bool:
+        """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
+        stays = performed(self.world, self.folder, name, number)
+        if stays and found.artifact is None:
+            raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
+        kept = "The arm has moved by it: it stays." if stays else "It is made again."
+        self.say(f"{place_of(number, name)} is stale: {'; '.join(found.reasons)}. {kept}")
+        return stays
+
+    def _make(self, name: str, past: Past, place: Path) -> None:
+        """Make and store a step; its footers also say when, and how long it took."""
+        with self.bar(f"{past.number}. {name}") as progress:
+            at, begun = datetime.now(UTC), time.monotonic()
+            made = STEPS[name].make(self.world, past, step_seed(self.world.seed, past.number, name), progress)
+            took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
+            store.save(made, place, made_now(self.world, self.folder, name, past) | took)
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Nobody else works in a run's folder meanwhile; raises DataError where somebody does, or it cannot be written."""
+    with ExitStack() as held:
+        try:
+            disk.make_folder(folder)
+            held.enter_context(disk.locked(folder / LOCK))
+        except BlockingIOError as error:
+            raise DataError(
+                f"{folder}: another process is working in this folder. Wait for it, or choose another folder."
+            ) from error
+        except OSError as error:
+            raise DataError(f"{folder}: cannot be written ({error.strerror}). {store.remedy_for(error)}.") from error
+        yield
+
+
+def begin(world: World, folder: Path) -> None:
+    """Note the settings in the run's folder, or see that it is this run's."""
+    path = folder / "config.json"
+    text = json.dumps(world.config, indent=2, sort_keys=True)
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise DataError(
+            f"{folder}: this folder holds a run with other settings (see config.json). "
+            "Leave hydra.run.dir to its default, or repeat the settings of that run."
+        )
+    if not path.exists():
+        store.write_text(path, text)
+    disk.remove(folder / FAILED)
+
+
+def end(result: Result) -> None:
+    """Write what a diagnosis found, and last run.json: the run in a few numbers."""
+    if result.diagnosis is not None:
+        store.write_text(result.folder / "diagnosis.json", json.dumps(_found(result.diagnosis, result), indent=2))
+        store.write_text(result.folder / EXTENDED, str(result.diagnosis.finding["extended"].iloc[0]))
+    store.write_text(result.folder / ENDED, json.dumps(in_numbers(result), indent=2))
+
+
+def _found(diagnosis: Diagnosis, result: Result) -> dict[str, Any]:
+    """diagnosis.json, which also says where the motion lies that is to be performed next."""
+    found: dict[str, Any] = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    if found["next_experiment"] is not None:
+        place = place_of(result.iterations[-1].number + 1, "propose") if diagnosis.motion else None
+        found["next_experiment"]["motion"] = place and place.as_posix()
+    return found
+
+
+@contextmanager
+def failing(folder: Path) -> Iterator[None]:
+    """Note in the folder why a run stopped, as far as that can be written."""
+    try:
+        yield
+    except Exception as error:
+        with suppress(DataError):
+            store.write_text(folder / FAILED, f"{error}\n")
+        raise
+
+
+def forget(folder: Path) -> None:
+    """Remove the folder of a run that was refused before it made anything."""
+    if folder.is_dir() and {file.name for file in folder.iterdir()} <= NOTHING:
+        disk.remove(folder)
+
+
+def publish(world: World, folder: Path, to: Path, iterations: list[Iteration]) -> None:
+    """Write the trials of a run as a dataset to a folder. folder: the run's."""
+    trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
+    camera = {k: world.config["camera"][k] for k in ("fps", "width", "height", "px_per_m", "origin_px", "distortion")}
+    about = {
+        "name": world.config["name"],
+        "string": {"length": world.string.length},
+        "arm": {"links": list(world.arm.links), "base": list(world.arm.base)},
+        "camera": camera,
+    }
+    places = {i.name: place_of(i.number, "execute") for i in iterations}
+    dataset.publish(to, trials, places, about, origin(world.config, "dataset", world.seed, _trials(folder, iterations)))
+
+
+def published(folder: Path, iterations: list[Iteration]) -> bool:
+    """Whether the dataset in a run's folder holds these trials as they are."""
+    wanted = _trials(folder, iterations).items()
+    try:
+        tables = [store.origin_of(folder / f"{table.name}.parquet")["inputs"] for table in dataset.PUBLISHED]
+    except (*store.UNREADABLE, KeyError):
+        return False
+    return (folder / "dataset.yaml").exists() and all(wanted <= inputs.items() for inputs in tables)
+
+
+def _trials(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
+    """Content hashes of what a dataset is made of, by path."""
+    made_of = [place_of(i.number, step) for i in iterations for step in ("execute", "extract")]
+    return {place.as_posix(): store.content_hash(folder / place) for place in made_of}

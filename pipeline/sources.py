@@ -1,0 +1,90 @@
+"""Which source files a result depends on: those of its stage, and what they import, however far."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import inspect
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from hydra.utils import get_object
+
+from pipeline.origin import CODE, ROOT
+from stages.model.library import library, named
+
+GLUE = ("pipeline/steps.py", "pipeline/world.py")  # they hand every stage what it is given
+LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect without naming any
+MODEL = "stages.model.model"
+
+
+def sources(settings: Mapping[str, Any]) -> dict[str, str]:
+    """Hashes of the files behind a step, by path. settings: those that the step uses."""
+    modules = {get_object(target).__module__ for target in targets(settings)}
+    modules |= {MODEL} if "string" in settings else set()
+    effects = {Path(inspect.getfile(effect)) for effect in named(settings.get("effects", []))}
+    files = closure({root for root in map(_file, modules) if root is not None} | effects) | {
+        ROOT / name for name in GLUE
+    }
+    return {_short(file): _digest(file) for file in sorted(files)}
+
+
+def targets(block: Any) -> Iterator[str]:
+    """Every `_target_` in a block of settings."""
+    if isinstance(block, Mapping):
+        if "_target_" in block:
+            yield block["_target_"]
+        for value in block.values():
+            yield from targets(value)
+
+
+def closure(files: Iterable[Path]) -> set[Path]:
+    """The files, and all of ours that they import."""
+    found: set[Path] = set()
+    ahead = list(files)
+    while ahead:
+        file = ahead.pop()
+        if file not in found:
+            found.add(file)
+            ahead += _imported(file)
+    return found
+
+
+@cache
+def _imported(file: Path) -> tuple[Path, ...]:
+    """Files of ours that a file imports itself, wherever in it."""
+    if file == LIBRARY:
+        effects = tuple(Path(inspect.getfile(effect)) for effect in library().values())
+        return effects + _named_in(file)
+    return _named_in(file)
+
+
+def _named_in(file: Path) -> tuple[Path, ...]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    packages = {".".join(name.split(".")[:end]) for name in names for end in range(1, name.count(".") + 2)}
+    return tuple(path for name in sorted(packages) if (path := _file(name)) is not None)
+
+
+def _file(module: str) -> Path | None:
+    """The file of a module of ours; None for others'."""
+    if module.split(".", maxsplit=1)[0] not in CODE:
+        return None
+    place = ROOT.joinpath(*module.split("."))
+    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
+
+
+@cache
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+
+
+def _short(file: Path) -> str:
+    """The path from the project's folder; whole for an effect that lies elsewhere."""
+    return file.relative_to(ROOT).as_posix() if file.is_relative_to(ROOT) else str(file)

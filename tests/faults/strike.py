@@ -1,0 +1,124 @@
+"""Strike a whole small run at its n-th file operation, look at what is left, go on, and look at what comes out."""
+
+import errno
+import os
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+from data import disk
+from data.schema import DataError
+from tests.faults.toy import contents, toy_run
+
+STEPS = {"motion": "generate", "trial": "execute", "points": "extract", "estimate": "estimate"}
+
+
+class Killed(BaseException):
+    """Stands for a kill: nobody catches it, and nothing works after it."""
+
+
+KINDS = {  # what strikes, and whether it lasts until the run is begun again
+    "kill": (Killed(), True),
+    "disk full from then on": (OSError(errno.ENOSPC, "No space left on device"), True),
+    "read-only from then on": (OSError(errno.EROFS, "Read-only file system"), True),
+    "one operation fails": (OSError(errno.EIO, "Input/output error"), False),
+}
+
+
+class Faults:
+    """File operations counted; the n-th fails, and all after it if the fault lasts. A failing write gets half done."""
+
+    def __init__(self, patch, n, error, lasts):
+        self.n, self.error, self.lasts, self.done = n, error, lasts, []
+        for name in ("make_folder", "remove"):
+            patch.setattr(disk, name, self.failing(name, getattr(disk, name)))
+        system = {name: self.failing(name, getattr(os, name)) for name in ("open", "fsync", "replace")}
+        patch.setattr(disk, "os", SimpleNamespace(**{**vars(os), **system}))
+        patch.setattr(disk, "open", self.opened, raising=False)
+
+    @property
+    def struck(self):
+        """The operation that failed; None where there were fewer."""
+        return self.done[self.n] if len(self.done) > self.n else None
+
+    def failing(self, name, real):
+        def operation(*given):
+            self.count(name)
+            return real(*given)
+
+        return operation
+
+    def count(self, name):
+        """Note an operation; raise if it is its turn."""
+        self.done.append(name)
+        at = len(self.done) - 1
+        harmless = name == "remove" and isinstance(self.error, OSError)  # removing never raises one
+        if not harmless and (at == self.n or (self.lasts and at > self.n)):
+            raise self.error
+
+    def opened(self, path, mode):
+        self.count("open a file")
+        return File(open(path, mode), self)
+
+
+class File:
+    """A file whose writing may stop halfway."""
+
+    def __init__(self, file, faults):
+        self.file, self.faults = file, faults
+        self.fileno, self.flush = file.fileno, file.flush
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *how):
+        self.file.close()
+
+    def write(self, content):
+        try:
+            self.faults.count("write")
+        except BaseException:
+            self.file.write(content[: len(content) // 2])
+            raise
+        self.file.write(content)
+
+
+def strike(patch_context, n, kind, here, folder, whole):
+    """The operation that was struck; None where there are fewer than n. Fails where anything was lost or half done.
+
+    patch_context: monkeypatch.context. whole: contents of the uninterrupted run.
+    """
+    error, lasts = KINDS[kind]
+    with patch_context() as patch:
+        faults = Faults(patch, n, error, lasts)
+        try:
+            toy_run(folder, here)
+        except (DataError, Killed) as raised:
+            assert isinstance(raised, Killed) or error.strerror in str(raised)
+    if faults.struck is not None:
+        look_at_what_is_left(folder, whole)
+        there = finished(folder)
+        made, _ = toy_run(folder, here)
+        assert sorted(there + made) == sorted(here.config["steps"] * here.config["manipulations"]), "work was lost"
+        assert contents(folder) == whole
+        litter = [path for pattern in (".*.part", ".*.replaced") for path in folder.rglob(pattern)]
+        assert not litter
+        shutil.rmtree(folder)
+    return faults.struck
+
+
+def finished(folder: Path):
+    """Steps whose folder has its name."""
+    return [STEPS[p.name] for p in folder.glob("iterations/*/*") if not p.name.startswith(".")]
+
+
+def look_at_what_is_left(folder, whole):
+    """Every step that has its name is whole, every file says what it should, run.json stands only over a whole run."""
+    left = contents(folder) if folder.exists() else {}
+    left.pop("failed.txt", None)
+    steps = {name: digest for name, digest in left.items() if name.startswith("iterations")}
+    assert steps.items() <= whole.items()
+    for place in {name.rsplit("/", 1)[0] for name in steps if name.endswith(".parquet")}:
+        assert {n for n in steps if n.startswith(place)} == {n for n in whole if n.startswith(place)}
+    if "run.json" in left:
+        assert left == whole

@@ -1,0 +1,164 @@
+"""Whole runs survive every fault at every file operation: nothing half-written counts, nothing finished is lost.
+
+`python -m tests.faults` strikes every operation with every kind of fault, and kills for longer.
+"""
+
+import ast
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from data.schema import DataError
+from pipeline import keep
+from tests.faults.kills import Forked, rounds
+from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
+from tests.faults.toy import ROOT, contents, toy_run, toy_world
+
+CLOCKS = {"time", "time_ns", "now", "utcnow", "today", "st_mtime", "st_mtime_ns", "st_ctime", "getmtime", "getctime"}
+
+
+@pytest.fixture(autouse=True)
+def _in_memory(monkeypatch):
+    """Nothing here asks whether a power cut is survived (tests/store does): no waiting for the disk."""
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """What an uninterrupted run of two casts leaves."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert toy_run(folder, toy_world())[0] == [*STEPS.values()] * 2
+    return contents(folder)
+
+
+def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(tmp_path, monkeypatch):
+    """Every operation of a cast, the four kinds of fault in turn."""
+    here, struck = toy_world(1, steps=["generate", "execute", "extract"]), []
+    toy_run(tmp_path / "whole", here)
+    unharmed = contents(tmp_path / "whole")
+    for n in range(1000):
+        kind = list(KINDS)[n % len(KINDS)]
+        operation = strike(monkeypatch.context, n, kind, here, tmp_path / str(n), unharmed)
+        if operation is None:
+            break
+        struck.append(operation)
+    assert len(struck) > 100
+    assert set(struck) == {"make_folder", "open a file", "write", "fsync", "open", "replace", "remove"}
+
+
+def test_killed_processes_lose_nothing_they_had_finished(tmp_path, whole):
+    rows = rounds(Forked(toy_world(2, pause=0.01)), tmp_path, 5, range(2))
+    assert contents(tmp_path / "whole") == whole
+    assert sum(row["killed"] for row in rows) >= 3
+    assert any(0 < row["steps"] < 8 for row in rows if row["killed"])
+
+
+def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
+    here = toy_world()
+    toy_run(tmp_path / "run", here)
+    tables = sorted((tmp_path / "run").glob("iterations/*/*/*.parquet"))
+    assert len(tables) == 32
+    for file in tables[::5]:
+        file.write_bytes(file.read_bytes()[:-9])
+        made, said = toy_run(tmp_path / "run", here)
+        assert made == [STEPS[file.parent.name]]
+        assert file.name in said
+        assert contents(tmp_path / "run") == whole
+
+
+def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(tmp_path, whole, monkeypatch):
+    """Killed at any operation: its dataset is the same (at first it was written anew, beginning with one trial)."""
+    toy_run(tmp_path / "run", toy_world())
+    for n in range(2, 30, 3):
+        with monkeypatch.context() as patch:
+            faults = Faults(patch, n, Killed(), True)
+            with suppress(Killed):
+                toy_run(tmp_path / "run", toy_world())
+        assert contents(tmp_path / "run") == whole
+        if faults.struck is None:
+            return
+    pytest.fail("going on with a finished run must not write much")
+
+
+def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
+    """run.json goes before the first step that it no longer describes."""
+    here = toy_world()
+    toy_run(tmp_path / "run", here)
+    (tmp_path / "run" / "iterations/02/estimate/fit.parquet").unlink()
+
+    def broken(*given, **how):
+        raise DataError("the estimation broke")
+
+    with pytest.raises(DataError, match="broke"):
+        toy_run(tmp_path / "run", toy_world(estimate_by=broken))
+    assert not (tmp_path / "run" / "run.json").exists()
+    assert (tmp_path / "run" / "failed.txt").read_text() == "the estimation broke\n"
+    assert toy_run(tmp_path / "run", here)[0] == ["estimate"]
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["sentence"]
+    assert not (tmp_path / "run" / "failed.txt").exists()
+
+
+HOLDER = """
+import sys, time; sys.path.insert(0, {root!r})
+from pathlib import Path
+from pipeline import keep
+with keep.alone(Path({folder!r})):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path):
+    code = HOLDER.format(root=str(ROOT), folder=str(tmp_path))
+    holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert holder.stdout.readline() == "held\n"
+    with pytest.raises(DataError, match="another process is working in this folder"):
+        toy_run(tmp_path, toy_world(1))
+    assert not (tmp_path / "config.json").exists()
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    assert (tmp_path / ".lock").exists()
+    assert toy_run(tmp_path, toy_world(1))[0] == [*STEPS.values()]
+
+
+def test_no_clock_decides_anything(tmp_path, monkeypatch, whole):
+    """The clock jumps by years in both directions at every look, and every file gets a time at random."""
+    rng = np.random.default_rng(1)
+
+    class Jumping(datetime):
+        @classmethod
+        def now(cls, zone):
+            return datetime.fromtimestamp(rng.uniform(0, 4e9), UTC)
+
+    monkeypatch.setattr(keep, "datetime", Jumping)
+    toy_run(tmp_path / "run", toy_world())
+    for path in (tmp_path / "run").rglob("*"):
+        os.utime(path, (rng.uniform(0, 4e9),) * 2)
+    assert toy_run(tmp_path / "run", toy_world())[0] == []
+    assert contents(tmp_path / "run") == whole
+
+
+def test_only_what_is_for_information_reads_the_wall_clock():
+    found = set()
+    for room in ("data", "stages", "pipeline"):
+        for file in (ROOT / room).rglob("*.py"):
+            calls = [n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Attribute)]
+            found |= {file.name for node in calls if node.attr in CLOCKS and ast.unparse(node.value) != "past"}
+    assert found == {"keep.py"}, "only `made at` in a footer may be a time of day; nothing reads it but people"
+
+
+def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
+    keep.begin(toy_world(), tmp_path / "run")
+    (tmp_path / "run" / ".lock").touch()
+    keep.forget(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    toy_run(tmp_path / "run", toy_world(1))
+    keep.forget(tmp_path / "run")
+    assert (tmp_path / "run" / "run.json").exists()

@@ -1,0 +1,126 @@
+"""Whole small runs: the real pipeline with toy stages, whose numbers hang on all that they are given."""
+
+import hashlib
+import io
+import time
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from data import store
+from data.artifacts import Estimate, Motion, Points, Trial
+from pipeline import report
+from pipeline.perform import perform
+from pipeline.world import world
+
+ROOT = Path(__file__).resolve().parents[2]
+CALLS = []  # what was made, in order
+
+
+@cache
+def composed(*overrides):
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("config", ["+experiment=quick", *overrides])
+    return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+
+
+def toy_world(casts=2, pause=0.0, estimate_by=None, **changed):
+    """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead of the toy estimation. changed:
+    settings, whole blocks."""
+    whole = composed(f"manipulations={casts}")
+    stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
+    stages = {name: slow(stage, pause) for name, stage in stages.items()}
+    return replace(whole, config={**whole.config, **changed}, stages=stages)
+
+
+def slow(stage, pause):
+    def called(*given, **how):
+        time.sleep(pause)
+        CALLS.append(stage.__name__)
+        return stage(*given, **how)
+
+    return called
+
+
+def number(*given):
+    """A number in 0..1 that hangs on everything given."""
+    said = repr([g.to_numpy().tolist() if isinstance(g, pd.DataFrame) else g for g in given])
+    return int.from_bytes(hashlib.sha256(said.encode()).digest()[:6], "big") / 2**48
+
+
+def rows(table, count=2, **columns):
+    """A table of the right columns: what is not given is zero, false or empty."""
+    zero = {"float": 0.0, "int": 0, "bool": False, "text": "", "bytes": b""}
+    return pd.DataFrame({c.name: columns.get(c.name, [zero[c.kind]] * count) for c in table.columns})
+
+
+def generate(model, target, obstacles, motion, known, *, seed, progress):
+    x = number(known, None if motion is None else motion.commands, seed)
+    tables = {name: rows(table) for name, table in Motion.TABLES.items()}
+    return Motion(**tables | {"commands": rows(Motion.TABLES["commands"], t=[0.0, 0.1], q1=x, w1=x)})
+
+
+def execute(motion, arm, camera):
+    x = number(motion.commands)
+    tables = {name: rows(table) for name, table in Trial.TABLES.items()}
+    tables["arm"] = rows(Trial.TABLES["arm"], t=[0.0, 0.1], q1=x)
+    tables["frames"] = rows(Trial.TABLES["frames"], t=[0.0, 0.1], file=["images/0.png", "images/1.png"])
+    tables["link"] = rows(Trial.TABLES["link"], 1, valid=[True])
+    return Trial(**tables, images=[np.full((2, 3), int(255 * x) ^ i, np.uint8) for i in range(2)])
+
+
+def extract(footage, camera, *, progress):
+    x = float(np.mean([image.mean() for image in footage.images]))
+    tables = {name: rows(table) for name, table in Points.TABLES.items()}
+    tables["points"] = rows(Points.TABLES["points"], t=[0.0, 0.1], s=[0.1, 0.1], x=[x, x], valid=[True] * 2)
+    tables["readings"] = rows(Points.TABLES["readings"], t=[0.0, 0.1], valid=[True] * 2, tip_x=[9 + x, 9 + x])
+    return Points(**tables)
+
+
+def estimate(model, observations, last, *, seed, manipulation, progress):
+    x = number(*(o.points for o in observations), None if last is None else last.values(), seed, manipulation)
+    tables = {name: rows(table) for name, table in Estimate.TABLES.items()}
+    names = ["bending_stiffness", "axial_stiffness"]
+    tables["parameters"] = rows(Estimate.TABLES["parameters"], name=names, value=[x, -x])
+    tables["fit"] = rows(Estimate.TABLES["fit"], 1, after=[x])
+    return Estimate(**tables | {"candidates": tables["candidates"].assign(**dict.fromkeys(names, x))})
+
+
+def hardware(arm, camera, *, seed, trial):
+    return SimpleNamespace(arm=None, camera=None)
+
+
+STAGES = {
+    "generate": generate,
+    "execute": execute,
+    "extract": extract,
+    "estimate": estimate,
+    "hardware": hardware,
+}
+
+
+def toy_run(folder, here):
+    """A whole run but for the report's pictures; what was made, in order, and what was said."""
+    CALLS.clear()
+    drawn = report.write
+    report.write = lambda here, result: store.write_text(result.folder / "report.html", "<html>")
+    said = Console(file=io.StringIO(), width=1000)
+    try:
+        perform(here, folder, said)
+    finally:
+        report.write = drawn
+    return [name for name in CALLS if name != "hardware"], said.file.getvalue()
+
+
+def contents(folder):
+    """Content hashes of all that a run leaves, by path."""
+    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    shown = [p for p in files if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
+    return {p.relative_to(folder).as_posix(): store.content_hash(p) for p in shown}

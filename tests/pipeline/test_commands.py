@@ -1,0 +1,324 @@
+"""verify, why, diff, lineage, index and resume: what they say of whole, changed, damaged and unfinished runs."""
+
+import json
+import os
+import re
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data import store
+from data.artifacts import Points
+from pipeline import __main__ as shell
+from pipeline import fresh
+from pipeline.commands import COMMANDS
+from pipeline.commands.verify import verify
+from pipeline.compare import differences
+from tests.faults.toy import contents, toy_run, toy_world
+
+PAGE = Path(COMMANDS["index"].__file__).with_name("README.md")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A folder of runs: a whole one of two casts, and another with another seed."""
+    outputs = tmp_path_factory.mktemp("outputs")
+    patch = pytest.MonkeyPatch()
+    patch.setattr(os, "fsync", lambda handle: None)
+    toy_run(outputs / "day" / "a", toy_world())
+    toy_run(outputs / "day" / "b", toy_world(seed=3))
+    patch.undo()
+    return outputs
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    """A copy of the whole run, to spoil."""
+    return shutil.copytree(finished / "day" / "a", tmp_path / "run")
+
+
+def asked(capsys, *command):
+    """The exit status of a command, and what it said, on one line."""
+    status = shell.asked(command[0], [str(word) for word in command[1:]])
+    said = capsys.readouterr()
+    return status, re.sub(r"\s+", " ", said.out + said.err)
+
+
+def verified(run, tmp_path, here):
+    @contextmanager
+    def bar(name):
+        yield lambda share: None
+
+    (tmp_path / "aside").mkdir()
+    return verify(here, run, tmp_path / "aside", bar)
+
+
+def change(run, step, table, column, row, value):
+    """Another value in a stored table, with the same origin."""
+    file = run / "iterations" / step / f"{table.name}.parquet"
+    frame = store.read_table(table, file)
+    frame.loc[row, column] = value(frame.loc[row, column])
+    store.write_table(table, frame, file, store.origin_of(file))
+
+
+def test_a_whole_run_is_verified_and_not_touched(run, tmp_path):
+    before = {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run.rglob("*")}
+    outcome = verified(run, tmp_path, toy_world())
+    assert outcome.same
+    assert len(outcome.lines) == 10
+    assert all(line.endswith("the same to the bit") for line in outcome.lines)
+    assert {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run.rglob("*")} == before
+
+
+def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
+    change(run, "02/points", Points.TABLES["points"], "x", 1, lambda x: np.nextafter(x, 1e9))
+    outcome = verified(run, tmp_path, toy_world())
+    assert not outcome.same
+    at = outcome.lines.index("iterations/02/points: DIFFERS")
+    assert re.search(
+        r"points\.parquet: column x: 1 of 2 rows differ, first row 1: .* at most .*e-1\d apart", outcome.lines[at + 1]
+    )
+    assert "iterations/01/points: the same to the bit" in outcome.lines
+    assert "iterations/02/estimate: DIFFERS" in outcome.lines  # made from points that are not there any more
+    assert any("input iterations/02/points has another content" in line for line in outcome.lines)
+
+
+def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
+    image = run / "iterations/01/trial/images/0.png"
+    shutil.copy(image.with_name("1.png"), image)
+    (run / "run.json").write_text((run / "run.json").read_text().replace('"hit": false', '"hit": true', 1))
+    lines = "\n".join(verified(run, tmp_path, toy_world()).lines)
+    assert "images/0.png: 6 pixels differ, at most by 1 grey levels" in lines
+    assert "it says something else than the steps" in lines
+    shutil.rmtree(run / "iterations/02/points")
+    shutil.rmtree(tmp_path / "aside")
+    outcome = verified(run, tmp_path, toy_world())
+    assert not outcome.same
+    assert outcome.lines[-2:] == ["iterations/02/points: DIFFERS", "    it has not been made yet"]
+
+
+def real_arm():
+    """The toy world with an arm that is not the virtual lab's."""
+    here = toy_world()
+    hardware = {**here.config["hardware"], "_target_": "hardware.serial.open_lab"}
+    return toy_world(hardware=hardware)
+
+
+def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, monkeypatch):
+    toy_run(tmp_path / "run", real_arm())
+    outcome = verified(tmp_path / "run", tmp_path, real_arm())
+    assert outcome.same
+    assert outcome.lines[1] == "iterations/01/trial: measured with a real arm and camera, cannot be computed again"
+    before = contents(tmp_path / "run")
+    with monkeypatch.context() as patch:
+        patch.setattr(fresh, "sources", lambda settings: {"stages/generate/generate.py": "changed"})
+        made, said = toy_run(tmp_path / "run", real_arm())
+    assert made == ["extract", "estimate"]  # the last, after which no arm has moved
+    assert "iterations/01/motion is stale" in said
+    assert "The arm has moved by it: it stays." in said
+    assert contents(tmp_path / "run") == before
+    trial = tmp_path / "run/iterations/01/trial/arm.parquet"
+    trial.write_bytes(trial.read_bytes()[:-5])
+    with pytest.raises(Exception, match=r"arm\.parquet.*cannot be made again"):
+        toy_run(tmp_path / "run", real_arm())
+
+
+@pytest.mark.parametrize(
+    ("what", "steps"),
+    [
+        ("stages/estimate/random_search.py", {"estimate"}),
+        ("stages/estimate/cma_es.py", set()),
+        ("stages/model/string.py", {"generate", "execute", "estimate"}),  # the lab's bench is a finer string
+        ("hardware/virtual/render.py", {"execute"}),
+        ("pipeline/steps.py", {"generate", "execute", "extract", "estimate"}),
+        ("pipeline/report.py", set()),
+    ],
+)
+def test_only_steps_that_use_a_source_are_made_again(run, monkeypatch, what, steps):
+    """And what comes out the same makes nothing after it stale."""
+    real = fresh.sources
+    changed = {what: "changed"}
+    monkeypatch.setattr(fresh, "sources", lambda settings: {k: changed.get(k, v) for k, v in real(settings).items()})
+    made, said = toy_run(run, toy_world())
+    assert set(made) == steps
+    assert (f"source {what} has changed" in said) == bool(steps)
+    assert toy_run(run, toy_world())[0] == []
+
+
+def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):
+    assert asked(capsys, "why", run) == (
+        0,
+        " ".join(f"iterations/{n}/{s}: fresh" for n in ("01", "02") for s in ("motion", "trial", "points", "estimate"))
+        + " ",
+    )
+    config = json.loads((run / "config.json").read_text())
+    config["estimate"]["beta"] = 0.9
+    (run / "config.json").write_text(json.dumps(config))
+    status, said = asked(capsys, "why", run)
+    assert status == 1
+    assert "iterations/01/points: fresh" in said
+    assert "iterations/01/estimate: stale setting estimate.beta was 0.995, is 0.9" in said
+    assert "iterations/02/motion: stale iterations/01/estimate, an input, is to be made again" in said
+    change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
+    status, said = asked(capsys, "why", run / "iterations/01/estimate")
+    assert "input iterations/01/points has another content" in said
+    assert "motion" not in said
+    real = fresh.origin
+    monkeypatch.setattr(
+        fresh, "origin", lambda *given: real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
+    )
+    assert re.search(r"package numpy was [\d.]+, is 9\.9", asked(capsys, "why", run)[1])
+
+
+def test_diff_says_what_differs(finished, run, capsys):
+    same = asked(capsys, "diff", finished / "day/a", run)
+    assert same == (0, "settings: the same data: the same code: the same packages: the same results: the same ")
+    status, said = asked(capsys, "diff", finished / "day/a", finished / "day/b")
+    assert status == 1
+    assert "settings: differ seed: 0 and 3" in said
+    assert "code: the same packages: the same results: differ run.json: iterations.1.E_after:" in said
+    assert re.search(r"iterations/01/motion/commands.parquet: column q1: 2 of 2 rows differ, first row 0: ", said)
+    (run / "points.parquet").unlink()
+    assert "points.parquet: it is only in the first" in asked(capsys, "diff", finished / "day/a", run)[1]
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "words"),
+    [
+        ({"x": [1.0]}, {"x": [1.0]}, []),
+        ({"x": [0.0, np.nan]}, {"x": [-0.0, np.nan]}, ["column x: 1 of 2 rows differ, first row 0: 0.0 and -0.0, at most 0 apart (row 0)"]),
+        ({"x": [1.0], "y": [1]}, {"y": [1], "x": [1.0]}, ["columns are x, y and y, x"]),
+        ({"x": [1.0]}, {"x": [1]}, ["column x is double and int64"]),
+        ({"x": [1.0]}, {"x": [1.0, 2.0]}, ["it has 1 and 2 rows"]),
+        ({"x": ["a", "b"]}, {"x": ["a", "c"]}, ["column x: 1 of 2 rows differ, first row 1: 'b' and 'c'"]),
+        ({"x": [1.0, 2.0]}, {"x": [1.0, np.nan]}, ["column x: 1 of 2 rows differ, first row 1: 2.0 and nan"]),
+        ({"x": [1.0, 5.0, 2.0]}, {"x": [1.5, 5.0, 4.0]}, ["column x: 2 of 3 rows differ, first row 0: 1.0 and 1.5, at most 2 apart (row 2)"]),
+    ],
+)  # fmt: skip
+def test_tables_are_compared_by_columns_types_rows_and_bits(tmp_path, a, b, words):
+    for name, table in (("a", a), ("b", b)):
+        pd.DataFrame(table).to_parquet(tmp_path / f"{name}.parquet")
+    assert differences(tmp_path / "a.parquet", tmp_path / "b.parquet") == words
+
+
+def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, capsys):
+    status, said = asked(capsys, "lineage", run / "iterations/02/estimate/fit.parquet")
+    assert status == 0
+    for words in (
+        "made by estimate",
+        "estimate.beta=0.995",
+        "iterations/02/trial",
+        "iterations/01/motion",
+        "made by generate",
+        "numpy ",
+        "commit ",
+    ):
+        assert words in said
+    change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
+    status, said = asked(capsys, "lineage", run / "report.html")
+    assert status == 1
+    assert "iterations/01/points HAS CHANGED SINCE" in said
+    shutil.rmtree(run / "iterations/01/motion")
+    assert "iterations/01/motion IS GONE" in asked(capsys, "lineage", run / "iterations/01/trial/images/0.png")[1]
+
+
+@pytest.fixture
+def many(finished, tmp_path):
+    """Runs that ended, failed, were interrupted, are damaged, and are stale."""
+    outputs = shutil.copytree(finished, tmp_path / "outputs")
+    for name in ("failed", "interrupted", "damaged", "stale"):
+        shutil.copytree(outputs / "day/a", outputs / "day" / name)
+    for name in ("failed", "interrupted"):
+        (outputs / "day" / name / "run.json").unlink()
+    (outputs / "day/failed/failed.txt").write_text("the camera is not there\n")
+    (outputs / "day/damaged/iterations/01/estimate/fit.parquet").write_bytes(b"PAR1")
+    shutil.rmtree(outputs / "day/interrupted/iterations/02/estimate")
+    config = outputs / "day/stale/config.json"
+    config.write_text(config.read_text().replace('"points": 31', '"points": 30'))
+    return outputs
+
+
+def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
+    for to in ("runs.parquet", "runs.csv"):
+        status, said = asked(capsys, "index", many, "--to", tmp_path / to)
+        assert status == 0
+    assert "day/a" in said
+    runs = pd.read_parquet(tmp_path / "runs.parquet").set_index("run")
+    assert dict(runs["state"]) == {
+        "day/a": "ended",
+        "day/b": "ended",
+        "day/failed": "failed",
+        "day/interrupted": "incomplete",
+        "day/damaged": "damaged",
+        "day/stale": "ended",
+    }
+    assert runs.loc["day/a", "outcome"] == "missed"
+    assert runs.loc["day/failed", "said"] == "the camera is not there"
+    assert runs.loc["day/stale", "stale"] == "iterations/01/points: setting extract.points was 31, is 30"
+    assert (runs.drop("day/stale")["stale"] == "").all()
+    fits = [pd.read_parquet(many / f"day/a/iterations/{n}/estimate/fit.parquet")["after"][0] for n in ("01", "02")]
+    assert runs.loc["day/a", "best_E"] == max(fits)
+    assert runs.loc["day/a", "iterations"] == 2
+    assert 0 < runs.loc["day/a", "seconds"] < 60
+    assert runs.loc["day/a", "date"].startswith("20")
+    listed = pd.read_csv(
+        tmp_path / "runs.csv", keep_default_na=False, converters={"best_E": lambda E: float(E or "nan")}
+    )
+    pd.testing.assert_frame_equal(listed, runs.reset_index(), check_dtype=False)
+
+
+def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
+    for command in (
+        ["verify", tmp_path],
+        ["resume", tmp_path],
+        ["why", tmp_path],
+        ["diff", tmp_path, run],
+        ["lineage", tmp_path / "x"],
+        ["index", tmp_path / "x"],
+    ):
+        status, said = asked(capsys, *command)
+        assert status == 2
+        assert said.startswith("Error: ")
+        assert str(tmp_path) in said.replace(" ", "")
+    status, said = asked(capsys, "index", tmp_path, "--to", "runs.xlsx")
+    assert (status, "must end in .parquet or .csv" in said) == (2, True)
+
+
+def test_every_command_has_a_help_and_is_listed(capsys):
+    for name, module in COMMANDS.items():
+        with pytest.raises(SystemExit) as stopped:
+            module.main(["--help"])
+        assert stopped.value.code == 0
+        said = re.sub(r"\s+", " ", capsys.readouterr().out)
+        assert re.sub(r"\s+", " ", module.__doc__.splitlines()[0]) in said
+        assert f"pipeline {name}" in said
+
+
+def blocks(language):
+    """The examples of the page, in their order."""
+    return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+def test_the_examples_of_the_page_run_in_pandas(finished, tmp_path, monkeypatch, capsys):
+    outputs = shutil.copytree(finished, tmp_path / "outputs")
+    monkeypatch.chdir(outputs.parent)
+    asked(capsys, "index", "outputs", "--to", "runs.parquet")
+    assert blocks("python")
+    for code in blocks("python"):
+        known = {}
+        exec(code, known)
+        assert len(known["answer"])
+
+
+def test_the_examples_of_the_page_run_in_duckdb(finished, tmp_path, monkeypatch, capsys):
+    duckdb = pytest.importorskip("duckdb")
+    outputs = shutil.copytree(finished, tmp_path / "outputs")
+    monkeypatch.chdir(outputs.parent)
+    asked(capsys, "index", "outputs", "--to", "runs.parquet")
+    assert blocks("sql")
+    for query in blocks("sql"):
+        assert len(duckdb.sql(query).df()), query
