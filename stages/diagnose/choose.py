@@ -201,7 +201,8 @@ def _needed(court: Court, best: Causes) -> Causes:
 def earns(court: Court, without: Causes, causes: Causes) -> bool:
     """Whether a cause moves something by enough to matter, and predicts trials that it was not fitted to.
 
-    Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise.
+    Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise. Of one
+    that is somewhere only, a touch by anybody would look the same: it needs a second trial.
     """
     plain, fit = court.tried[without], court.tried[causes]
     acts = moved(court.evidence, plain, fit)
@@ -210,7 +211,8 @@ def earns(court: Court, without: Causes, causes: Causes) -> bool:
     explained = court.tried[frozenset()].cost - fit.cost
     least = max(GAIN * noisiness(court.evidence, fit), INEXACT * explained)
     alone = np.flatnonzero(acts > max(MATTERS, MAINLY * acts.max()))
-    if len(alone) == 1 and _explains(court.evidence, fit, int(alone[0])):
+    anywhere = not any(court.library[name].local for name in causes - without)
+    if len(alone) == 1 and anywhere and _explains(court.evidence, fit, int(alone[0])):
         price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))
         return plain.cost - fit.cost > least + price
     return float((court.held(without).costs - court.held(causes).costs).sum()) > least

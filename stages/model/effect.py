@@ -69,12 +69,16 @@ SLOTS: dict[str, Slot] = {
 
 
 class Effect(ABC):
-    """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect."""
+    """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
+
+    local: it is in one place only, so that trials which do not come there say nothing of it.
+    """
 
     name: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     reference: ClassVar[str]
     symmetries: ClassVar[tuple[Symmetry, ...]] = ()
+    local: ClassVar[bool] = False
 
     @staticmethod
     @abstractmethod
