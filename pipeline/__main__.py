@@ -24,7 +24,7 @@ from rich.markup import escape
 
 from data import store
 from data.schema import DataError
-from pipeline import report
+from pipeline import check, report
 from pipeline.brought import brought_along, extended_model
 from pipeline.run import Result, begin, cast, diagnose, estimate_again
 from pipeline.settings import UserError
@@ -37,6 +37,7 @@ from stages.roles import HardwareError
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 REFUSED: list[str] = []  # errors of a sweep's jobs
+COMMANDS = {"check": check.command}  # `python -m pipeline check ...`: no run, and no run folder
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
 
 
@@ -123,6 +124,8 @@ def where(block: str) -> str:
 
 def called() -> None:
     """Run, and turn what Hydra refuses into one clear message too."""
+    if sys.argv[1:2] and sys.argv[1] in COMMANDS:
+        sys.exit(COMMANDS[sys.argv[1]](sys.argv[2:]))
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
     try:
         main()
