@@ -17,7 +17,7 @@ ROUNDING = 1e-6  # [m] below which an arc length under zero is one
 @dataclass(frozen=True)
 class Rows:
     """What became of a file's rows. read: how many there were. dropped: how many could not be used, by reason.
-    unordered: how many are earlier than the row of the same trial before them."""
+    unordered: how many are earlier than the row before them of the same trial (and arc length)."""
 
     read: int
     dropped: Mapping[str, int] = field(default_factory=dict)
@@ -83,5 +83,6 @@ def sifted(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
     sieve.drop("a row twice", sieve.frame.duplicated())
     sieve.drop(f"another value at the same {', '.join(keys)}; the first is kept", sieve.frame.duplicated(keys))
     kept = sieve.frame.assign(trial=sieve.frame["trial"].map(str))
-    unordered = int((kept.groupby("trial")["t"].diff() < 0).sum())
+    series = [name for name in ("trial", "s") if name in kept]  # points may be listed place by place
+    unordered = int((kept.groupby(series)["t"].diff() < 0).sum())
     return kept.sort_values(["trial", "t"], kind="stable"), Rows(len(frame), sieve.dropped, unordered)

@@ -24,7 +24,7 @@ from rich.markup import escape
 
 from data import store
 from data.schema import DataError
-from pipeline import check, report
+from pipeline import check, draw, report
 from pipeline.brought import brought_along, extended_model
 from pipeline.run import Result, begin, cast, diagnose, estimate_again
 from pipeline.settings import UserError
@@ -37,7 +37,7 @@ from stages.roles import HardwareError
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 REFUSED: list[str] = []  # errors of a sweep's jobs
-COMMANDS = {"check": check.command}  # `python -m pipeline check ...`: no run, and no run folder
+COMMANDS = {"check": check.command, "draw": draw.command}  # `python -m pipeline check ...`: no run, and no run folder
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
 
 

@@ -80,10 +80,10 @@ def together(measured: Measured) -> Iterator[Finding]:
 
 
 def rest(measured: Measured) -> Iterator[Finding]:
-    """A string that moves from the first frame on, though it is said to be at rest."""
+    """A string that moves without the hand, though it is said to be at rest."""
     for seen in measured.with_points():
         if not seen.moving and restless(seen):
-            said = "the string moves from the first frame on, and the hand does not"
+            said = "the string moves before the hand does, or the hand never moves"
             remedy = (
                 "If it was let go or already swung, write 'initial: moving' in dataset.yaml (for one trial, under "
                 "trials); else begin the trial earlier"
@@ -92,10 +92,11 @@ def rest(measured: Measured) -> Iterator[Finding]:
 
 
 def restless(seen: Seen) -> bool:
-    """Whether the string leaves its place as soon as it is seen, and long before the hand moves."""
+    """Whether the string moves though the hand never does, or as soon as it is seen and long before the hand."""
     hand, string = seen.hand_onset, seen.string_onset
-    begun = float(seen.frame_t[0])
-    return string is not None and string - begun < EARLY and (hand is None or hand - string > EARLY)
+    if string is None or hand is None:
+        return string is not None
+    return string - float(seen.frame_t[0]) < EARLY < hand - string
 
 
 def gaps(measured: Measured) -> Iterator[Finding]:

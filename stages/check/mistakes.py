@@ -6,7 +6,7 @@ hand. Where it cannot be so, each common mistake is undone in turn; the first th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from stages.model.camera import Camera
 FRAMES = 10  # at the beginning, when the clocks matter least
 BEYOND = 1.05  # times the length, as `data.dataset.fits` has it
 APART = 0.25  # of the length: so much further from the hand than its arc length is no point of this string
+MOST = 0.8  # of the points must be possible: others may be outliers
 STRETCH = 1.5  # times as long as its arc length is no piece of it
 DENSE = 0.15  # of the length: pieces so short are nearly straight
 LENGTHS = (0.01, 20.0)  # [m] of strings that arms swing
@@ -30,7 +31,7 @@ class View:
     """The string at the beginning of a trial.
 
     t (N,) [s], s (N,) [m], xy (N, 2) [m]: its points, by time and arc length. joints (N, J) [rad] or None; hand (N, 2)
-    [m]: where the grasp is then if no joints are given. length: of the string [m].
+    [m]: where the grasp is then, where there are no joints. length: of the string [m].
     """
 
     t: np.ndarray
@@ -48,9 +49,9 @@ class View:
         return self.hand if self.joints is None else self.arm.grasp(self.joints)[:, :2]
 
     @property
-    def gap(self) -> np.ndarray:
-        """By how much points are further from the hand than their arc lengths allow, (N,) in lengths of the string."""
-        return (np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length
+    def gap(self) -> float:
+        """By how much points are further from the hand than their arc lengths allow, in lengths of the string."""
+        return float(np.quantile((np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length, MOST))
 
     @property
     def stretch(self) -> tuple[float, bool]:
@@ -71,19 +72,30 @@ class View:
             and np.max(self.s) <= BEYOND * self.length
             and ratio < STRETCH
             and (ratio > 1 / STRETCH or not dense)
-            and np.median(self.gap) < APART
+            and self.gap < APART
         )
 
+    @property
+    def strangeness(self) -> float:
+        """0 for a string that is seen to its tip, is as long as it is and begins in the hand."""
+        ratio, _ = self.stretch
+        return float(abs(np.log(ratio)) + abs(np.log(np.max(self.s) / self.length)) + max(self.gap, 0.0))
 
-def view(seen: Seen, camera: Camera) -> View:
-    """The first frames of a trial."""
+
+def views(seen: Seen, camera: Camera) -> tuple[View, View]:
+    """The first frames of a trial, with the hand where the clocks say, and where it begins if the clocks are wrong."""
     first = seen.points[seen.points["t"] <= seen.frame_t[:FRAMES][-1]]
-    t = first["t"].to_numpy()
-    at = [np.interp(t, seen.hand_t, column) for column in (seen.pose if seen.joints is None else seen.joints).T]
-    joints = None if seen.joints is None else np.stack(at, axis=-1)
-    hand = np.stack(at[:2], axis=-1)
-    s, xy = first["s"].to_numpy(), first[["x", "y"]].to_numpy()
-    return View(t, s, xy, joints, hand, seen.length, seen.arm, camera)
+    t, s, xy = first["t"].to_numpy(), first["s"].to_numpy(), first[["x", "y"]].to_numpy()
+    moved = seen.pose[:, :2] if seen.joints is None else seen.joints
+    now = np.stack([np.interp(t, seen.hand_t, column) for column in moved.T], axis=-1)
+    begun = np.broadcast_to(moved[0], now.shape)
+    if seen.joints is None:
+        one, other = (View(t, s, xy, None, hand, seen.length, seen.arm, camera) for hand in (now, begun))
+    else:
+        one, other = (
+            View(t, s, xy, hand, np.empty((len(t), 0)), seen.length, seen.arm, camera) for hand in (now, begun)
+        )
+    return one, other
 
 
 @dataclass(frozen=True)
@@ -196,38 +208,44 @@ MISTAKES = (
 
 
 def mistakes(measured: Measured) -> Iterator[Finding]:
-    """A string that cannot be, and the mistake that would explain it."""
-    for seen in measured.with_points():
-        here = view(seen, measured.camera)
-        if here.possible:
-            continue
-        made = next((mistake for mistake in MISTAKES if mistake.undone(here).possible), None)
-        if made is None:
-            yield from unexplained(measured, seen, here)
-            continue
-        file = made.table if "." in made.table else measured.file(made.table)
-        yield Finding(
-            Severity.ERROR, file, made.field, f"{made.said} as it seems: {shown(here)}", made.remedy, (seen.name,)
-        )
+    """Strings that cannot be, and the mistake that would explain all of them best."""
+    looked = {seen.name: views(seen, measured.camera) for seen in measured.with_points()}
+    strange = {name: both for name, both in looked.items() if not any(here.possible for here in both)}
+    if not strange:
+        return
+    explained = {n: left for n, m in enumerate(MISTAKES) if (left := left_strange(m, strange.values())) is not None}
+    if not explained:
+        yield from (unexplained(measured, name, both[0]) for name, both in strange.items())
+        return
+    made = MISTAKES[min(explained, key=lambda number: explained[number])]
+    file = made.table if "." in made.table else measured.file(made.table)
+    said = f"{made.said} as it seems: {shown(next(iter(strange.values()))[0])}"
+    yield Finding(Severity.ERROR, file, made.field, said, made.remedy, tuple(strange))
+
+
+def left_strange(mistake: Mistake, strange: Iterable[tuple[View, View]]) -> float | None:
+    """How strange strings still are if a mistake is undone, or None if one of them still cannot be."""
+    left = [[v.strangeness for here in both if (v := mistake.undone(here)).possible] for both in strange]
+    return sum(min(each) for each in left) if all(left) else None
 
 
 def shown(here: View) -> str:
     """What is impossible, in numbers."""
     ratio, _ = here.stretch
-    middle = float(np.median(here.gap + here.s / here.length)) * here.length
+    far = float(np.median(np.linalg.norm(here.xy - here.grasp, axis=1)))
     return (
         f"s goes up to {np.max(here.s):.4g} on a string of {here.length:.4g} m, neighbouring points are {ratio:.4g} "
-        f"times as far apart as their arc lengths, and at s = {np.median(here.s):.4g} m points are {middle:.4g} m from "
+        f"times as far apart as their arc lengths, and at s = {np.median(here.s):.4g} m points are {far:.4g} m from "
         "the grasp"
     )
 
 
-def unexplained(measured: Measured, seen: Seen, here: View) -> Iterator[Finding]:
+def unexplained(measured: Measured, name: str, here: View) -> Finding:
     """An impossible string that no common mistake explains. One that is merely too short is left out of a run."""
     nearest = here.s == here.s.min()
     off = np.median((here.xy - here.grasp)[nearest], axis=0)
     severity = Severity.ERROR
-    if np.median(here.gap) >= APART:
+    if here.gap >= APART:
         said = f"the point at s = {here.s.min():.3f} m is ({off[0]:.3f}, {off[1]:.3f}) m from the grasp"
         remedy = (
             "Give points and hand in one frame of reference: see arm.base and camera.origin_px in dataset.yaml, and "
@@ -239,7 +257,7 @@ def unexplained(measured: Measured, seen: Seen, here: View) -> Iterator[Finding]
         remedy = "Correct string.length in dataset.yaml, or s"
     else:
         said, remedy = shown(here), "Look at the units of s, x, y and string.length: all are metres"
-    yield Finding(severity, measured.file("points"), "s, x, y", said, remedy, (seen.name,))
+    return Finding(severity, measured.file("points"), "s, x, y", said, remedy, (name,))
 
 
 def angles(measured: Measured) -> Iterator[Finding]:
