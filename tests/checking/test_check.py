@@ -175,18 +175,16 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(dirty, 
     assert "python -m pipeline check" in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    "kind", [kind for kind in CERTAIN if kind not in ("theta in degrees", "camera in ms", "arm in ms")]
-)
-def test_tips_alone_are_enough_to_see_it_or_nothing_is_said(dirty, tmp_path, kind):
-    """With the tip alone much is possible; but what is said must be the right place, or the frame of reference."""
-    spoil, place, _ = CERTAIN[kind]
+AT_THE_TIP = ("points in mm", "points in px", "s in mm", "length in mm", "links in mm", "poses in mm", "degrees")
+
+
+@pytest.mark.parametrize("kind", AT_THE_TIP)
+def test_tips_alone_are_enough_to_refuse_it(dirty, tmp_path, kind):
+    """With the tip alone another mistake may explain it too; that something is wrong is certain."""
+    spoil, _, _ = CERTAIN[kind]
     dirty.points = dirty.points[dirty.points["s"] > 0.99 * dirty.length].reset_index(drop=True)
     spoil(dirty)
-    places = {f"{f.file} {f.field}" for f in found(dirty.write(tmp_path)) if f.severity is Severity.ERROR}
-    if kind in ("points in mm", "points in px", "s in mm", "length in mm", "links in mm", "poses in mm", "degrees"):
-        assert places
-    print(kind, places, place)
+    assert any(f.severity is Severity.ERROR for f in found(dirty.write(tmp_path)))
 
 
 def offset(seconds):
@@ -211,12 +209,10 @@ def let_go(dirty):
 
 
 def held(dirty):
-    times = np.sort(dirty.points["t"].unique())
     number = dirty.points.groupby("trial")["t"].rank("dense").astype(int)
     for column in ("x", "y"):
         again = dirty.points.groupby(["trial", "s"])[column].shift(1)
         dirty.points[column] = again.where((number % 4 == 0) & again.notna(), dirty.points[column])
-    assert len(times)
 
 
 def many_lost(dirty):
@@ -311,9 +307,8 @@ def test_the_sample_is_clean_as_joints_and_as_poses_and_in_csv(dirty, tmp_path):
 
 
 def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
-    dirty.points = pd.concat([dirty.points, dirty.points.iloc[:40]]).sample(frac=1, random_state=3)
-    dirty.points["held"] = False
-    dirty.points.iloc[5, dirty.points.columns.get_loc("y")] = np.nan
+    dirty.points.loc[100, "y"] = np.nan
+    dirty.points = pd.concat([dirty.points, dirty.points.iloc[:40]]).sample(frac=1, random_state=3).assign(held=False)
     dirty.with_poses()
     dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))  # a direction may be wrapped
     told = found(dirty.write(tmp_path))
@@ -378,5 +373,3 @@ def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_
     told = findings(here)
     assert all(f.severity is not Severity.ERROR for f in told)
     assert {"string.length", "s", "t"} <= {f.field for f in told}
-    long = replace(here, length=1.0)
-    assert len(findings(long)) >= 2
