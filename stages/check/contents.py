@@ -25,9 +25,11 @@ BLOCKS: Mapping[str, type[Block]] = {"string": StringBlock, "noise": NoiseBlock,
 def rows(measured: Measured) -> Iterator[Finding]:
     """Rows that cannot be used, or were not in order."""
     for file, what in measured.data.rows.items():
-        for reason, count in what.dropped.items():
-            severity = Severity.WARNING if count > MUCH * what.read else Severity.NOTE
-            said = f"{count} of {what.read} rows left out: {reason}"
+        if what.dropped:
+            lost = sum(what.dropped.values())
+            reasons = "; ".join(f"{count}: {reason}" for reason, count in what.dropped.items())
+            severity = Severity.WARNING if lost > MUCH * what.read else Severity.NOTE
+            said = f"{lost} of {what.read} rows are left out ({reasons})"
             yield Finding(severity, file, "", said, "Correct them if they should count")
         if what.unordered:
             said = f"{what.unordered} rows are earlier than the row before them"
