@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,14 @@ import numpy as np
 import pandas as pd
 import yaml
 
+from data.about import FORMAT, NAME, about
 from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from data.films import Shots, filmed, listed, videos
 from data.images import ImageFiles, Images
+from data.rows import Rows, from_csv, sifted
 from data.schema import Column, DataError, Table
 from data.store import content_hash, read_table, write_table, write_text
 
-FORMAT = 1
-BLOCKS = ("string", "noise", "arm", "camera", "trials")  # of dataset.yaml
 TRIAL = Column("trial", "", "name of the trial", "text")
 PUBLISHED = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours
 BEYOND = 1.05  # times the string's length: points further along are another string's
@@ -40,7 +40,8 @@ def with_trial(table: Table) -> Table:
 @dataclass(frozen=True)
 class Dataset:
     """trials: what can be used, by name. films: their frames, where there are any. rejected: why the others
-    cannot. about: dataset.yaml. hashes: of every file that was read, by name."""
+    cannot. about: dataset.yaml. hashes: of every file that was read, by name. rows: what became of the rows of the
+    tables that were measured, by file."""
 
     folder: Path
     trials: Mapping[str, Observation]
@@ -48,6 +49,7 @@ class Dataset:
     rejected: Mapping[str, str]
     about: Mapping[str, Any]
     hashes: Mapping[str, str]
+    rows: Mapping[str, Rows] = field(default_factory=dict)
 
 
 def publish(
@@ -72,7 +74,7 @@ def publish(
     for table, parts in tables.items():
         whole = pd.concat([part.assign(trial=name) for name, part in parts.items()], ignore_index=True)
         write_table(with_trial(table), whole, folder / f"{table.name}.parquet", origin)
-    write_text(folder / "dataset.yaml", yaml.safe_dump({"format": FORMAT, **known}, sort_keys=False))
+    write_text(folder / NAME, yaml.safe_dump({"format": FORMAT, **known}, sort_keys=False))
 
 
 def _placed(frames: pd.DataFrame, place: Path) -> pd.DataFrame:
@@ -84,13 +86,14 @@ def read(folder: Path) -> Dataset:
     if not folder.is_dir():
         raise DataError(f"trials={folder}: there is no such folder. Name a run's folder or one in the data format.")
     known = about(folder)
-    shots = _shots(folder, known)
+    rows: dict[str, Rows] = {}
+    shots = _shots(folder, known, rows)
     motion_table = ARM if _find(folder, "arm") else GRASP
-    motion = _read(motion_table, folder)
-    points, readings, masks = _seen(folder, known, need_points=not shots)
+    motion = _read(motion_table, folder, rows)
+    points, readings, masks = _seen(folder, known, rows, need_points=not shots)
     trials, films, rejected = {}, {}, {}
     names = sorted({*motion["trial"], *shots, *points["trial"]})
-    moving = _moving(folder, known, names)
+    moving = _moving(known, names)
     for name in names:
         moved = {motion_table.name: _of(motion, name)}
         parts = [_of(frame, name) for frame in (points, readings, masks)]
@@ -102,13 +105,13 @@ def read(folder: Path) -> Dataset:
         trials[name] = replace(Observation(name, *parts, **moved), moving=name in moving)
         if name in shots:
             films[name] = Film(*shots[name], **moved)
-    return Dataset(folder, trials, films, rejected, known, _hashes(folder, shots))
+    return Dataset(folder, trials, films, rejected, known, _hashes(folder, shots), rows)
 
 
-def _seen(folder: Path, known: Mapping[str, Any], need_points: bool) -> list[pd.DataFrame]:
+def _seen(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows], need_points: bool) -> list[pd.DataFrame]:
     """Points, readings and masks of all trials; empty what is not there, but for points that are needed."""
     points, readings, masks = (
-        _read(table, folder)
+        _read(table, folder, rows)
         if _find(folder, table.name) or (table is POINTS and need_points)
         else with_trial(table).empty()
         for table in (POINTS, READINGS, MASKS)
@@ -122,26 +125,14 @@ def _with_sigma(points: pd.DataFrame, known: Mapping[str, Any]) -> pd.DataFrame:
     return points if sigma is None or "sigma" in points else points.assign(sigma=float(sigma))
 
 
-def _moving(folder: Path, known: Mapping[str, Any], names: Iterable[str]) -> set[str]:
+def _moving(known: Mapping[str, Any], names: Iterable[str]) -> set[str]:
     """Which trials begin with the string in motion: as dataset.yaml says of one, or else of all."""
-    own = {str(name): block for name, block in (known.get("trials") or {}).items()}
-    said = {}
-    for name in names:
-        block = own.get(name) or {}
-        if not isinstance(block, dict):
-            raise DataError(
-                f"{folder / 'dataset.yaml'}: trials.{name} is {block!r}; it must hold names and values. Correct it."
-            )
-        said[name] = block.get("initial", known.get("initial", "rest"))
-        if said[name] not in ("rest", "moving"):
-            raise DataError(
-                f"{folder / 'dataset.yaml'}: initial is {said[name]!r} (trial {name}); it must be 'rest' or 'moving'. "
-                "Correct it."
-            )
+    own = {str(name): block or {} for name, block in (known.get("trials") or {}).items()}
+    said = {name: own.get(name, {}).get("initial", known.get("initial", "rest")) for name in names}
     return {name for name, begins in said.items() if begins == "moving"}
 
 
-def _shots(folder: Path, known: Mapping[str, Any]) -> dict[str, Shots]:
+def _shots(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows]) -> dict[str, Shots]:
     """Times and images of each trial that has any; raises DataError where points must be made of them and cannot."""
     camera = known.get("camera") or {}
     found = videos(folder)
@@ -153,7 +144,7 @@ def _shots(folder: Path, known: Mapping[str, Any]) -> dict[str, Shots]:
             "camera had: fps as filmed (a video may be played slower), px_per_m, and the pixel of the origin."
         )
     if _find(folder, FRAMES.name):
-        return listed(folder, _read(FRAMES, folder))
+        return listed(folder, _read(FRAMES, folder, rows))
     return filmed(folder, float(camera["fps"])) if found and "fps" in camera else {}
 
 
@@ -167,25 +158,6 @@ def _hashes(folder: Path, shots: Mapping[str, Shots]) -> dict[str, str]:
 
 def _files(images: Images) -> tuple[str, ...]:
     return images.files if isinstance(images, ImageFiles) else ()
-
-
-def about(folder: Path) -> dict[str, Any]:
-    """What dataset.yaml says, or nothing where it is missing; raises DataError where it is damaged."""
-    path = folder / "dataset.yaml"
-    if not path.exists():
-        return {}
-    try:
-        known = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except yaml.YAMLError as error:
-        raise DataError(f"{path}: not valid YAML ({error}). Correct the line it names.") from error
-    if not isinstance(known, dict):
-        raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
-    if known.get("format", FORMAT) != FORMAT:
-        raise DataError(f"{path}: format is {known['format']!r}; this version reads {FORMAT}. Convert it.")
-    for block in BLOCKS:
-        if not isinstance(known.get(block, {}), dict):
-            raise DataError(f"{path}: {block} is {known[block]!r}; it must hold names and values. Correct it.")
-    return known
 
 
 def settings(path: Path) -> dict[str, Any]:
@@ -203,8 +175,8 @@ def _find(folder: Path, name: str) -> Path | None:
     return next((folder / f"{name}{end}" for end in (".parquet", ".csv") if (folder / f"{name}{end}").exists()), None)
 
 
-def _read(table: Table, folder: Path) -> pd.DataFrame:
-    """One table, without rows that cannot be used and without duplicates, in time order."""
+def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
+    """One table in the order of time, without rows that cannot be used; what became of those goes into `rows`."""
     path = _find(folder, table.name)
     if path is None:
         instead = {POINTS: ", nor frames or videos", GRASP: ", nor arm.parquet or arm.csv"}.get(table, "")
@@ -212,13 +184,13 @@ def _read(table: Table, folder: Path) -> pd.DataFrame:
             f"{folder}: neither {table.name}.parquet nor {table.name}.csv{instead}. Add it, with column 'trial'."
         )
     whole = with_trial(table)
-    frame = whole.check(pd.read_csv(path), str(path)) if path.suffix == ".csv" else read_table(whole, path)
-    numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional and c.unit]
-    if table in (ARM, GRASP, POINTS, FRAMES):  # of the others NaN is a value
-        frame = frame[np.isfinite(frame[numbers]).all(axis=1)]
-        keys = ["trial", "t", "s"] if table is POINTS else ["trial", "t"]
-        frame = frame.drop_duplicates(keys)
-    return frame.sort_values(["trial", "t"], kind="stable").reset_index(drop=True)
+    frame = from_csv(whole, path) if path.suffix == ".csv" else read_table(whole, path)
+    if table in (READINGS, MASKS):  # of these NaN is a value
+        return frame.sort_values(["trial", "t"], kind="stable").reset_index(drop=True)
+    if table is FRAMES:
+        frame = frame.assign(file=frame["file"].where([(folder / str(file)).is_file() for file in frame["file"]]))
+    kept, rows[path.name] = sifted(whole, frame)
+    return kept.reset_index(drop=True)
 
 
 def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:

@@ -14,12 +14,10 @@ Shots = tuple[np.ndarray, Images]
 
 
 def listed(folder: Path, frames: pd.DataFrame) -> dict[str, Shots]:
-    """Times (F,) [s] and images by trial. frames: columns trial, t, file, in the order of time; rows without their
-    file are passed over."""
-    there = frames[[(folder / file).is_file() for file in frames["file"]]]
+    """Times (F,) [s] and images by trial. frames: columns trial, t, file, in the order of time."""
     return {
         str(name): (rows["t"].to_numpy(), ImageFiles(folder, tuple(rows["file"])))
-        for name, rows in there.groupby("trial")
+        for name, rows in frames.groupby("trial")
     }
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 
@@ -78,12 +77,20 @@ class Table:
 
     def _typed(self, series: pd.Series, column: Column, source: str) -> pd.Series:
         try:
-            if column.kind == "bool" and pd.api.types.infer_dtype(series, skipna=True) == "string":
-                raise ValueError("give true or false")  # else any text counts as true
+            if column.kind == "bool":
+                return self._truth(series)
             return series.astype(PANDAS_TYPES[column.kind])
         except (ValueError, TypeError) as error:
-            bad = next((v for v in series if not isinstance(v, (int, float, bool, np.number))), series.iloc[0])
+            no_number = pd.to_numeric(series, errors="coerce").isna() & series.notna()
+            bad = series[no_number].iloc[0] if no_number.any() else series.iloc[0]
             raise DataError(
                 f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
                 f"found {bad!r} ({error}). Correct the value or remove the row."
             ) from error
+
+    @staticmethod
+    def _truth(series: pd.Series) -> pd.Series:
+        """True and false; what is missing is false."""
+        if any(isinstance(value, str) for value in series):
+            raise ValueError("give true or false")  # else any text counts as true
+        return series.where(series.notna(), False).astype("bool")

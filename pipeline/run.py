@@ -18,6 +18,8 @@ from data.artifacts import Diagnosis, Motion, Observation, Points
 from data.schema import DataError
 from pipeline.steps import Past
 from pipeline.world import World
+from stages.check.check import refuse
+from stages.check.measured import Measured
 from stages.judge import Verdict, judge
 
 
@@ -183,7 +185,9 @@ def _held_out(data: dataset.Dataset) -> tuple[str, ...]:
 
 def _usable(world: World, trials: Path) -> dataset.Dataset:
     """Stored trials that fit this string; raises DataError where there are none."""
-    data = dataset.fits(dataset.read(trials), world.string.length)
+    read = dataset.read(trials)
+    refuse(Measured(read, world.arm, world.camera, world.string.length))
+    data = dataset.fits(read, world.string.length)
     if not data.trials:
         reasons = _reasons(data.rejected) or "it holds no trial"
         raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")

@@ -92,7 +92,7 @@ def test_a_trial_begins_at_rest_unless_dataset_yaml_says_otherwise(tmp_path):
     assert moving({"trials": {"b": {"initial": "moving", "role": "held_out"}}}) == [False, True]
     assert moving({"initial": "moving", "trials": {"a": {"initial": "rest"}, "b": None}}) == [False, True]
     for wrong in ({"initial": True}, {"trials": {"b": {"initial": "flying"}}}):
-        with pytest.raises(DataError, match=r"dataset\.yaml: initial is .* it must be 'rest' or 'moving'"):
+        with pytest.raises(DataError, match=r"dataset\.yaml: .*initial is .* it must be 'rest' or 'moving'"):
             moving(wrong)
     with pytest.raises(DataError, match=r"dataset\.yaml: trials\.b is 'moving'; it must hold names and values"):
         moving({"trials": {"b": "moving"}})

@@ -13,6 +13,8 @@ from hardware.virtual.blind.disguise import disguised
 from hardware.virtual.blind.hidden import hidden
 from hardware.virtual.outside import causes
 from hardware.virtual.outside.vibration import Vibration
+from stages.check.check import findings
+from stages.check.measured import Measured
 from stages.model.effects.camera_rotation import CameraRotation
 from stages.model.library import library, named
 from stages.model.string import BASE
@@ -83,12 +85,13 @@ def test_the_same_seed_is_the_same_bench_and_another_is_not(drawn, arm, camera, 
 
 
 @pytest.mark.parametrize("seed", [DRIFT, PAIR])
-def test_the_dataset_can_be_read_and_does_not_tell(drawn, seed, tmp_path):
+def test_the_dataset_can_be_read_and_does_not_tell(drawn, seed, arm, camera, tmp_path):
     bench = drawn(seed)
     bench.write(tmp_path / "data")
     bench.envelope(tmp_path / "envelope.json")
     dataset = read(tmp_path / "data")
     assert not dataset.rejected
+    assert findings(Measured(dataset, arm, camera, bench.scene.length)) == []  # no false alarm
     assert 3 <= len(dataset.trials) <= 5
     for trial in dataset.trials.values():
         times = np.unique(trial.points["t"])

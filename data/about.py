@@ -1,0 +1,108 @@
+"""dataset.yaml: what is said about a dataset beside its tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from data.schema import DataError
+
+FORMAT = 1
+NAME = "dataset.yaml"
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+UNSET: Any = None  # of a key that may be left out, but must hold a value where it is there
+MUST = {
+    "model_type": "it must hold names and values",
+    "dict_type": "it must hold names and values",
+    "literal_error": "it must be {expected}",
+    "greater_than": "it must be above {gt}",
+    "float_parsing": "it must be a number, without a unit",
+    "float_type": "it must be a number",
+}
+
+
+class Block(BaseModel):
+    """A block whose unknown keys are kept and ignored."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class StringBlock(Block):
+    """length: grasp to tip [m]. mass: [kg]."""
+
+    length: Positive = UNSET
+    mass: Positive = UNSET
+
+
+class NoiseBlock(Block):
+    """point_sigma: one standard deviation of a measured coordinate [m]."""
+
+    point_sigma: Positive = UNSET
+
+
+class ArmBlock(Block):
+    """links: [m], base first. base: where joint 1 sits [m]."""
+
+    links: Annotated[list[Positive], Field(min_length=3, max_length=3)] = UNSET
+    base: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
+
+
+class CameraBlock(Block):
+    """fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the world's origin [px]."""
+
+    fps: Positive = UNSET
+    width: Annotated[int, Field(gt=0)] = UNSET
+    height: Annotated[int, Field(gt=0)] = UNSET
+    px_per_m: Positive = UNSET
+    origin_px: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
+
+
+class TrialBlock(Block):
+    """role: held_out trials measure the gain. initial: whether the string rests when the trial begins."""
+
+    role: str | None = None
+    initial: Literal["rest", "moving"] = UNSET
+
+
+class About(Block):
+    """The whole file."""
+
+    format: Literal[1] = 1
+    string: StringBlock = UNSET
+    noise: NoiseBlock = UNSET
+    arm: ArmBlock = UNSET
+    camera: CameraBlock = UNSET
+    trials: dict[str | int | float, TrialBlock | None] = UNSET
+    initial: Literal["rest", "moving"] = UNSET
+
+
+def about(folder: Path) -> dict[str, Any]:
+    """What dataset.yaml says, or nothing where it is missing; raises DataError naming the field and the remedy."""
+    path = folder / NAME
+    if not path.exists():
+        return {}
+    try:
+        known = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except (yaml.YAMLError, ValueError, OSError) as error:
+        raise DataError(f"{path}: not valid YAML ({error}). Correct the line it names.") from error
+    if not isinstance(known, dict):
+        raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
+    if known.get("format", FORMAT) != FORMAT:
+        raise DataError(f"{path}: format is {known['format']!r}; this version reads {FORMAT}. Convert it.")
+    try:
+        About.model_validate(known)
+    except ValidationError as error:
+        raise DataError(f"{path}: {_first(error)}. Correct it; all is in metres, seconds and radians.") from error
+    return known
+
+
+def _first(error: ValidationError) -> str:
+    """The first thing that is wrong: field, value and what it must be."""
+    fault = error.errors()[0]
+    place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+    must = MUST.get(fault["type"], fault["msg"][:1].lower() + fault["msg"][1:])
+    return f"{place} is {fault['input']!r}; {must.format(**fault.get('ctx', {}))}"

@@ -1,0 +1,88 @@
+"""Rows of measured tables: read from CSV, and sifted so that what cannot be used is counted, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from data.schema import DataError, Table
+
+ROUNDING = 1e-6  # [m] below which an arc length under zero is one
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What became of a file's rows. read: how many there were. dropped: how many could not be used, by reason.
+    unordered: how many are earlier than the row before them of the same trial (and arc length)."""
+
+    read: int
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    unordered: int = 0
+
+
+def from_csv(table: Table, path: Path) -> pd.DataFrame:
+    """A table from CSV; raises DataError naming the file, the column and the remedy.
+
+    What is no number in a column of numbers is NaN, unless nothing in it is one. Names keep their leading zeros.
+    """
+    texts = {column.name: str for column in table.columns if column.kind == "text"}
+    try:
+        frame = pd.read_csv(path, dtype=texts, skipinitialspace=True)
+    except (ValueError, OSError) as error:
+        raise DataError(
+            f"{path}: cannot be read as CSV ({error}). Save it as plain text, UTF-8, with commas."
+        ) from error
+    frame.columns = frame.columns.str.strip()
+    if len(frame.columns) == 1 and len(table.columns) > 1:
+        raise DataError(
+            f"{path}: it has one column, {frame.columns[0]!r}. Separate columns by commas, with points in decimals."
+        )
+    for column in table.columns:
+        if column.kind == "float" and column.name in frame:
+            numbers = pd.to_numeric(frame[column.name], errors="coerce")
+            if numbers.notna().any():
+                frame[column.name] = numbers
+    return table.check(frame, str(path))
+
+
+class Sieve:
+    """Takes rows out of a table and counts them by reason."""
+
+    def __init__(self, frame: pd.DataFrame) -> None:
+        self.frame = frame
+        self.dropped: dict[str, int] = {}
+
+    def drop(self, reason: str, bad: pd.Series) -> None:
+        """Take out the rows of the present frame where `bad` is true."""
+        if bad.any():
+            self.dropped[reason] = int(bad.sum())
+            self.frame = self.frame[~bad]
+
+
+def sifted(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
+    """Rows that can be used, in the order of trial and time, and what became of the others.
+
+    table: with the leading column `trial`. frame: of that table, as it was read.
+    """
+    sieve = Sieve(frame)
+    for column in table.columns:
+        if column.kind == "text":
+            sieve.drop(f"no {column.name}", sieve.frame[column.name].isna())
+    numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional]
+    for name in numbers:
+        sieve.drop(f"{name} is not a finite number", ~np.isfinite(sieve.frame[name]))
+    if "s" in numbers:
+        sieve.drop("s is below 0", sieve.frame["s"] < -ROUNDING)
+    if "sigma" in sieve.frame:
+        sieve.drop("sigma is not above 0", ~(sieve.frame["sigma"] > 0))
+    keys = [name for name in ("trial", "t", "s") if name in sieve.frame]
+    sieve.drop("a row twice", sieve.frame.duplicated())
+    sieve.drop(f"another value at the same {', '.join(keys)}; the first is kept", sieve.frame.duplicated(keys))
+    kept = sieve.frame.assign(trial=sieve.frame["trial"].map(str))
+    series = [name for name in ("trial", "s") if name in kept]  # points may be listed place by place
+    unordered = int((kept.groupby(series)["t"].diff() < 0).sum())
+    return kept.sort_values(["trial", "t"], kind="stable"), Rows(len(frame), sieve.dropped, unordered)

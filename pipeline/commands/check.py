@@ -1,0 +1,124 @@
+"""Say what is in a folder of measured data, and whether it can be trusted."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from data import dataset
+from data.schema import DataError
+from pipeline.brought import brought_along
+from pipeline.settings import UserError, build
+from stages.check.measured import Measured
+from stages.check.overview import overview
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+USABLE, NOT_USABLE = 0, 1  # exit status
+COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Look at a folder and say what was found; the exit status."""
+    asked = parser().parse_args(arguments)
+    console = Console()
+    try:
+        found = overview(measured(asked.folder, asked.settings))
+    except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
+        found = unreadable(asked.folder, str(error))
+    if asked.json:
+        print(json.dumps(found, indent=2))
+    else:
+        show(found, console)
+    return USABLE if found["usable"] else NOT_USABLE
+
+
+def parser() -> argparse.ArgumentParser:
+    """Of the command's arguments."""
+    made = argparse.ArgumentParser("python -m pipeline check", description=__doc__, allow_abbrev=False)
+    made.add_argument("folder", type=Path, help="measured data, or a run's folder")
+    made.add_argument("settings", nargs="*", help="as for a run, such as string.length=0.4 or arm=mine")
+    made.add_argument("--json", action="store_true", help="print all that was found as JSON")
+    return made
+
+
+def measured(folder: Path, overrides: Sequence[str]) -> Measured:
+    """The data in a folder, with the arm, camera and string that a run would have."""
+    given = {override.split("=")[0].lstrip("+~") for override in overrides}
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        config = compose("config", list(overrides))
+    for name, value in brought_along(folder, given).items():
+        if name not in given:
+            OmegaConf.update(config, name, value, merge=False, force_add=True)
+    blocks: Any = OmegaConf.to_container(config)
+    arm = build(Arm, blocks["arm"], "arm", "conf/arm")
+    camera = build(Camera, blocks["camera"], "camera", "conf/camera")
+    return Measured(dataset.read(folder), arm, camera, float(blocks["string"]["length"]))
+
+
+def unreadable(folder: Path, reason: str) -> dict[str, Any]:
+    """What is known of data that cannot be read."""
+    finding = {"severity": "error", "file": "", "field": "", "said": reason, "remedy": "", "trials": []}
+    return {"format": 1, "folder": str(folder), "usable": False, "trials": [], "rejected": {}, "findings": [finding]}
+
+
+def show(found: Mapping[str, Any], console: Console) -> None:
+    """In plain words on the terminal."""
+    if found["trials"]:
+        console.print(f"{found['folder']}: a string of {found['string_length_m']:.3f} m", soft_wrap=True)
+        console.print(trials(found["trials"]))
+    for finding in found["findings"]:
+        place = " ".join(filter(None, (finding["file"], finding["field"])))
+        where = f" (trial {listed(finding['trials'])})" if finding["trials"] else ""
+        remedy = f" {finding['remedy']}." if finding["remedy"] else ""
+        words = f"{place}{where}: {finding['said']}." if place or where else finding["said"] + "."
+        colour, severity = COLOURS[finding["severity"]], finding["severity"]
+        console.print(f"[{colour}]{severity}[/] {escape(words + remedy)}", highlight=False, soft_wrap=True)
+    console.print(conclusion(found), soft_wrap=True)
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first few names."""
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def conclusion(found: Mapping[str, Any]) -> str:
+    """The last line."""
+    count = {s: sum(f["severity"] == s for f in found["findings"]) for s in COLOURS}
+    told = ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n) or "nothing looks wrong"
+    if not found["usable"]:
+        return f"[bold red]Not usable[/]: {told}."
+    trials = f"{len(found['trials'])} trial{'s' if len(found['trials']) > 1 else ''}"
+    return f"[bold green]Usable[/]: {trials}; {told}."
+
+
+def trials(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """A line for each trial that can be used."""
+    table = Table(box=None, pad_edge=False)
+    headings = ("trial", "seen [s]", "with arm [s]", "frames", "per s", "arm per s", "points", "noise [mm]", "hand [m]")
+    for heading in headings:
+        table.add_column(escape(heading), justify="left" if heading == "trial" else "right")
+    table.add_column("begins")
+    for each in rows:
+        rates = (number(each[name], "{:.0f}") for name in ("fps", "hand_rate", "points"))
+        noise = number(None if each["noise"] is None else each["noise"] * 1e3, "{:.2f}")
+        times = (f"{each['duration']:.2f}", f"{each['common']:.2f}", str(each["frames"]))
+        table.add_row(each["trial"], *times, *rates, noise, f"{each['path']:.2f}", each["begins"])
+    return table
+
+
+def number(value: float | None, form: str) -> str:
+    """A number, or a dash where it is not known."""
+    return "-" if value is None else form.format(value)

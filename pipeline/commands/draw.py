@@ -1,0 +1,53 @@
+"""Draw a virtual bench that hides a cause: its measured data, and apart from them what is really so."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from hardware.virtual.blind import draw
+from pipeline.commands.check import CONF
+from pipeline.settings import build
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Draw the bench of a seed; its data go into a folder, what it hides into a file elsewhere. The exit status."""
+    asked = parser().parse_args(arguments)
+    console = Console(stderr=True)
+    with console.status("drawing a bench"):
+        bench = draw(asked.seed, *bench_of_conf())
+    bench.write(asked.folder)
+    bench.envelope(asked.envelope)
+    console.print(f"{asked.folder}: {len(bench.scene.casts)} trials. What they hide is in {asked.envelope}.")
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """Of the command's arguments."""
+    made = argparse.ArgumentParser("python -m pipeline draw", description=__doc__, allow_abbrev=False)
+    made.add_argument("seed", type=natural, help="from which string, casts and cause are drawn")
+    made.add_argument("folder", type=Path, help="for the measured data")
+    made.add_argument("envelope", type=Path, help="file for what is really so; keep it out of the folder")
+    return made
+
+
+def natural(text: str) -> int:
+    """A whole number from 0."""
+    if not text.isdecimal():
+        raise ValueError(text)
+    return int(text)
+
+
+def bench_of_conf() -> tuple[Arm, Camera]:
+    """Arm and camera as configured."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        blocks: Any = OmegaConf.to_container(compose("config"))
+    return build(Arm, blocks["arm"], "arm", "conf/arm"), build(Camera, blocks["camera"], "camera", "conf/camera")

@@ -1,0 +1,61 @@
+"""All checks of measured data, and what follows from them. A check more is a function more in CHECKS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+from data.schema import DataError
+from stages.check import clocks, contents, mistakes, motion
+from stages.check.finding import Finding, Severity
+from stages.check.measured import Measured
+
+Check = Callable[[Measured], Iterator[Finding]]
+CHECKS: tuple[Check, ...] = (
+    mistakes.mistakes,
+    mistakes.angles,
+    clocks.unit,
+    motion.wrapped,
+    contents.noise,
+    contents.rejected,
+    contents.length,
+    contents.arm,
+    contents.names,
+    contents.roles,
+    contents.one_trial,
+    clocks.rest,
+    clocks.together,
+    clocks.overlap,
+    clocks.rate,
+    motion.hangs,
+    motion.frozen,
+    motion.held,
+    motion.still,
+    contents.rows,
+    clocks.gaps,
+)
+
+
+def findings(measured: Measured) -> list[Finding]:
+    """What all checks find, the worst first; the same in several trials once."""
+    found = merged(finding for check in CHECKS for finding in check(measured))
+    return sorted(found, key=lambda finding: list(Severity).index(finding.severity))
+
+
+def merged(found: Iterable[Finding]) -> list[Finding]:
+    """Findings of the same place with the same remedy as one, in the words of the first."""
+    whole: dict[tuple[str, ...], Finding] = {}
+    for finding in found:
+        key = (finding.severity, finding.file, finding.field, finding.remedy)
+        first = whole.setdefault(key, finding)
+        whole[key] = replace(first, trials=tuple(dict.fromkeys((*first.trials, *finding.trials))))
+    return list(whole.values())
+
+
+def refuse(measured: Measured) -> None:
+    """Raise DataError where something is certainly wrong."""
+    errors = [finding for finding in findings(measured) if finding.severity is Severity.ERROR]
+    if errors:
+        place = measured.data.folder
+        more = f" {len(errors) - 1} more:" if len(errors) > 1 else " All that was found:"
+        raise DataError(f"{place}: {errors[0].sentence}{more} python -m pipeline check {place}")

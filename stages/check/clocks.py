@@ -1,0 +1,122 @@
+"""Clocks: their unit, their rate, what arm and camera have in common, and who moves first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stages.check.finding import Finding, Severity
+from stages.check.measured import Measured, Seen
+
+SLOW = 0.5  # [s] between samples: no string's motion can be told from them
+UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+FEW = 0.5  # of the time in which the string was seen: so little of the hand's motion says too little
+RATE = 0.05  # by which fps may differ from what the times say
+EARLY, LATE = 0.1, 0.3  # [s] by which the string may move before and after the hand
+GAP = 10.0  # times the usual distance of samples
+LONG = 0.05  # [s] of a gap in the hand's motion
+
+
+def times(measured: Measured, seen: Seen) -> dict[str, np.ndarray]:
+    """Times [s] by file."""
+    return {measured.hand_file: seen.hand_t, measured.file("points"): seen.frame_t}
+
+
+def usual(t: np.ndarray) -> float:
+    """Distance of samples [s]; 0 where there are none."""
+    return float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+
+
+def unit(measured: Measured) -> Iterator[Finding]:
+    """Times that are no seconds."""
+    for seen in measured.with_points():
+        for file, t in times(measured, seen).items():
+            if usual(t) < SLOW:
+                continue
+            factor = next(f for f in (*UNITS, np.inf) if usual(t) / f < SLOW)
+            if factor in UNITS:
+                said = f"times are in {UNITS[factor]}, not in seconds as it seems: samples are {usual(t):.4g} apart"
+                yield Finding(Severity.ERROR, file, "t", said, f"Multiply t by {1 / factor:g}", (seen.name,))
+
+
+def rate(measured: Measured) -> Iterator[Finding]:
+    """Frames that come at another rate than the camera is said to have."""
+    told = (measured.data.about.get("camera") or {}).get("fps")
+    for seen in measured.with_points():
+        step = usual(seen.frame_t)
+        if told is None or not 0 < step < SLOW:
+            continue
+        fps = 1 / step
+        whole = max(round(float(told) / fps), 1)  # every second frame may have been kept
+        if abs(fps * whole / float(told) - 1) > RATE:
+            said = f"frames come {fps:.4g} times a second, camera.fps in dataset.yaml is {float(told):g}"
+            remedy = "Correct the one that is wrong; of slow motion count the frames as filmed"
+            yield Finding(Severity.WARNING, measured.file("points"), "t", said, remedy, (seen.name,))
+
+
+def overlap(measured: Measured) -> Iterator[Finding]:
+    """A hand whose motion is known for little of the time."""
+    for seen in measured.with_points():
+        first, last = max(seen.hand_t[0], seen.frame_t[0]), min(seen.hand_t[-1], seen.frame_t[-1])
+        span = float(np.ptp(seen.frame_t))
+        if last - first < FEW * span:
+            said = f"arm and camera have {last - first:.2f} s in common of {span:.2f} s in which the string was seen"
+            remedy = "See that both clocks begin together, or leave out points of other times"
+            yield Finding(Severity.WARNING, measured.file("points"), "t", said, remedy, (seen.name,))
+
+
+def together(measured: Measured) -> Iterator[Finding]:
+    """A string at rest that moves long before or after the hand."""
+    for seen in measured.with_points():
+        hand, string = seen.hand_onset, seen.string_onset
+        if seen.moving or hand is None or string is None or restless(seen):
+            continue
+        if hand - string > EARLY or string - hand > LATE:
+            later = string - hand
+            said = f"the string begins to move {abs(later):.2f} s {'after' if later > 0 else 'before'} the hand"
+            remedy = f"If the clocks differ by that, {'subtract it from' if later > 0 else 'add it to'} t of points"
+            yield Finding(Severity.WARNING, measured.file("points"), "t", said, remedy, (seen.name,))
+
+
+def rest(measured: Measured) -> Iterator[Finding]:
+    """A string that moves without the hand, though it is said to be at rest."""
+    for seen in measured.with_points():
+        if not seen.moving and restless(seen):
+            said = "the string moves before the hand does, or the hand never moves"
+            remedy = (
+                "If it was let go or already swung, write 'initial: moving' in dataset.yaml (for one trial, under "
+                "trials); else begin the trial earlier"
+            )
+            yield Finding(Severity.WARNING, measured.file("points"), "t", said, remedy, (seen.name,))
+
+
+def restless(seen: Seen) -> bool:
+    """Whether the string moves though the hand never does, or as soon as it is seen and long before the hand."""
+    hand, string = seen.hand_onset, seen.string_onset
+    if string is None or hand is None:
+        return string is not None
+    return string - float(seen.frame_t[0]) < EARLY < hand - string
+
+
+def gaps(measured: Measured) -> Iterator[Finding]:
+    """Long times without a sample: of the hand while it moves, or of the string."""
+    for seen in measured.with_points():
+        for file, t in times(measured, seen).items():
+            steps = np.diff(t)
+            widest = float(steps.max(initial=0.0))
+            if widest < max(GAP * usual(t), LONG):
+                continue
+            said = f"{int((steps > GAP * usual(t)).sum())} gap(s), the longest {widest:.3f} s"
+            moved = file == measured.hand_file and moves_in(seen, int(np.argmax(steps)))
+            severity = Severity.WARNING if moved else Severity.NOTE
+            remedy = (
+                "The hand's motion in them is a guess: leave the trial out" if moved else "Nothing needs to be done"
+            )
+            yield Finding(severity, file, "t", said, remedy, (seen.name,))
+
+
+def moves_in(seen: Seen, gap: int) -> bool:
+    """Whether the hand is elsewhere after a gap between samples."""
+    before, after = seen.pose[gap : gap + 2, :2]
+    return bool(np.linalg.norm(after - before) > 0.01 * seen.length)

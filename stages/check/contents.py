@@ -1,0 +1,138 @@
+"""What a dataset holds: rows and trials that are left out, names that are nearly right, noise, how many strings."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from data.about import NAME, About, ArmBlock, Block, CameraBlock, NoiseBlock, StringBlock, TrialBlock
+from data.artifacts import ARM, GRASP, POINTS
+from stages.check.finding import Finding, Severity
+from stages.check.measured import Measured, Seen
+
+MUCH = 0.1  # of the rows: if so many cannot be used, something is wrong
+NEAR = 0.75  # likeness of names
+LOUD, QUIET = 5.0, 3.0  # times the noise that is stated, and a fraction of it
+COARSE = 0.1  # of the length: no point is measured so badly
+OTHER = 1.1  # times as long is another string
+SHORT = 0.5  # of the length: if nothing is seen beyond, the tip was not
+BLOCKS: Mapping[str, type[Block]] = {"string": StringBlock, "noise": NoiseBlock, "arm": ArmBlock, "camera": CameraBlock}
+
+
+def rows(measured: Measured) -> Iterator[Finding]:
+    """Rows that cannot be used, or were not in order."""
+    for file, what in measured.data.rows.items():
+        if what.dropped:
+            lost = sum(what.dropped.values())
+            reasons = "; ".join(f"{count}: {reason}" for reason, count in what.dropped.items())
+            severity = Severity.WARNING if lost > MUCH * what.read else Severity.NOTE
+            said = f"{lost} of {what.read} rows are left out ({reasons})"
+            yield Finding(severity, file, "", said, "Correct them if they should count")
+        if what.unordered:
+            said = f"{what.unordered} rows are earlier than the row before them"
+            yield Finding(
+                Severity.NOTE, file, "t", said, "They are put in order; see that each trial was one recording"
+            )
+
+
+def rejected(measured: Measured) -> Iterator[Finding]:
+    """Trials that cannot be used."""
+    remedies = {
+        "no motion": "Add its rows to the arm's or the grasp's table, or see that its name is the same in both",
+        "no measured": "Add its rows to points or frames, or see that its name is the same in both",
+        "arm and camera": "See that both clocks begin together and that both count seconds",
+    }
+    for name, reason in measured.data.rejected.items():
+        remedy = next((words for start, words in remedies.items() if reason.startswith(start)), "Look at its rows")
+        yield Finding(Severity.WARNING, "", "", f"the trial is left out: {reason}", remedy, (name,))
+
+
+def one_trial(measured: Measured) -> Iterator[Finding]:
+    """Too few trials to confirm anything."""
+    if len(measured.trials) == 1:
+        said = "one trial can be used: a cause found in it could not be confirmed on another"
+        yield Finding(Severity.WARNING, "", "", said, "Record two more", (measured.trials[0].name,))
+
+
+def length(measured: Measured) -> Iterator[Finding]:
+    """A string whose length is not said, does not reach its points, or that is several strings."""
+    if "length" not in (measured.data.about.get("string") or {}):
+        said = f"it is missing; {measured.length:.3f} m is assumed"
+        yield Finding(Severity.WARNING, NAME, "string.length", said, "Write string: {length: <metres, grasp to tip>}")
+    ends = {seen.name: float(seen.points["s"].max()) for seen in measured.with_points()}
+    if ends and max(ends.values()) > OTHER * min(ends.values()):
+        said = f"the largest s is {min(ends.values()):.3g} m in one trial and {max(ends.values()):.3g} m in another"
+        remedy = "A folder is one string: make a folder of each, or correct s"
+        yield Finding(Severity.WARNING, measured.file("points"), "s", said, remedy)
+    elif ends and SHORT * measured.length > max(ends.values()) > 0.01 * measured.length:
+        said = f"points go to {max(ends.values()):.3g} m of a string of {measured.length:.3g} m: its tip was not seen"
+        yield Finding(
+            Severity.WARNING, measured.file("points"), "s", said, "Correct s or string.length, if that is wrong"
+        )
+
+
+def arm(measured: Measured) -> Iterator[Finding]:
+    """Joint angles of an arm that is not described."""
+    told = measured.data.about.get("arm") or {}
+    for key in ("links", "base"):
+        if key not in told and any(seen.joints is not None for seen in measured.trials):
+            said = f"it is missing; {list(getattr(measured.arm, key))} m is assumed"
+            yield Finding(Severity.WARNING, NAME, f"arm.{key}", said, "Write what your arm has, in metres")
+
+
+def noise(measured: Measured) -> Iterator[Finding]:
+    """Noise that is stated in another unit, or that points do not have."""
+    for seen in measured.with_points():
+        told = stated(seen)
+        place = (NAME, "noise.point_sigma") if "noise" in measured.data.about else (measured.file("points"), "sigma")
+        if told is not None and told > COARSE * seen.length:
+            said = f"noise is stated as {told:.3g} m on a string of {seen.length:.3g} m: millimetres, as it seems"
+            yield Finding(Severity.ERROR, *place, said, "Multiply it by 0.001", (seen.name,))
+        elif told is not None and seen.noise > 0 and not 1 / QUIET < seen.noise / told < LOUD:
+            said = f"noise is stated as {told:.2g} m, points show {seen.noise:.2g} m from frame to frame"
+            yield Finding(
+                Severity.WARNING, *place, said, "Correct it, or leave it out: then it is estimated", (seen.name,)
+            )
+
+
+def stated(seen: Seen) -> float | None:
+    """Noise of its points as the dataset states it [m]."""
+    return float(np.median(seen.points["sigma"])) if "sigma" in seen.points else None
+
+
+def names(measured: Measured) -> Iterator[Finding]:
+    """Keys and columns that are unknown, but nearly known: they count for nothing."""
+    about = measured.data.about
+    yield from _nearly(about, About.model_fields, "")
+    for block, kind in BLOCKS.items():
+        yield from _nearly(about.get(block) or {}, kind.model_fields, f"{block}.")
+    for trial, own in (about.get("trials") or {}).items():
+        yield from _nearly(own or {}, TrialBlock.model_fields, f"trials.{trial}.")
+    for seen in measured.trials[:1]:
+        for table, frame in ((POINTS, seen.points), (GRASP if seen.joints is None else ARM, seen.motion)):
+            known = [column.name for column in table.columns if len(column.name) > 2]
+            yield from _nearly(dict.fromkeys(frame.columns), known, "", measured.file(table.name))
+
+
+def _nearly(given: Mapping[Any, Any], known: Any, place: str, file: str = NAME) -> Iterator[Finding]:
+    """Unknown names that look like known ones that are not given."""
+    for name in map(str, given):
+        near = difflib.get_close_matches(name.strip().lower(), [k for k in known if k not in given], 1, NEAR)
+        if near and name not in known:
+            said = f"there is no such name, it is ignored; '{near[0]}' is one"
+            yield Finding(Severity.WARNING, file, f"{place}{name}", said, f"Call it '{near[0]}', if it is that")
+
+
+def roles(measured: Measured) -> Iterator[Finding]:
+    """Trials that dataset.yaml speaks of and that are not there; trials all held out."""
+    spoken = {str(name): own or {} for name, own in (measured.data.about.get("trials") or {}).items()}
+    there = {seen.name for seen in measured.trials}
+    for name in sorted(set(spoken) - there - set(measured.data.rejected)):
+        yield Finding(Severity.WARNING, NAME, f"trials.{name}", "there is no such trial", "Correct the name")
+    held_out = {name for name, own in spoken.items() if own.get("role") == "held_out"}
+    if there and there <= held_out:
+        said = "all trials are held out: none is left to learn from, and so none is held out"
+        yield Finding(Severity.WARNING, NAME, "trials", said, "Take the role from some of them")

@@ -1,0 +1,138 @@
+"""Measured data as checks look at them: trial by trial, with the hand's pose worked out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import JOINTS, Observation
+from data.dataset import Dataset
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+
+STILL = 3  # frames that tell where the string is at first
+MOVED = 0.03  # of the string's length: who has gone so far has left his place
+CLEAR = 8.0  # noises by which a point must have gone
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One trial. length: of the string [m]."""
+
+    observation: Observation
+    arm: Arm
+    length: float
+
+    @property
+    def name(self) -> str:
+        """Of the trial."""
+        return self.observation.trial
+
+    @property
+    def moving(self) -> bool:
+        """The string is said to be in motion when the trial begins."""
+        return self.observation.moving
+
+    @cached_property
+    def points(self) -> pd.DataFrame:
+        """Valid points, in the order of time and arc length."""
+        points = self.observation.points
+        valid = points["valid"] if "valid" in points else np.ones(len(points), dtype=bool)
+        return points[valid].sort_values(["t", "s"], kind="stable")
+
+    @cached_property
+    def motion(self) -> pd.DataFrame:
+        """Joint angles or poses of the grasp, as they are stored."""
+        motion = self.observation.arm if self.observation.arm is not None else self.observation.grasp
+        assert motion is not None
+        return motion
+
+    @cached_property
+    def joints(self) -> np.ndarray | None:
+        """Joint angles (K, J) [rad], or None where poses were measured."""
+        return None if self.observation.arm is None else self.motion[list(JOINTS)].to_numpy()
+
+    @cached_property
+    def pose(self) -> np.ndarray:
+        """Pose of the grasp (K, 3): x [m], y [m], theta [rad]."""
+        return self.motion[["x", "y", "theta"]].to_numpy() if self.joints is None else self.arm.grasp(self.joints)
+
+    @cached_property
+    def hand_t(self) -> np.ndarray:
+        """Times of the hand's poses (K,) [s], by the arm's clock."""
+        return self.motion["t"].to_numpy()
+
+    @cached_property
+    def frame_t(self) -> np.ndarray:
+        """Times at which points were seen (F,) [s], by the camera's clock."""
+        return np.unique(self.points["t"])
+
+    @cached_property
+    def tracks(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Times (F,) [s] and positions (F, 2) [m] of each arc length that was seen in five frames or more."""
+        groups = self.points.groupby(self.points["s"].round(3))
+        return [(g["t"].to_numpy(), g[["x", "y"]].to_numpy()) for _, g in groups if g["t"].nunique() >= 5]
+
+    @cached_property
+    def noise(self) -> float:
+        """One standard deviation of a coordinate [m], from fourth differences in time, which smooth motion hardly has;
+        NaN where frames are too few."""
+        rough = [np.diff(xy, 4, axis=0).ravel() for _, xy in self.tracks]
+        return float(1.4826 * np.median(np.abs(np.concatenate(rough))) / np.sqrt(70)) if rough else float("nan")
+
+    @cached_property
+    def hand_onset(self) -> float | None:
+        """When the hand has left its first pose [s], by the arm's clock; None if it never does."""
+        gone = np.abs(self.pose - np.median(self.pose[:STILL], axis=0))
+        away = np.hypot(gone[:, 0], gone[:, 1]) + self.length * np.minimum(gone[:, 2], np.pi)
+        return _first(self.hand_t, away > MOVED * self.length)
+
+    @cached_property
+    def string_onset(self) -> float | None:
+        """When most of the string has left its first place [s], by the camera's clock; None if it never does."""
+        noise = 0.0 if np.isnan(self.noise) else self.noise
+        least = max(MOVED * self.length, CLEAR * noise)
+        onsets = []
+        for t, xy in self.tracks:
+            away = np.linalg.norm(xy - np.median(xy[:STILL], axis=0), axis=1) > least
+            onset = _first(t[:-1], away[:-1] & away[1:])  # one point alone may be an outlier
+            onsets.append(np.inf if onset is None else onset)
+        middle = float(np.median(onsets)) if onsets else np.inf
+        return middle if np.isfinite(middle) else None
+
+
+def _first(t: np.ndarray, which: np.ndarray) -> float | None:
+    """The first of the times at which something is so."""
+    return float(t[np.argmax(which)]) if which.any() else None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A dataset and what it would be run with. length: of the string [m]."""
+
+    data: Dataset
+    arm: Arm
+    camera: Camera
+    length: float
+
+    @cached_property
+    def trials(self) -> tuple[Seen, ...]:
+        """Trials that can be used."""
+        return tuple(Seen(observation, self.arm, self.length) for observation in self.data.trials.values())
+
+    def with_points(self) -> Iterator[Seen]:
+        """Those of them of which points were measured."""
+        return (trial for trial in self.trials if len(trial.points))
+
+    def file(self, name: str) -> str:
+        """The file of a table, as it is called here: Parquet or CSV."""
+        return next((file for file in self.data.hashes if file.rpartition(".")[0] == name), name)
+
+    @property
+    def hand_file(self) -> str:
+        """The file of the hand's motion."""
+        return self.file("grasp" if any(trial.joints is None for trial in self.trials) else "arm")

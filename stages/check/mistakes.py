@@ -1,0 +1,271 @@
+"""Mistakes that make a string impossible: units, axes, the end from which arc length is counted.
+
+A string is as long as it is, so that neighbouring points lie as far apart as their arc lengths say, and begins in the
+hand. Where it cannot be so, each common mistake is undone in turn; the first that makes it possible is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stages.check.finding import Finding, Severity
+from stages.check.measured import Measured, Seen
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+
+FRAMES = 10  # at the beginning, when the clocks matter least
+BEYOND = 1.05  # times the length, as `data.dataset.fits` has it
+APART = 0.25  # of the length: so much further from the hand than its arc length is no point of this string
+MOST = 0.8  # of the points must be possible: others may be outliers
+STRETCH = 1.5  # times as long as its arc length is no piece of it
+DENSE = 0.15  # of the length: pieces so short are nearly straight
+LENGTHS = (0.01, 20.0)  # [m] of strings that arms swing
+RADIANS = 4 * np.pi  # a joint or a hand does not turn further
+
+
+@dataclass(frozen=True)
+class View:
+    """The string at the beginning of a trial.
+
+    t (N,) [s], s (N,) [m], xy (N, 2) [m]: its points, by time and arc length. joints (N, J) [rad] or None; hand (N, 2)
+    [m]: where the grasp is then, where there are no joints. length: of the string [m].
+    """
+
+    t: np.ndarray
+    s: np.ndarray
+    xy: np.ndarray
+    joints: np.ndarray | None
+    hand: np.ndarray
+    length: float
+    arm: Arm
+    camera: Camera
+
+    @property
+    def grasp(self) -> np.ndarray:
+        """Where the grasp is, (N, 2) [m]."""
+        return self.hand if self.joints is None else self.arm.grasp(self.joints)[:, :2]
+
+    @property
+    def gap(self) -> float:
+        """By how much points are further from the hand than their arc lengths allow, in lengths of the string."""
+        return float(np.quantile((np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length, MOST))
+
+    @property
+    def stretch(self) -> tuple[float, bool]:
+        """Distance over arc length of neighbouring points, and whether they lie close together; 1 if there are none."""
+        ds, same = np.diff(self.s), np.diff(self.t) == 0
+        pieces = same & (ds > 1e-9)
+        if not pieces.any():
+            return 1.0, False
+        ratio = np.linalg.norm(np.diff(self.xy, axis=0), axis=1)[pieces] / ds[pieces]
+        return float(np.median(ratio)), bool(np.median(ds[pieces]) < DENSE * self.length)
+
+    @property
+    def possible(self) -> bool:
+        """Whether it can be a string in a hand."""
+        ratio, dense = self.stretch
+        return bool(
+            LENGTHS[0] <= self.length <= LENGTHS[1]
+            and np.max(self.s) <= BEYOND * self.length
+            and ratio < STRETCH
+            and (ratio > 1 / STRETCH or not dense)
+            and self.gap < APART
+        )
+
+    @property
+    def strangeness(self) -> float:
+        """0 for a string that is seen to its tip, is as long as it is and begins in the hand."""
+        ratio, _ = self.stretch
+        return float(abs(np.log(ratio)) + abs(np.log(np.max(self.s) / self.length)) + max(self.gap, 0.0))
+
+
+def views(seen: Seen, camera: Camera) -> tuple[View, View]:
+    """The first frames of a trial, with the hand where the clocks say, and where it begins if the clocks are wrong."""
+    first = seen.points[seen.points["t"] <= seen.frame_t[:FRAMES][-1]]
+    t, s, xy = first["t"].to_numpy(), first["s"].to_numpy(), first[["x", "y"]].to_numpy()
+    moved = seen.pose[:, :2] if seen.joints is None else seen.joints
+    now = np.stack([np.interp(t, seen.hand_t, column) for column in moved.T], axis=-1)
+    begun = np.broadcast_to(moved[0], now.shape)
+    if seen.joints is None:
+        one, other = (View(t, s, xy, None, hand, seen.length, seen.arm, camera) for hand in (now, begun))
+    else:
+        one, other = (
+            View(t, s, xy, hand, np.empty((len(t), 0)), seen.length, seen.arm, camera) for hand in (now, begun)
+        )
+    return one, other
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """table, field: where it was made. said: what is so. remedy: what undoes it. undone: the string without it."""
+
+    table: str
+    field: str
+    said: str
+    remedy: str
+    undone: Callable[[View], View]
+
+
+def in_unit(unit: str, factor: float) -> tuple[Mistake, ...]:
+    """Lengths in another unit than metres. factor: metres in one of it."""
+
+    def remedy(what: str) -> str:
+        return f"Multiply {what} by {factor:g}"
+
+    def said(what: str) -> str:
+        return f"{what} in {unit}, not in metres"
+
+    def points(v: View) -> View:
+        return replace(v, xy=factor * v.xy)
+
+    def along(v: View) -> View:
+        return replace(v, s=factor * v.s)
+
+    def hand(v: View) -> View:
+        return replace(v, hand=factor * v.hand) if v.joints is None else v
+
+    def arm(v: View) -> View:
+        links = tuple(factor * link for link in v.arm.links)
+        return replace(v, arm=replace(v.arm, links=links))
+
+    def base(v: View) -> View:
+        return replace(v, arm=replace(v.arm, base=(factor * v.arm.base[0], factor * v.arm.base[1])))
+
+    def length(v: View) -> View:
+        return replace(v, length=factor * v.length)
+
+    about = "dataset.yaml"
+    return (
+        Mistake("points", "x, y", said("positions are"), remedy("x and y"), points),
+        Mistake("points", "s", said("arc lengths are"), remedy("s"), along),
+        Mistake(about, "string.length", said("it is"), remedy("it"), length),
+        Mistake("grasp", "x, y", said("positions are"), remedy("x and y"), hand),
+        Mistake(about, "arm.links", said("they are"), remedy("them"), arm),
+        Mistake(about, "arm.base", said("it is"), remedy("it"), base),
+        Mistake(about, "arm.links, arm.base", said("both are"), remedy("both"), lambda v: arm(base(v))),
+        Mistake("points", "s, x, y", said("all three are"), remedy("s, x and y"), lambda v: points(along(v))),
+        Mistake("grasp", "x, y", said("here and in points, positions are"), remedy("both"), lambda v: points(hand(v))),
+        Mistake("points", "s", said("s and string.length are"), remedy("both"), lambda v: along(length(v))),
+        Mistake(
+            "points",
+            "s, x, y",
+            said("these, string.length and the hand's positions are"),
+            remedy("all of them, and arm.links and arm.base,"),
+            lambda v: points(along(length(hand(arm(base(v)))))),
+        ),
+    )
+
+
+MISTAKES = (
+    *in_unit("millimetres", 1e-3),
+    *in_unit("centimetres", 1e-2),
+    Mistake(
+        "points",
+        "s",
+        "arc lengths are counted from the tip, not from the grasp",
+        "Replace s by string.length - s",
+        lambda v: replace(v, s=v.length - v.s),
+    ),
+    Mistake(
+        "points",
+        "y",
+        "y points down, not up",
+        "Multiply y by -1",
+        lambda v: replace(v, xy=v.xy * np.array([1, -1])),
+    ),
+    Mistake(
+        "points",
+        "x",
+        "x points to the left, not to the right",
+        "Multiply x by -1",
+        lambda v: replace(v, xy=v.xy * np.array([-1, 1])),
+    ),
+    Mistake(
+        "points",
+        "x, y",
+        "x and y have changed places",
+        "Exchange the two columns",
+        lambda v: replace(v, xy=v.xy[:, ::-1]),
+    ),
+    Mistake(
+        "points",
+        "x, y",
+        "positions are in pixels, not in metres",
+        "Take x = (u - camera.origin_px[0]) / camera.px_per_m and y = (camera.origin_px[1] - v) / camera.px_per_m",
+        lambda v: replace(v, xy=v.camera.world(v.xy)),
+    ),
+    Mistake(
+        "arm",
+        "q1, q2, q3",
+        "angles are in degrees, not in radians",
+        "Multiply them by pi / 180",
+        lambda v: v if v.joints is None else replace(v, joints=np.radians(v.joints)),
+    ),
+)
+
+
+def mistakes(measured: Measured) -> Iterator[Finding]:
+    """Strings that cannot be, and the mistake that would explain all of them best."""
+    looked = {seen.name: views(seen, measured.camera) for seen in measured.with_points()}
+    strange = {name: both for name, both in looked.items() if not any(here.possible for here in both)}
+    if not strange:
+        return
+    explained = {n: left for n, m in enumerate(MISTAKES) if (left := left_strange(m, strange.values())) is not None}
+    if not explained:
+        yield from (unexplained(measured, name, both[0]) for name, both in strange.items())
+        return
+    made = MISTAKES[min(explained, key=lambda number: explained[number])]
+    file = made.table if "." in made.table else measured.file(made.table)
+    said = f"{made.said} as it seems: {shown(next(iter(strange.values()))[0])}"
+    yield Finding(Severity.ERROR, file, made.field, said, made.remedy, tuple(strange))
+
+
+def left_strange(mistake: Mistake, strange: Iterable[tuple[View, View]]) -> float | None:
+    """How strange strings still are if a mistake is undone, or None if one of them still cannot be."""
+    left = [[v.strangeness for here in both if (v := mistake.undone(here)).possible] for both in strange]
+    return sum(min(each) for each in left) if all(left) else None
+
+
+def shown(here: View) -> str:
+    """What is impossible, in numbers."""
+    ratio, _ = here.stretch
+    far = float(np.median(np.linalg.norm(here.xy - here.grasp, axis=1)))
+    return (
+        f"s goes up to {np.max(here.s):.4g} on a string of {here.length:.4g} m, neighbouring points are {ratio:.4g} "
+        f"times as far apart as their arc lengths, and at s = {np.median(here.s):.4g} m points are {far:.4g} m from "
+        "the grasp"
+    )
+
+
+def unexplained(measured: Measured, name: str, here: View) -> Finding:
+    """An impossible string that no common mistake explains. One that is merely too short is left out of a run."""
+    nearest = here.s == here.s.min()
+    off = np.median((here.xy - here.grasp)[nearest], axis=0)
+    severity = Severity.ERROR
+    if here.gap >= APART:
+        said = f"the point at s = {here.s.min():.3f} m is ({off[0]:.3f}, {off[1]:.3f}) m from the grasp"
+        remedy = (
+            "Give points and hand in one frame of reference: see arm.base and camera.origin_px in dataset.yaml, and "
+            "whether the angles count from +x, counter-clockwise"
+        )
+    elif replace(here, length=float(here.s.max())).possible:
+        severity = Severity.WARNING
+        said = f"s goes up to {here.s.max():.3f} m on a string of {here.length:.3f} m, and the trial is left out"
+        remedy = "Correct string.length in dataset.yaml, or s"
+    else:
+        said, remedy = shown(here), "Look at the units of s, x, y and string.length: all are metres"
+    return Finding(severity, measured.file("points"), "s, x, y", said, remedy, (name,))
+
+
+def angles(measured: Measured) -> Iterator[Finding]:
+    """Angles beyond what anything turns."""
+    for seen in measured.trials:
+        names = ("theta",) if seen.joints is None else ("q1", "q2", "q3")
+        worst = float(seen.motion[list(names)].abs().to_numpy().max())
+        if worst > RADIANS:
+            field = ", ".join(names)
+            said = f"angles are in degrees, not in radians as it seems: they go up to {worst:.4g}"
+            yield Finding(Severity.ERROR, measured.hand_file, field, said, "Multiply them by pi / 180", (seen.name,))

@@ -1,0 +1,96 @@
+"""How hand and string move: frozen readings, jumps, a string that hangs upwards, motion that says nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stages.check.clocks import usual
+from stages.check.finding import Finding, Severity
+from stages.check.measured import CLEAR, Measured, Seen
+
+HELD = 0.1  # [s] for which a reading is the same to the last digit while others change
+REPEATED = 0.05  # of the steps of moving points: so many are not by chance the same to the last digit
+TURN = 1.5 * np.pi  # a jump so large within two samples is a wrapped angle
+UP = 0.5  # of its arc length: so far above the grasp no limp string rests
+
+
+def frozen(measured: Measured) -> Iterator[Finding]:
+    """Joints whose reading stands still while the others move."""
+    for seen in measured.trials:
+        if seen.joints is None or seen.hand_onset is None:
+            continue
+        for number, reading in enumerate(seen.joints.T, start=1):
+            said = _stands(seen, reading)
+            if said:
+                remedy = f"If joint {number} moved, its log is frozen: leave the trial out, or record it again"
+                yield Finding(Severity.WARNING, measured.hand_file, f"q{number}", said, remedy, (seen.name,))
+
+
+def _stands(seen: Seen, reading: np.ndarray) -> str:
+    """What is said of a reading that never changes, or for long at once while the others do; else nothing."""
+    assert seen.joints is not None
+    if np.ptp(reading) == 0:
+        return "it never changes"
+    same = (np.diff(reading) == 0) & (np.diff(seen.joints, axis=0) != 0).sum(axis=1).astype(bool)
+    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))) - 1
+    longest = float(runs.max()) * usual(seen.hand_t)
+    moved = float(np.abs(np.diff(reading)).max()) if longest > HELD else 0.0
+    return f"it stands still for {longest:.2f} s while other joints move" if moved and longest > HELD else ""
+
+
+def wrapped(measured: Measured) -> Iterator[Finding]:
+    """Joint angles that jump by a turn. Of theta it does not matter: a direction is the same after a turn."""
+    for seen in measured.trials:
+        if seen.joints is None:
+            continue
+        for number, reading in enumerate(seen.joints.T, start=1):
+            jumps = int((np.abs(np.diff(reading)) > TURN).sum())
+            if jumps and np.ptp(reading) < 2 * np.pi + 0.01:
+                said = f"{jumps} jump(s) by a whole turn: the angle is wrapped at +-pi"
+                remedy = "Unwrap it, as numpy.unwrap does"
+                yield Finding(Severity.ERROR, measured.hand_file, f"q{number}", said, remedy, (seen.name,))
+
+
+def hangs(measured: Measured) -> Iterator[Finding]:
+    """A string that rests above the hand."""
+    for seen in measured.with_points():
+        first = seen.points[seen.points["t"] == seen.frame_t[0]]
+        tip = first.iloc[-1]
+        grasp = np.interp(tip["t"], seen.hand_t, seen.pose[:, 1])
+        above = float(tip["y"] - grasp)
+        if not seen.moving and tip["s"] > 0.5 * seen.length and UP * tip["s"] < above < seen.length:
+            said = f"at rest the string's end is {above:.3f} m above the grasp"
+            remedy = "If it hung down, y points down: multiply y of points and of the hand by -1 (and theta too)"
+            yield Finding(Severity.WARNING, measured.file("points"), "y", said, remedy, (seen.name,))
+
+
+def held(measured: Measured) -> Iterator[Finding]:
+    """Points that a tracker repeated to the last digit."""
+    for seen in measured.with_points():
+        share = repeated(seen)
+        if share > REPEATED:
+            said = f"{share:.0%} of the steps of moving points are none: the same to the last digit"
+            remedy = "If the tracker held its last value, drop those rows or set 'valid' to false"
+            yield Finding(Severity.WARNING, measured.file("points"), "x, y", said, remedy, (seen.name,))
+
+
+def repeated(seen: Seen) -> float:
+    """Share of the steps of moving points that are none, to the last digit."""
+    same, moved = 0, 0
+    for _, xy in seen.tracks:
+        steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+        far = steps > CLEAR * np.nan_to_num(seen.noise) + 1e-12
+        beside = np.concatenate([far[1:], [False]]) | np.concatenate([[False], far[:-1]])
+        same += int(((steps == 0) & beside).sum())
+        moved += int(far.sum())
+    return same / (same + moved) if moved else 0.0
+
+
+def still(measured: Measured) -> Iterator[Finding]:
+    """A trial in which nothing happens."""
+    for seen in measured.with_points():
+        if seen.hand_onset is None and seen.string_onset is None:
+            said = "neither hand nor string leaves its place"
+            yield Finding(Severity.WARNING, measured.hand_file, "", said, "It says little: leave it out", (seen.name,))

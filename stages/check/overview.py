@@ -1,0 +1,72 @@
+"""What is there: one line of numbers for each trial that can be used."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from data.dataset import fits
+from stages.check.check import findings
+from stages.check.clocks import restless, usual
+from stages.check.finding import Severity
+from stages.check.measured import Measured, Seen
+
+
+@dataclass(frozen=True)
+class Row:
+    """One trial. duration: seen [s]. common: seen by the arm's clock too [s]. fps, hand_rate: samples [1/s]. points: in
+    a usual frame. noise: of a coordinate [m], None if unknown. path: of the hand [m]. begins: at rest, moving, or what
+    contradicts it."""
+
+    trial: str
+    duration: float
+    common: float
+    frames: int
+    fps: float | None
+    hand_rate: float | None
+    points: float
+    noise: float | None
+    path: float
+    begins: str
+
+
+def row(seen: Seen, filmed: np.ndarray | None) -> Row:
+    """Of a trial. filmed: times of its frames (F,) [s], where it has any: they count where no points were measured."""
+    t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed
+    common = min(t[-1], seen.hand_t[-1]) - max(t[0], seen.hand_t[0])
+    path = float(np.linalg.norm(np.diff(seen.pose[:, :2], axis=0), axis=1).sum())
+    begins = "moving" if seen.moving else "at rest"
+    if len(seen.points) and not seen.moving and restless(seen):
+        begins = "moving?"
+    each = float(len(seen.points) / max(len(seen.frame_t), 1))
+    noise = None if np.isnan(seen.noise) else seen.noise
+    rates = per_second(t), per_second(seen.hand_t)
+    return Row(seen.name, float(np.ptp(t)), float(common), len(t), *rates, each, noise, path, begins)
+
+
+def per_second(t: np.ndarray) -> float | None:
+    """The usual rate of samples [1/s]."""
+    return 1 / usual(t) if usual(t) > 0 else None
+
+
+def rows(measured: Measured) -> list[Row]:
+    """Of all trials that can be used."""
+    films = measured.data.films
+    return [row(seen, films[seen.name].t if seen.name in films else None) for seen in measured.trials]
+
+
+def overview(measured: Measured) -> dict[str, Any]:
+    """All that is known about the data, JSON-able; `usable` says whether an experiment would run on them."""
+    found = findings(measured)
+    errors = sum(finding.severity is Severity.ERROR for finding in found)
+    return {
+        "format": 1,
+        "folder": str(measured.data.folder),
+        "usable": bool(fits(measured.data, measured.length).trials) and not errors,
+        "string_length_m": measured.length,
+        "trials": [asdict(each) for each in rows(measured)],
+        "rejected": dict(measured.data.rejected),
+        "findings": [asdict(finding) for finding in found],
+    }

@@ -1,0 +1,375 @@
+"""A clean dataset with each kind of dirt: the right finding, naming file, field and remedy; and nothing for clean ones."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from pipeline.commands.check import measured
+
+from data import dataset
+from data.schema import DataError
+from stages.check.check import CHECKS, findings, refuse
+from stages.check.finding import Severity
+from stages.check.overview import overview
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "data" / "sample"
+MEASURED = ROOT.parent / "shared" / "measured"
+ANGLES = ["q1", "q2", "q3"]
+TRIALS = ["t00", "t03", "t04"]
+AS_A_RUN = measured(SAMPLE, [])  # with the arm and camera of the configuration
+
+
+class Dirty:
+    """The sample's tables, to be spoilt and written."""
+
+    def __init__(self):
+        arm, points = (pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points"))
+        few = np.sort(points["s"].unique())[::3]  # a third of the points, three of the trials: it is quicker
+        self.arm = arm[arm["trial"].isin(TRIALS)].reset_index(drop=True)
+        self.points = points[points["trial"].isin(TRIALS) & points["s"].isin([*few, points["s"].max()])]
+        self.points = self.points.reset_index(drop=True)
+        self.about = yaml.safe_load((SAMPLE / "dataset.yaml").read_text())
+        self.grasp = None
+
+    @property
+    def length(self):
+        return self.about["string"]["length"]
+
+    def with_poses(self):
+        """Poses of the grasp instead of joint angles."""
+        pose = AS_A_RUN.arm.grasp(self.arm[ANGLES].to_numpy())
+        self.grasp = self.arm[["trial", "t"]].assign(x=pose[:, 0], y=pose[:, 1], theta=pose[:, 2])
+        return self
+
+    def write(self, folder):
+        hand = {"arm": self.arm} if self.grasp is None else {"grasp": self.grasp}
+        for name, table in {**hand, "points": self.points}.items():
+            table.to_csv(folder / f"{name}.csv", index=False)
+        (folder / "dataset.yaml").write_text(yaml.safe_dump(self.about))
+        return folder
+
+
+@pytest.fixture
+def dirty():
+    return Dirty()
+
+
+def looked_at(folder):
+    """As the command does, without composing the configuration anew."""
+    data = dataset.read(folder)
+    links = data.about["arm"]["links"]
+    length = data.about.get("string", {}).get("length", 0.3)
+    return replace(AS_A_RUN, data=data, arm=replace(AS_A_RUN.arm, links=tuple(links)), length=length)
+
+
+def found(folder):
+    return findings(looked_at(folder))
+
+
+def scaled(name, columns, factor):
+    def spoil(dirty):
+        getattr(dirty, name)[columns] *= factor
+
+    return spoil
+
+
+def length(factor):
+    def spoil(dirty):
+        dirty.about["string"]["length"] *= factor
+
+    return spoil
+
+
+def from_the_tip(dirty):
+    dirty.points["s"] = dirty.length - dirty.points["s"]
+
+
+def in_pixels(dirty):
+    camera = AS_A_RUN.camera
+    dirty.points[["x", "y"]] = camera.pixels(dirty.points[["x", "y"]].to_numpy())
+
+
+def exchanged(dirty):
+    dirty.points[["x", "y"]] = dirty.points[["y", "x"]].to_numpy()
+
+
+def other_origin(dirty):
+    dirty.points["x"] += 0.5
+
+
+def links(dirty):
+    dirty.about["arm"]["links"] = [250, 200, 135]
+
+
+def everything(dirty):
+    dirty.with_poses()
+    for table in ("grasp", "points"):
+        getattr(dirty, table)[["x", "y"]] *= 1e3
+    dirty.points["s"] *= 1e3
+    dirty.about["string"]["length"] *= 1e3
+
+
+def poses(dirty):
+    scaled("grasp", ["x", "y"], 1e3)(dirty.with_poses())
+
+
+def degrees_of_poses(dirty):
+    dirty.with_poses().grasp["theta"] *= 180 / np.pi
+
+
+def wrapped(dirty):
+    cut = dirty.arm["q1"].iloc[60]
+    dirty.arm["q1"] = cut + (dirty.arm["q1"] - cut) % (2 * np.pi)
+
+
+def sigma_in_mm(dirty):
+    dirty.about["noise"] = {"point_sigma": 0.7}
+
+
+CERTAIN = {
+    "points in mm": (scaled("points", ["x", "y"], 1e3), "points.csv x, y", "Multiply x and y by 0.001"),
+    "points in cm": (scaled("points", ["x", "y"], 1e2), "points.csv x, y", "Multiply x and y by 0.01"),
+    "points in px": (in_pixels, "points.csv x, y", "camera.px_per_m"),
+    "s in mm": (scaled("points", ["s"], 1e3), "points.csv s", "Multiply s by 0.001"),
+    "s, x, y in mm": (scaled("points", ["s", "x", "y"], 1e3), "points.csv s, x, y", "Multiply s, x and y by 0.001"),
+    "length in mm": (length(1e3), "dataset.yaml string.length", "Multiply it by 0.001"),
+    "length in cm": (length(1e2), "dataset.yaml string.length", "Multiply it by 0.01"),
+    "links in mm": (links, "dataset.yaml arm.links", "Multiply them by 0.001"),
+    "poses in mm": (poses, "grasp.csv x, y", "Multiply x and y by 0.001"),
+    "all in mm": (everything, "points.csv s, x, y", "Multiply all of them"),
+    "degrees": (scaled("arm", ANGLES, 180 / np.pi), "arm.csv q1, q2, q3", "Multiply them by pi / 180"),
+    "theta in degrees": (degrees_of_poses, "grasp.csv theta", "Multiply them by pi / 180"),
+    "y down": (scaled("points", ["y"], -1), "points.csv y", "Multiply y by -1"),
+    "x to the left": (scaled("points", ["x"], -1), "points.csv x", "Multiply x by -1"),
+    "x for y": (exchanged, "points.csv x, y", "Exchange the two columns"),
+    "s from the tip": (from_the_tip, "points.csv s", "Replace s by string.length - s"),
+    "other origin": (other_origin, "points.csv s, x, y", "one frame of reference"),
+    "camera in ms": (scaled("points", ["t"], 1e3), "points.csv t", "Multiply t by 0.001"),
+    "arm in ms": (scaled("arm", ["t"], 1e3), "arm.csv t", "Multiply t by 0.001"),
+    "joint wrapped": (wrapped, "arm.csv q1", "numpy.unwrap"),
+    "sigma in mm": (sigma_in_mm, "dataset.yaml noise.point_sigma", "Multiply it by 0.001"),
+}
+
+
+@pytest.mark.parametrize("kind", CERTAIN)
+def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(dirty, tmp_path, kind):
+    spoil, place, remedy = CERTAIN[kind]
+    spoil(dirty)
+    here = looked_at(dirty.write(tmp_path))
+    errors = [f for f in findings(here) if f.severity is Severity.ERROR]
+    assert {f"{f.file} {f.field}" for f in errors} == {place}, [f.sentence for f in errors]
+    assert remedy in errors[0].remedy
+    assert not overview(here)["usable"]
+    with pytest.raises(DataError) as refused:
+        refuse(here)
+    assert place in str(refused.value)
+    assert remedy in str(refused.value)
+    assert "python -m pipeline check" in str(refused.value)
+
+
+AT_THE_TIP = ("points in mm", "points in px", "s in mm", "length in mm", "links in mm", "poses in mm", "degrees")
+
+
+@pytest.mark.parametrize("kind", AT_THE_TIP)
+def test_tips_alone_are_enough_to_refuse_it(dirty, tmp_path, kind):
+    """With the tip alone another mistake may explain it too; that something is wrong is certain."""
+    spoil, _, _ = CERTAIN[kind]
+    dirty.points = dirty.points[dirty.points["s"] > 0.99 * dirty.length].reset_index(drop=True)
+    spoil(dirty)
+    assert any(f.severity is Severity.ERROR for f in found(dirty.write(tmp_path)))
+
+
+def offset(seconds):
+    def spoil(dirty):
+        dirty.points["t"] += seconds
+
+    return spoil
+
+
+def frozen(dirty):
+    rows = dirty.arm.index[dirty.arm["trial"] == "t00"]
+    dirty.arm.loc[rows[20:60], "q2"] = dirty.arm.loc[rows[20], "q2"]
+
+
+def constant(dirty):
+    dirty.arm["q2"] = dirty.arm.groupby("trial")["q2"].transform("first")
+
+
+def let_go(dirty):
+    for name in ANGLES:
+        dirty.arm[name] = dirty.arm.groupby("trial")[name].transform("first")
+
+
+def held(dirty):
+    number = dirty.points.groupby("trial")["t"].rank("dense").astype(int)
+    for column in ("x", "y"):
+        again = dirty.points.groupby(["trial", "s"])[column].shift(1)
+        dirty.points[column] = again.where((number % 4 == 0) & again.notna(), dirty.points[column])
+
+
+def many_lost(dirty):
+    dirty.points.loc[dirty.points.sample(frac=0.2, random_state=1).index, "x"] = np.nan
+
+
+def hole_in_the_log(dirty):
+    rows = dirty.arm.index[dirty.arm["trial"] == "t00"]
+    dirty.arm = dirty.arm.drop(index=rows[50:75])
+
+
+def about(**said):
+    def spoil(dirty):
+        dirty.about |= said
+
+    return spoil
+
+
+def without(table, trial):
+    def spoil(dirty):
+        frame = getattr(dirty, table)
+        setattr(dirty, table, frame[frame["trial"] != trial])
+
+    return spoil
+
+
+def one_trial(dirty):
+    for table in ("arm", "points"):
+        frame = getattr(dirty, table)
+        setattr(dirty, table, frame[frame["trial"] == "t00"])
+
+
+def no_length(dirty):
+    del dirty.about["string"]
+
+
+def turned(dirty):
+    """All of it upside down: consistent, but the string rests above the hand."""
+    dirty.with_poses()
+    for table in ("grasp", "points"):
+        getattr(dirty, table)["y"] *= -1
+
+
+def misspelt(dirty):
+    dirty.about["strin"] = dirty.about.pop("string")
+
+
+def named_sigma(dirty):
+    dirty.about.pop("noise", None)
+    dirty.points["Sigma"] = 1e-3
+
+
+SUSPICIOUS = {
+    "camera early": (offset(-0.3), "points.csv t", "add it to"),
+    "camera late": (offset(0.4), "points.csv t", "subtract it from"),
+    "hardly overlap": (offset(0.45), "points.csv t", "both clocks begin together"),
+    "frozen joint": (frozen, "arm.csv q2", "its log is frozen"),
+    "constant joint": (constant, "arm.csv q2", "its log is frozen"),
+    "let go": (let_go, "points.csv t", "initial: moving"),
+    "held points": (held, "points.csv x, y", "'valid' to false"),
+    "lost points": (many_lost, "points.csv ", "Correct them"),
+    "hole in the log": (hole_in_the_log, "arm.csv t", "leave the trial out"),
+    "only in arm": (without("points", "t03"), " ", "Add its rows to points"),
+    "only in points": (without("arm", "t03"), " ", "Add its rows to the arm's"),
+    "one trial": (one_trial, " ", "Record two more"),
+    "no length": (no_length, "dataset.yaml string.length", "grasp to tip"),
+    "shorter string": (length(0.8), "points.csv s, x, y", "Correct string.length"),
+    "longer string": (length(3.0), "points.csv s", "Correct s or string.length"),
+    "other fps": (about(camera={"fps": 240}), "points.csv t", "as filmed"),
+    "noise too small": (about(noise={"point_sigma": 5e-5}), "dataset.yaml noise.point_sigma", "estimated"),
+    "misspelt key": (misspelt, "dataset.yaml strin", "Call it 'string'"),
+    "misspelt column": (named_sigma, "points.csv Sigma", "Call it 'sigma'"),
+    "no such trial": (about(trials={"t77": {"role": "held_out"}}), "dataset.yaml trials.t77", "Correct the name"),
+    "upside down": (turned, "points.csv y", "y points down"),
+}
+
+
+@pytest.mark.parametrize("kind", SUSPICIOUS)
+def test_what_is_suspicious_is_told(dirty, tmp_path, kind):
+    spoil, place, remedy = SUSPICIOUS[kind]
+    spoil(dirty)
+    told = found(dirty.write(tmp_path))
+    assert any(f"{f.file} {f.field}" == place and remedy in f.remedy for f in told), [f.sentence for f in told]
+    assert all(f.severity is not Severity.ERROR for f in told), [f.sentence for f in told]
+
+
+def test_the_sample_is_clean_as_joints_and_as_poses_and_in_csv(dirty, tmp_path):
+    assert found(SAMPLE) == []
+    assert found(dirty.write(tmp_path)) == []
+    (tmp_path / "arm.csv").unlink()
+    assert found(dirty.with_poses().write(tmp_path)) == []
+
+
+def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
+    dirty.points.loc[100, "y"] = np.nan
+    dirty.points = pd.concat([dirty.points, dirty.points.iloc[:40]]).sample(frac=1, random_state=3).assign(held=False)
+    dirty.with_poses()
+    dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))  # a direction may be wrapped
+    told = found(dirty.write(tmp_path))
+    assert {f.severity for f in told} == {Severity.NOTE}
+    assert any("(1: y is not a finite number; 40: a row twice)" in f.said for f in told)
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(dirty, tmp_path, share):
+    """Fewer points, fewer frames, the tip alone: not suspicious."""
+    kept = dirty.points["s"] >= (1 - 1e-9) * dirty.length * share
+    dirty.points = dirty.points[kept]
+    assert found(dirty.write(tmp_path)) == []
+
+
+def test_every_check_can_find_something():
+    names = [check.__name__ for check in CHECKS]
+    assert len(set(names)) == len(names) == 21
+
+
+def pipeline(*arguments):
+    command = [sys.executable, "-m", "pipeline", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
+
+
+def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(dirty, tmp_path):
+    good = pipeline("check", SAMPLE)
+    assert good.returncode == 0, good.stderr
+    assert "Usable: 5 trials; nothing looks wrong" in good.stdout
+    scaled("points", ["x", "y"], 1e3)(dirty)
+    bad = pipeline("check", dirty.write(tmp_path), "--json")
+    assert bad.returncode == 1
+    said = json.loads(bad.stdout)
+    assert said["findings"][0]["remedy"] == "Multiply x and y by 0.001"
+    assert said["findings"][0]["trials"] == TRIALS
+    assert len(said["trials"]) == 3
+    before = {file.name for file in tmp_path.iterdir()}
+    run = pipeline("+experiment=diagnose", f"trials={tmp_path}", f"hydra.run.dir={tmp_path / 'run'}")
+    assert run.returncode == 1
+    assert "Multiply x and y by 0.001" in run.stderr
+    assert "Traceback" not in run.stderr
+    assert {file.name for file in tmp_path.iterdir()} == before
+
+
+def test_what_cannot_be_read_is_one_error(tmp_path):
+    shutil.copytree(SAMPLE, tmp_path / "cut")
+    file = tmp_path / "cut" / "points.parquet"
+    file.write_bytes(file.read_bytes()[:-100])
+    cut = pipeline("check", tmp_path / "cut", "--json")
+    assert cut.returncode == 1
+    assert "points.parquet: not a whole Parquet file" in json.loads(cut.stdout)["findings"][0]["said"]
+    nowhere = pipeline("check", tmp_path / "nowhere")
+    assert nowhere.returncode == 1
+    assert "there is no such folder" in nowhere.stdout
+    assert "Traceback" not in nowhere.stderr + cut.stderr
+
+
+@pytest.mark.skipif(not MEASURED.exists(), reason="the measured sets are not here")
+@pytest.mark.parametrize("name", ["l4dc_strip_video", "tudelft_cable_fr3"])
+def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_is_told(name):
+    here = measured(MEASURED / name, [])
+    told = findings(here)
+    assert all(f.severity is not Severity.ERROR for f in told)
+    assert {"string.length", "s", "t"} <= {f.field for f in told}
