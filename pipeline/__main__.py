@@ -30,28 +30,25 @@ from pipeline.run import Result, begin, cast, diagnose, estimate_again
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
 from pipeline.study import command as study
+from pipeline.sweep.launcher import ended as sweep_ended
 from pipeline.world import World, world
 from stages.generate import MotionNotFoundError
 from stages.roles import HardwareError
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
-REFUSED: list[str] = []  # errors of a sweep's jobs
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="config")
 def main(config: DictConfig) -> float | None:
-    """One run; a sweep calls this for each job. Returns E after the last estimation."""
+    """One run, or one job of a sweep. Returns E after the last estimation."""
     console = Console(stderr=True)
     try:
         result = run(config, console)
     except EXPECTED as error:
         console.print(f"[bold red]Error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
         forget(Path(HydraConfig.get().runtime.output_dir))
-        if HydraConfig.get().mode == hydra.types.RunMode.MULTIRUN:
-            REFUSED.append(str(error))  # the other jobs of the sweep go on
-            return None
         sys.exit(1)
     except KeyboardInterrupt:
         place = HydraConfig.get().runtime.output_dir
@@ -126,13 +123,17 @@ def called() -> None:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
     try:
         main()
+        sys.exit(sweep_ended())
+    except EXPECTED as error:
+        sys.exit(f"Error: {error}")
+    except KeyboardInterrupt:
+        sweep_ended()
+        sys.exit(INTERRUPTED)
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"Error: {refusal(error)}")
     except OSError as error:
         remedy = f"{store.remedy_for(error)} with hydra.run.dir."
         sys.exit(f"Error: {error.filename}: cannot be written ({error.strerror}). {remedy}")
-    if REFUSED:
-        sys.exit(f"{len(REFUSED)} job(s) of the sweep failed; see above.")
 
 
 def refusal(error: BaseException) -> str:
