@@ -63,30 +63,40 @@ def begun(ledger, key):
 
 
 LAUNCHERS = {
-    "serial": ("pipeline", {"threads": 3}),
-    "joblib": ("joblib", {"workers": 3, "threads": 3}),
-    "slurm": ("submitit", {"cluster": "local", "threads": 3, "parameters": {"timeout_min": 5}}),
-    "ray": ("ray", {"address": None, "threads": 3, "resources": {}}),
+    "serial": ("pipeline", {}),
+    "joblib": ("joblib", {"workers": 3}),
+    "slurm": ("submitit", {"cluster": "local", "parameters": {"timeout_min": 5}}),
+    "ray": ("ray", {"resources": {}}),
 }
 
 
+@pytest.fixture
+def cluster(request):
+    """A Ray cluster of two machines of two cores each, all on this one: its address."""
+    pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
+    request.addfinalizer(machines.shutdown)
+    machines.add_node(num_cpus=2)
+    return machines.address
+
+
 @pytest.mark.parametrize("name", LAUNCHERS)
-def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(name, tmp_path, stand_in):
+def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(name, tmp_path, stand_in, request):
     package, settings = LAUNCHERS[name]
     pytest.importorskip(package)
     if name == "ray":
-        ray = importlib.import_module("ray")
-        ray.init(num_cpus=6, include_dashboard=False, log_to_driver=False)  # two jobs of three threads at a time
-        ray.shutdown()
+        settings = settings | {"address": request.getfixturevalue("cluster")}
     ledger, keys = entered(tmp_path / "sweep", 0, 1, 2, 3, 5)
     launch = importlib.import_module(f"pipeline.sweep.launchers.{name}").launch
-    ended_keys = list(launch([Attempt(ledger.folder, key, stand_in) for key in keys], **settings))
+    ended_keys = list(launch([Attempt(ledger.folder, key, stand_in) for key in keys], threads=2, **settings))
     assert sorted(ended_keys) == sorted(keys)
     assert states(ledger) == {0: DONE, 1: DONE, 2: FAILED, 3: FAILED, 5: DONE}
     failed = {job.number: job.error for job in ledger.jobs() if job.state == FAILED}
     assert failed[2] == "the string is\ntoo short"
     assert "SIGKILL" in failed[3]
-    assert {(ledger.place(key) / "out").read_text() for key in keys if (ledger.place(key) / "out").exists()} == {"3"}
+    assert {(ledger.place(key) / "out").read_text() for key in keys if (ledger.place(key) / "out").exists()} == {"2"}
     assert all(job.attempts == 1 and job.seconds > 0 and job.host for job in ledger.jobs())
 
 
@@ -211,7 +221,10 @@ def test_a_damaged_entry_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("said", "error"),
     [
-        ("step ----- 0:01\nError: target.x = 3: too far\n  choose another\n\n", "target.x = 3: too far\n  choose another"),
+        (
+            "step ----- 0:01\nError: target.x = 3: too far\n  choose another\n\n",
+            "target.x = 3: too far\n  choose another",
+        ),
         ("Traceback (most recent call last):\n  File ...\nValueError: Error: no\n", "ValueError: Error: no"),
         ("", ""),
     ],

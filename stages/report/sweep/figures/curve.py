@@ -26,7 +26,8 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
         place(known[factor]), known[outcome.name] * outcome.scale, "o", ms=3, mew=0, color=LIGHT["wall"], alpha=0.5
     )
     x = place(means[factor])
-    axes.plot(x, means["mean"], "o-", ms=4.5, color=LIGHT["after"])
+    joined = "-" if pd.api.types.is_numeric_dtype(jobs[factor]) else "none"  # between words there is nothing
+    axes.plot(x, means["mean"], "o", ls=joined, ms=4.5, color=LIGHT["after"])
     axes.vlines(x, means["low"], means["high"], color=LIGHT["after"], lw=4, alpha=0.35)
     axes.set_yscale(outcome.axis)
     if outcome.axis == "log":
