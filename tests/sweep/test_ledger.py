@@ -71,15 +71,15 @@ LAUNCHERS = {
 
 
 @pytest.fixture
-def cluster(request):
+def cluster():
     """A Ray cluster of two machines of two cores each, all on this one: its address."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
     machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
-    request.addfinalizer(machines.shutdown)
     machines.add_node(num_cpus=2)
-    return machines.address
+    yield machines.address
+    machines.shutdown()
 
 
 @pytest.mark.parametrize("name", LAUNCHERS)

@@ -30,7 +30,7 @@ def sweep(folder, trials, *overrides, betas="0.9,0.99"):
 def trials(tmp_path_factory, arm):
     """One trial of somebody's: the arm at rest, the string swinging below it like a stick."""
     folder = tmp_path_factory.mktemp("trials")
-    t, s = np.arange(0, 0.1, 0.005), np.linspace(0.03, 0.3, 10)
+    t, s = np.arange(0, 0.3, 0.01), np.linspace(0.03, 0.3, 10)
     q = np.tile([1.5, 0.4, 0.8], (len(t), 1))
     pd.DataFrame({"trial": "t00", "t": t, "q1": q[:, 0], "q2": q[:, 1], "q3": q[:, 2]}).to_parquet(
         folder / "arm.parquet"
