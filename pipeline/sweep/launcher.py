@@ -51,15 +51,13 @@ class LedgerLauncher(Launcher):
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run what is missing of these jobs. Each returns E after its last estimation, NaN if there is none."""
         ledger = Ledger(Path(self.config.hydra.sweep.dir).absolute())
-        LedgerLauncher.launched = ledger.folder
         jobs = [self._job(overrides, initial_job_idx + i) for i, overrides in enumerate(job_overrides)]
         for job in jobs:
             ledger.add(job)
+        LedgerLauncher.launched = ledger.folder
         keys = [job.key for job in jobs]
-        try:
-            self._run(ledger, keys)
-        finally:
-            ledger.settle(keys)
+        self._run(ledger, keys)
+        ledger.settle(keys)  # not after an interruption, which is no failure
         return [_returned(ledger, job) for job in jobs]
 
     def _job(self, overrides: Sequence[str], number: int) -> Job:

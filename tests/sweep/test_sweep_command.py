@@ -3,8 +3,11 @@ jobs, only what is missing run again, failures kept. Measured: a job takes 4 to 
 
 import importlib.util
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -48,9 +51,9 @@ def trials(tmp_path_factory, arm):
 
 @pytest.fixture(scope="module")
 def swept(trials, tmp_path_factory):
-    """A sweep of three jobs, one of which is refused: (its folder, how the command ended)."""
+    """A sweep of three jobs on two threads, one of which is refused: (its folder, how the command ended)."""
     folder = tmp_path_factory.mktemp("sweep")
-    return folder, sweep(folder, trials, betas="0.9,1.5,0.99")
+    return folder, sweep(folder, trials, "hydra.launcher.threads=2", betas="0.9,1.5,0.99")
 
 
 def numbers(folder):
@@ -103,6 +106,7 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(sw
 def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(launcher, swept, trials, tmp_path):
     if importlib.util.find_spec(PACKAGES[launcher]) is None:
         pytest.skip(f"needs {PACKAGES[launcher]}")
+    """Here they have one thread each, there two."""
     alone, _ = swept
     said = sweep(tmp_path, trials, f"hydra/launcher={launcher}", f"hydra.launcher.{HERE[launcher]}")
     assert said.returncode == 0, said.stderr
@@ -110,8 +114,17 @@ def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(launcher, swe
     assert numbers(tmp_path) == numbers(alone)
 
 
-def test_a_wrong_setting_of_a_launcher_is_one_clear_error(trials, tmp_path):
-    refused = sweep(tmp_path, trials, "hydra.launcher.threads=-1")
-    assert refused.returncode == 1
-    assert "hydra.launcher.threads = -1 (conf/hydra/launcher" in refused.stderr
-    assert "Traceback" not in refused.stderr
+def test_ctrl_c_leaves_a_sweep_that_can_go_on(trials, tmp_path):
+    """A terminal sends it to all processes of the command."""
+    asked = ["+experiment=estimate", f"trials={trials}", "estimate.beta=0.9,0.99", "estimate.candidates=4000000"]
+    command = [sys.executable, "-m", "pipeline", "--multirun", *asked, f"hydra.sweep.dir={tmp_path}"]
+    running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    while not list(tmp_path.glob("*/config.json")):
+        assert running.poll() is None
+        time.sleep(0.1)
+    os.killpg(running.pid, signal.SIGINT)
+    _, said = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Traceback" not in said
+    assert "2 did not end: give the same command with hydra.sweep.dir=" in said.replace("\n", " ")
+    assert {state for state, _ in attempts(tmp_path).values()} <= {"running", "pending"}
