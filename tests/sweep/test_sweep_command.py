@@ -120,7 +120,7 @@ def test_ctrl_c_leaves_a_sweep_that_can_go_on(trials, tmp_path):
     command = [sys.executable, "-m", "pipeline", "--multirun", *asked, f"hydra.sweep.dir={tmp_path}"]
     running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True)
     while not list(tmp_path.glob("*/config.json")):
-        assert running.poll() is None
+        assert running.poll() is None, running.stderr.read()
         time.sleep(0.1)
     os.killpg(running.pid, signal.SIGINT)
     _, said = running.communicate(timeout=60)

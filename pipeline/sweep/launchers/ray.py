@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from pipeline.origin import ROOT
+from pipeline.settings import UserError
 from pipeline.sweep.attempt import Attempt
 from pipeline.sweep.extra import extra
 
@@ -25,7 +26,12 @@ def launch(
     """
     ray = extra("ray", "ray")
     found = {"PYTHONPATH": str(ROOT)}
-    ray.init(address=address, runtime_env={"env_vars": found}, include_dashboard=False, log_to_driver=False)
+    try:
+        ray.init(address=address, runtime_env={"env_vars": found}, include_dashboard=False, log_to_driver=False)
+    except Exception as error:  # Ray raises nothing more definite
+        where = "conf/hydra/launcher/ray.yaml or the command line"
+        remedy = "Begin one with ray start --head, or give null to have one begun here"
+        raise UserError(f"hydra.launcher.address = {address} ({where}): no Ray answers ({error}). {remedy}.") from error
     try:
         task = ray.remote(num_cpus=threads, **resources)(Attempt.__call__)
         left = {task.remote(attempt, threads): attempt.key for attempt in attempts}
