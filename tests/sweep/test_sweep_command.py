@@ -3,11 +3,8 @@ jobs, only what is missing run again, failures kept. Measured: a job takes 4 to 
 
 import importlib.util
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -112,19 +109,3 @@ def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(launcher, swe
     assert said.returncode == 0, said.stderr
     assert len(numbers(tmp_path)) == 2
     assert numbers(tmp_path) == numbers(alone)
-
-
-def test_ctrl_c_leaves_a_sweep_that_can_go_on(trials, tmp_path):
-    """A terminal sends it to all processes of the command."""
-    asked = ["+experiment=estimate", f"trials={trials}", "estimate.beta=0.9,0.99", "estimate.candidates=4000000"]
-    command = [sys.executable, "-m", "pipeline", "--multirun", *asked, f"hydra.sweep.dir={tmp_path}"]
-    running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    while not list(tmp_path.glob("*/config.json")):
-        assert running.poll() is None, running.stderr.read()
-        time.sleep(0.1)
-    os.killpg(running.pid, signal.SIGINT)
-    _, said = running.communicate(timeout=60)
-    assert running.returncode == 130
-    assert "Traceback" not in said
-    assert "2 did not end: give the same command with hydra.sweep.dir=" in said.replace("\n", " ")
-    assert {state for state, _ in attempts(tmp_path).values()} <= {"running", "pending"}
