@@ -29,6 +29,7 @@ from pipeline.keep import forget
 from pipeline.perform import perform
 from pipeline.run import Result
 from pipeline.settings import UserError
+from pipeline.sweep.launcher import ended as sweep_ended
 from pipeline.world import world
 from stages.generate import MotionNotFoundError
 from stages.roles import HardwareError
@@ -37,22 +38,18 @@ OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_c
 OmegaConf.register_new_resolver("commands", lambda *_: listed())
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 UNANSWERED = 2  # exit status of a command that found no answer
-REFUSED: list[str] = []  # errors of a sweep's jobs
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
 
 
 @hydra.main(version_base="1.3", config_path="../conf", config_name="config")
 def main(config: DictConfig) -> float | None:
-    """One run; a sweep calls this for each job. Returns E after the last estimation."""
+    """One run, or one job of a sweep. Returns E after the last estimation."""
     console = Console(stderr=True)
     try:
         result = run(config, console)
     except EXPECTED as error:
         complain(error, console)
         forget(Path(HydraConfig.get().runtime.output_dir))
-        if HydraConfig.get().mode == hydra.types.RunMode.MULTIRUN:
-            REFUSED.append(str(error))  # the other jobs of the sweep go on
-            return None
         sys.exit(1)
     except KeyboardInterrupt:
         place = HydraConfig.get().runtime.output_dir
@@ -118,13 +115,17 @@ def called() -> None:
         if sys.argv[1:] and sys.argv[1] in COMMANDS:
             sys.exit(asked(sys.argv[1], sys.argv[2:]))
         main()
+        sys.exit(sweep_ended())
+    except EXPECTED as error:
+        sys.exit(f"Error: {error}")
+    except KeyboardInterrupt:
+        sweep_ended()
+        sys.exit(INTERRUPTED)
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"Error: {refusal(error)}")
     except OSError as error:
         remedy = f"{store.remedy_for(error)} with hydra.run.dir."
         sys.exit(f"Error: {error.filename}: cannot be written ({error.strerror}). {remedy}")
-    if REFUSED:
-        sys.exit(f"{len(REFUSED)} job(s) of the sweep failed; see above.")
 
 
 def refusal(error: BaseException) -> str:

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from pipeline.commands.check import measured
 
 from data import dataset
 from data.schema import DataError
+from pipeline.commands.check import measured
 from stages.check.check import CHECKS, findings, refuse
 from stages.check.finding import Severity
 from stages.check.overview import overview

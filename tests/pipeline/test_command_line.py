@@ -126,19 +126,6 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, tmp_path
     assert "camera.px_per_m must be there" in refused.stderr.replace("\n", " ")
 
 
-def test_a_sweep_runs_every_job(tmp_path):
-    swept = pipeline(
-        "--multirun", "+experiment=quick", "seed=0,1", "estimate.candidates=40", f"hydra.sweep.dir={tmp_path}"
-    )
-    assert swept.returncode == 0, swept.stderr
-    assert {p.parent.name for p in tmp_path.rglob("run.json")} == {"0", "1"}
-    whole = pd.read_parquet(tmp_path / "sweep.parquet")
-    assert len(whole) == 2
-    assert set(whole["seed"]) == {"0", "1"}
-    assert {"hit", "manipulations", "E_after"} <= set(whole)
-    assert store.origin_of(tmp_path / "sweep.parquet")["code"]
-
-
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -192,13 +179,6 @@ def test_stored_trials_keep_their_settings_but_for_what_is_given(quick, tmp_path
     refused = pipeline("+experiment=estimate", f"trials={about}", folder=tmp_path / "other")
     assert refused.returncode == 1
     assert "config.json: damaged" in refused.stderr.replace("\n", " ")
-
-
-def test_a_sweep_tells_of_its_failed_jobs(tmp_path):
-    swept = pipeline("--multirun", "target=at_300_900", "target.x=2,3", f"hydra.sweep.dir={tmp_path}")
-    assert swept.returncode == 1
-    assert "2 job(s) of the sweep failed" in swept.stderr
-    assert not pd.read_parquet(tmp_path / "sweep.parquet")["completed"].any()
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path):

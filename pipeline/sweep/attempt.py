@@ -1,0 +1,88 @@
+"""One attempt at a job: the command that a person would give for it alone, in a process of its own.
+
+So a job that crashes or is killed takes nothing with it, and its numbers are those of a single run, whoever starts it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+from pipeline.origin import ROOT
+from pipeline.sweep.ledger import DONE, FAILED, PENDING, RUNNING, Job, Ledger
+
+PIPELINE = (sys.executable, "-m", "pipeline")
+INTERRUPTED = (130, -signal.SIGINT)
+POOLS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The job `key` of the sweep in `folder`, to be called on whatever machine. command: what runs a job."""
+
+    folder: Path
+    key: str
+    command: tuple[str, ...] = PIPELINE
+
+    def __call__(self, threads: int) -> str:
+        """Run the job, unless somebody is at it or it has ended, and enter how it ended. Returns its key."""
+        ledger = Ledger(self.folder)
+        with ledger.claimed(self.key) as log:
+            job = ledger.read(self.key)
+            if log is not None and job.state in (PENDING, RUNNING):
+                self._run(ledger, job, log, threads)
+        return self.key
+
+    def _run(self, ledger: Ledger, job: Job, log: BinaryIO, threads: int) -> None:
+        begun = replace(job, state=RUNNING, error="", attempts=job.attempts + 1, host=socket.gethostname())
+        ledger.write(begun)
+        start, said = time.monotonic(), log.tell()
+        code = self._process(job, log, threads)
+        text = Path(log.name).read_bytes()[said:].decode(errors="replace")
+        seconds = round(time.monotonic() - start, 1)
+        state, error = ended(code, text)
+        ledger.write(replace(begun, state=state, error=error, seconds=seconds))
+
+    def _process(self, job: Job, log: BinaryIO, threads: int) -> int:
+        """The exit status of the job's process, which inherits the log, and with it the lock."""
+        place = f"hydra.run.dir={quoted(self.folder / self.key)}"
+        return subprocess.run(
+            [*self.command, *job.overrides, "hydra.mode=RUN", place],
+            cwd=ROOT,
+            env=os.environ | dict.fromkeys(POOLS, str(threads)),
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            check=False,
+        ).returncode
+
+
+def ended(code: int, said: str) -> tuple[str, str]:
+    """State and error of a job, from its exit status and what it said."""
+    if code == 0:
+        return DONE, ""
+    if code in INTERRUPTED:
+        return PENDING, ""
+    if code < 0:
+        return FAILED, f"Killed by {signal.Signals(-code).name}. Was there memory enough?"
+    return FAILED, complaint(said) or f"It ended with exit status {code}."
+
+
+def complaint(said: str) -> str:
+    """The error in what a process said: from the last line that begins with one on, else the last line."""
+    lines = [line.rstrip() for line in said.splitlines() if line.strip()]
+    begins = [number for number, line in enumerate(lines) if line.startswith("Error: ")]
+    return "\n".join(lines[begins[-1] :] if begins else lines[-1:]).removeprefix("Error: ")
+
+
+def quoted(path: Path) -> str:
+    """A path as Hydra's grammar takes any text."""
+    escaped = str(path).replace("'", "\\'")
+    return f"'{escaped}'"

@@ -1,0 +1,100 @@
+"""The Hydra launcher behind every `hydra/launcher=`: it keeps the ledger and runs what is missing.
+
+Hydra's sweeper says which jobs there are; here each becomes an entry of the ledger, and those that have not ended are
+given to the function that the config names.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from math import nan
+from pathlib import Path
+from typing import Any
+
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from pipeline.settings import UserError, stage
+from pipeline.show import bars
+from pipeline.sweep.attempt import Attempt
+from pipeline.sweep.finish import finish
+from pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
+from pipeline.sweep.show import line, summary
+
+WHERE = "conf/hydra/launcher or the command line"
+
+
+class LedgerLauncher(Launcher):
+    """by: the function that runs jobs. retry: run those that failed again. ahead: jobs that run before the others,
+    so that machine code is compiled once, not by many at a time. settings: of the function `by`."""
+
+    launched: Path | None = None  # the folder of this process' sweep
+
+    def __init__(self, by: str, retry: bool, ahead: int, **settings: Any) -> None:
+        """As the config has it; `setup` checks it, for Hydra hides what goes wrong here."""
+        self.by, self.retry, self.ahead, self.settings = by, retry, ahead, settings
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """Take what Hydra hands over before `launch`, and check the settings; raises UserError."""
+        self.loader = hydra_context.config_loader
+        self.config = config
+        if not isinstance(self.retry, bool) or type(self.ahead) is not int or self.ahead < 0:
+            wrong = f"retry = {self.retry!r}, ahead = {self.ahead!r}"
+            raise UserError(f"hydra.launcher ({WHERE}): {wrong}: give true or false, and a whole number from 0.")
+        plain: Any = OmegaConf.to_container(OmegaConf.create(self.settings))
+        self.launch_all = stage({"_target_": self.by} | plain, "hydra.launcher", WHERE)
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Run what is missing of these jobs. Each returns E after its last estimation, NaN if there is none."""
+        ledger = Ledger(Path(self.config.hydra.sweep.dir).absolute())
+        jobs = [self._job(overrides, initial_job_idx + i) for i, overrides in enumerate(job_overrides)]
+        for job in jobs:
+            ledger.add(job)
+        LedgerLauncher.launched = ledger.folder
+        keys = [job.key for job in jobs]
+        self._run(ledger, keys)
+        ledger.settle(keys)  # not after an interruption, which is no failure
+        return [_returned(ledger, job) for job in jobs]
+
+    def _job(self, overrides: Sequence[str], number: int) -> Job:
+        """A job with its settings, composed and resolved as its own run will."""
+        config = self.loader.load_sweep_config(self.config, list(overrides))
+        settings = OmegaConf.masked_copy(config, [str(name) for name in config if name != "hydra"])
+        plain: Any = OmegaConf.to_container(settings, resolve=True)
+        return Job(number, tuple(overrides), plain)
+
+    def _run(self, ledger: Ledger, keys: Sequence[str]) -> None:
+        """Run those that wait, and say how each ended."""
+        waiting = [Attempt(ledger.folder, key) for key in ledger.waiting(keys, (FAILED,) if self.retry else ())]
+        first = 0 if any(ledger.read(key).state == DONE for key in keys) else self.ahead
+        console = Console(stderr=True)
+        ended = len(keys) - len(waiting)
+        with bars(console) as bar, bar("sweep") as progress:
+            for batch in filter(None, (waiting[:first], waiting[first:])):
+                for key in self.launch_all(batch):
+                    ended += 1
+                    progress(ended / len(keys))
+                    console.print(line(ledger.read(key)), soft_wrap=True, highlight=False)
+
+
+def ended() -> int:
+    """Write table and page of this process' sweep, if it had one, and say how it stands: 0 if all its jobs are done."""
+    if LedgerLauncher.launched is None:
+        return 0
+    jobs = finish(LedgerLauncher.launched)
+    Console(stderr=True).print(summary(jobs, LedgerLauncher.launched), soft_wrap=True, highlight=False, markup=False)
+    return int(any(job.state != DONE for job in jobs))
+
+
+def _returned(ledger: Ledger, job: Job) -> JobReturn:
+    """What a sweeper that optimizes looks at."""
+    path = ledger.place(job.key) / "run.json"
+    rows = json.loads(path.read_text(encoding="utf-8"))["iterations"] if path.exists() else []
+    rate = rows[-1].get("E_after") if rows else None
+    result = JobReturn(overrides=list(job.overrides), status=JobStatus.COMPLETED)
+    result.return_value = nan if rate is None else rate
+    return result

@@ -1,0 +1,17 @@
+"""One job after another on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Annotated
+
+from pydantic import Field
+
+from pipeline.sweep.attempt import Attempt
+from pipeline.sweep.cores import cores
+
+
+def launch(attempts: Sequence[Attempt], *, threads: Annotated[int, Field(ge=0)]) -> Iterator[str]:
+    """threads: of a job; 0 is all cores."""
+    for attempt in attempts:
+        yield attempt(threads or cores())

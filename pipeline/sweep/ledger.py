@@ -1,0 +1,140 @@
+"""What has become of every job of a sweep: a file a job, so that no kill and no second sweep can spoil it.
+
+    <sweep>/ledger/<key>.json    the job: what was asked, its state, error, attempts, seconds, host
+    <sweep>/ledger/<key>.log     what its attempts said
+    <sweep>/<key>/               its run
+
+A job's key is a hash of all its settings, resolved: however it is spelled, it is the same job. A job is claimed by a
+lock on its log, which its process holds too and the system drops when both have ended, however they end. So a job
+that is called running while nobody holds its lock was interrupted. Only who holds the lock writes the job's file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from data.schema import DataError
+from data.store import write_text
+
+PENDING, RUNNING, DONE, FAILED = "pending", "running", "done", "failed"
+LOST = "Its worker ended without a word: killed, out of memory, or out of time. Its log may say more."
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a sweep.
+
+    number: its place in the command that first asked for it. overrides: as Hydra takes them. settings: all, resolved.
+    seconds, host: of the last attempt.
+    """
+
+    number: int
+    overrides: tuple[str, ...]
+    settings: Mapping[str, Any] = field(repr=False)
+    state: str = PENDING
+    error: str = ""
+    attempts: int = 0
+    seconds: float = 0.0
+    host: str = ""
+
+    @property
+    def key(self) -> str:
+        """Hash of its settings."""
+        return hashlib.sha256(json.dumps(self.settings, sort_keys=True).encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The jobs of the sweep in `folder`."""
+
+    folder: Path
+
+    def jobs(self) -> list[Job]:
+        """All, in the order they were asked for; raises DataError naming a file that is damaged."""
+        files = (self.folder / "ledger").glob("*.json")
+        return sorted((self.read(file.stem) for file in files), key=lambda job: (job.number, job.key))
+
+    def read(self, key: str) -> Job:
+        """One job; raises DataError naming its file where that is missing or damaged."""
+        path = self._file(key)
+        try:
+            known = json.loads(path.read_text(encoding="utf-8"))
+            return Job(**known | {"overrides": tuple(known["overrides"])})
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise DataError(f"{path}: not a job of a sweep ({error}). Delete it: the job is then run anew.") from error
+
+    def add(self, job: Job) -> None:
+        """Enter a job, if it is not there."""
+        if not self._file(job.key).exists():
+            with self.claimed(job.key) as log:
+                if log is not None and not self._file(job.key).exists():
+                    self.write(job)
+
+    def write(self, job: Job) -> None:
+        """Enter what has become of a job that is claimed, whole or not at all."""
+        write_text(self._file(job.key), json.dumps(asdict(job), indent=1))
+
+    @contextmanager
+    def claimed(self, key: str) -> Iterator[BinaryIO | None]:
+        """The job's log, ours alone until it is closed here and in every process that inherited it; None if taken."""
+        path = self._file(key).with_suffix(".log")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            log = path.open("ab")
+        except OSError as error:
+            raise DataError(f"{path}: cannot be written ({error.strerror}). Choose another hydra.sweep.dir.") from error
+        with log:
+            yield log if _locked(log, path) else None
+
+    def waiting(self, keys: Sequence[str], states: Sequence[str]) -> list[str]:
+        """The jobs that are to be run: those that never ended, or ended in one of `states`; entered as pending."""
+        return [key for key in dict.fromkeys(keys) if self._put(key, (RUNNING, *states), PENDING)]
+
+    def settle(self, keys: Sequence[str]) -> None:
+        """Enter as failed the jobs that were begun and that nobody is at any more."""
+        for key in keys:
+            self._put(key, (RUNNING,), FAILED, LOST)
+
+    def place(self, key: str) -> Path:
+        """The folder of a job's run."""
+        return self.folder / key
+
+    def _put(self, key: str, states: Sequence[str], state: str, error: str = "") -> bool:
+        """Put a job that nobody is at from one of `states` into `state`; whether it is in `state` now.
+
+        It is claimed only where it must be, lest one who comes for it meanwhile finds it taken.
+        """
+        if self.read(key).state not in states:
+            return self.read(key).state == state
+        with self.claimed(key) as log:
+            job = self.read(key)
+            if log is not None and job.state in states:
+                job = replace(job, state=state, error=error)
+                self.write(job)
+            return job.state == state
+
+    def _file(self, key: str) -> Path:
+        return self.folder / "ledger" / f"{key}.json"
+
+
+def _locked(file: BinaryIO, path: Path) -> bool:
+    """Lock a file that is open, unless another has; raises DataError where the file system cannot lock."""
+    if os.name != "posix":
+        raise DataError("A sweep needs a system that can lock files as POSIX does: Linux, macOS, or WSL on Windows.")
+    import fcntl  # noqa: PLC0415 (not there on Windows, where all but sweeps works)
+
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        remedy = "Choose a hydra.sweep.dir on a file system that can lock files"
+        raise DataError(f"{path}: cannot be locked ({error.strerror}). {remedy}.") from error
+    return True

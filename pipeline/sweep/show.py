@@ -1,0 +1,38 @@
+"""What a person sees of a sweep on the terminal."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.text import Text
+
+from pipeline.sweep.ledger import DONE, FAILED, Job
+
+COLOUR = {DONE: "green", FAILED: "red"}
+
+
+def line(job: Job) -> Text:
+    """How a job ended."""
+    said = Text.assemble((f"{job.state:<8}", COLOUR.get(job.state, "yellow")), f"{job.seconds:7.1f} s  ")
+    said.append(" ".join(job.overrides))
+    return said.append(f"\n         {first(job.error)}", "red") if job.error else said
+
+
+def summary(jobs: Sequence[Job], folder: Path) -> str:
+    """How many ended how, and what to do about the others."""
+    count = Counter(job.state for job in jobs)
+    left = len(jobs) - count[DONE] - count[FAILED]
+    said = [f"{count[DONE]} of {len(jobs)} job(s) of the sweep are done."]
+    again = f"the same command with hydra.sweep.dir={folder}"
+    if left:
+        said.append(f"{left} did not end: give {again} to go on.")
+    if count[FAILED]:
+        said.append(f"{count[FAILED]} job(s) of the sweep failed: give {again} hydra.launcher.retry=true to try again.")
+    return "\n".join([*said, str(folder / "report.html")])
+
+
+def first(text: str) -> str:
+    """The first line of a text."""
+    return text.splitlines()[0] if text else ""

@@ -1,0 +1,104 @@
+"""One tidy table for a sweep: a row a job, its settings, how it ended and what it found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from data.artifacts import Estimate
+from data.schema import Column, Table
+from data.store import read_table
+from pipeline.sweep.ledger import DONE, Job, Ledger
+
+SWEEP = Table(
+    "sweep",
+    "a row a job; beside these columns one for each setting that was given, and one for each parameter estimated",
+    (
+        Column("job", "1", "its place in the command that asked for it", "int"),
+        Column("key", "", "hash of all its settings", "text"),
+        Column("folder", "", "its run, relative to this file", "text"),
+        Column("state", "", "done, failed, pending or running", "text"),
+        Column("error", "", "why it failed", "text"),
+        Column("attempts", "1", "how often it was begun", "int"),
+        Column("seconds", "s", "that the last attempt took"),
+        Column("host", "", "machine of the last attempt", "text"),
+        Column("hit", "1", "1: the tip reached the target, 0: it did not; this and what follows is NaN where unknown"),
+        Column("manipulations", "1", "casts made, or trials estimated from"),
+        Column("E_before", "1", "E before the last estimation"),
+        Column("E_after", "1", "E after the last estimation"),
+        Column("miss_m", "m", "closest approach of the tip in the last cast"),
+    ),
+)
+
+
+def sweep_table(ledger: Ledger, jobs: Sequence[Job]) -> tuple[Table, pd.DataFrame]:
+    """The table of these jobs with its schema, in which each setting and each parameter is a column."""
+    given = factors(jobs)
+    found = {job.key: dict(_parameters(ledger, job)) for job in jobs}
+    names = {name: column for parameters in found.values() for name, (column, _) in parameters.items()}
+    frame = pd.DataFrame([_row(ledger, job) for job in jobs])
+    for name, column in given.items():
+        frame[name] = column
+    for name in names:
+        frame[name] = [found[job.key].get(name, (None, float("nan")))[1] for job in jobs]
+    settings = tuple(Column(name, "", f"the setting {name}", _kind(frame[name])) for name in given)
+    return replace(SWEEP, columns=(*SWEEP.columns, *settings, *names.values())), frame
+
+
+def factors(jobs: Sequence[Job]) -> dict[str, list[Any]]:
+    """Settings that were given to any of the jobs, by name, with the value of each job: numbers, or else text."""
+    given = [dict(override.lstrip("+~").split("=", 1) for override in job.overrides if "=" in override) for job in jobs]
+    names = dict.fromkeys(name for one in given for name in one)
+    return {name: _alike([_value(job, name, one) for job, one in zip(jobs, given, strict=True)]) for name in names}
+
+
+def _value(job: Job, name: str, given: Mapping[str, str]) -> Any:
+    """A setting as it stands among a job's settings; of a group or list, as it was given."""
+    here: Any = job.settings
+    for part in name.split("."):
+        here = here.get(part) if isinstance(here, Mapping) else None
+    return here if isinstance(here, bool | int | float | str) else given.get(name, "")
+
+
+def _alike(values: Sequence[Any]) -> list[Any]:
+    """Values of one kind."""
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return list(values) if numbers else [str(value) for value in values]
+
+
+def _kind(values: pd.Series) -> str:
+    """Kind of a column of settings: whole numbers, numbers, or text."""
+    if pd.api.types.is_integer_dtype(values):
+        return "int"
+    return "float" if pd.api.types.is_float_dtype(values) else "text"
+
+
+def _row(ledger: Ledger, job: Job) -> dict[str, Any]:
+    """A job, and how its run ended."""
+    known = {"job": job.number, "key": job.key, "folder": ledger.place(job.key).name, "state": job.state}
+    known |= {"error": job.error, "attempts": job.attempts, "seconds": job.seconds, "host": job.host}
+    return known | _outcome(ledger.place(job.key) / "run.json", job.state == DONE)
+
+
+def _outcome(path: Path, done: bool) -> dict[str, float]:
+    """How a run ended, from its run.json; NaN where it did not, and for what it does not have."""
+    ended = json.loads(path.read_text(encoding="utf-8")) if done and path.exists() else {"iterations": []}
+    last = ended["iterations"][-1] if ended["iterations"] else {}
+    cast = any("hit" in iteration for iteration in ended["iterations"])
+    numbers = {name: last.get(name) for name in ("E_before", "E_after", "miss_m")}
+    numbers |= {"hit": ended["hit"] if cast else None, "manipulations": len(ended["iterations"]) or None}
+    return {name: float("nan") if value is None else float(value) for name, value in numbers.items()}
+
+
+def _parameters(ledger: Ledger, job: Job) -> Iterator[tuple[str, tuple[Column, float]]]:
+    """What the last estimation of a job found, by name; raises DataError where it cannot be read."""
+    made = sorted(ledger.place(job.key).glob("iterations/*/estimate/parameters.parquet"))
+    if job.state != DONE or not made:
+        return
+    for row in read_table(Estimate.TABLES["parameters"], made[-1]).itertuples():
+        yield row.name, (Column(row.name, row.unit, row.meaning, optional=True), row.value)

@@ -1,0 +1,105 @@
+"""The page of a sweep: means and intervals as worked out by hand, every factor and failure shown, nothing from elsewhere."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stages.report.sweep import SweepRecord, sweep_report
+from stages.report.sweep.outcomes import OUTCOMES, average, magnitude, parameter, response, share
+
+BETA = "estimate.beta"
+HIT, CASTS, E = OUTCOMES[:3]
+STIFFNESS = ("bending_stiffness", "N m/(rad kg)", "spring between segments")
+
+
+def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
+    """A table as the pipeline makes it; E grows with beta by 20 a unit, and far is never hit."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for beta in betas:
+        for target in targets:
+            for seed in seeds:
+                row = {"job": len(rows), "key": f"k{len(rows):02d}", "folder": f"k{len(rows):02d}", "state": "done"}
+                row |= {"error": "", "attempts": 1, "seconds": 2.0, "host": "here", "hit": float(target == "near")}
+                row |= {"manipulations": 1.0 + seed, "E_before": 0.5, "E_after": 0.7 + 20 * (beta - 0.99)}
+                row |= {"miss_m": 0.01 * rng.random(), "experiment": "x", BETA: beta, "target": target, "seed": seed}
+                rows.append(row | {STIFFNESS[0]: 10.0 ** rng.normal()})
+    return pd.DataFrame(rows)
+
+
+def record(table, given=("experiment", BETA, "target", "seed")):
+    origin = {"seed": "of each job", "code": {"commit": "0123456789abcdef"}}
+    estimated = {STIFFNESS[0]: STIFFNESS[1:]}
+    return SweepRecord("demo", "all done", table, given, estimated, {"manipulations": "5"}, origin)
+
+
+def test_intervals_are_those_of_the_books():
+    """Student's t for 1, 2, 3: 2 -+ 4.303 / sqrt 3. Wilson for 8 of 10: 0.490 to 0.943 (Newcombe 1998)."""
+    assert average(np.array([1.0, 2.0, 3.0])) == pytest.approx((2.0, 2 - 2.4843, 2 + 2.4843), abs=1e-3)
+    assert share(np.array([1.0] * 8 + [0.0] * 2)) == pytest.approx((0.8, 0.490, 0.943), abs=1e-3)
+    assert magnitude(np.array([0.1, 1.0, 10.0]))[0] == pytest.approx(1.0)
+    assert np.isnan(average(np.array([1.0]))[1:]).all()
+
+
+def test_hit_rate_of_all_or_none_is_not_certain():
+    assert share(np.ones(3))[1] < 0.5
+    assert share(np.zeros(3))[2] > 0.5
+
+
+def test_seeds_are_what_is_repeated_not_jobs():
+    """Ten jobs of one seed say no more of chance than one: their mean is one value."""
+    table = swept(betas=np.linspace(0.9, 0.99, 10), targets=("near",), seeds=(0, 1))
+    whole = response(table, CASTS, ["target"]).iloc[0]
+    assert (whole["seeds"], whole["jobs"]) == (2, 20)
+    assert whole["mean"] == pytest.approx(1.5)
+    assert whole["high"] - whole["mean"] == pytest.approx(12.706 * 0.5, rel=1e-3)  # t of one degree of freedom
+
+
+def test_a_response_is_the_mean_over_the_other_settings():
+    table = swept()
+    at = response(table, HIT, [BETA]).set_index(BETA)["mean"]
+    assert at.to_dict() == pytest.approx({0.99: 50.0, 0.995: 50.0})
+    assert response(table, HIT, ["target"]).set_index("target")["mean"].to_dict() == {"far": 0.0, "near": 100.0}
+    assert response(table, E, [BETA])["mean"].diff().iloc[1] == pytest.approx(0.1)
+    table[STIFFNESS[0]] = np.where(table["seed"] == 0, 0.0, 10.0)  # zero has no logarithm
+    assert response(table, parameter(*STIFFNESS), [BETA])["mean"].to_list() == pytest.approx([10.0, 10.0])
+
+
+def test_the_page_shows_each_factor_and_each_pair():
+    page = sweep_report(record(swept()))
+    for factor in (BETA, "target"):
+        assert f"<h2>Response to {factor}</h2>" in page
+    assert "Response to experiment" not in page
+    assert "Response to seed" not in page
+    assert page.count("<img alt=") == 2 * 5 + 3  # hit, manipulations, E, miss, stiffness; and three maps
+    assert "16 of 16" in page
+    assert re.search(r"hit rate % over target: 0 \(.*\) at far, 100 \(.*\) at near", page.replace("[%]", "%"))
+    for forbidden in ("http://", "https://", "<script", "nan"):
+        assert forbidden not in page.replace("http://www.w3.org", "")
+    assert page == sweep_report(record(swept()))
+
+
+def test_failed_jobs_are_listed_and_left_out_of_the_means():
+    table = swept()
+    table.loc[0, ["state", "error", "hit", "E_after"]] = ["failed", "the <string> is too short", np.nan, np.nan]
+    shown = record(table)
+    assert len(shown.done) == 15
+    page = sweep_report(shown)
+    assert "15 of 16" in page
+    assert "the &lt;string&gt; is too short" in page
+
+
+@pytest.mark.parametrize("state", ["failed", "pending"])
+def test_a_sweep_of_which_nothing_is_done_has_a_page_too(state):
+    page = sweep_report(record(swept().assign(state=state)))
+    assert "0 of 16" in page
+    assert "no job is done" in page
+
+
+def test_one_setting_one_seed_and_no_casts():
+    table = swept(targets=("near",), seeds=(0,)).drop(columns="seed").assign(hit=np.nan, miss_m=np.nan)
+    page = sweep_report(record(table, ("experiment", BETA)))
+    assert "With one seed nobody can say" in page
+    assert "hit rate" not in page.split("<section", 1)[1]
