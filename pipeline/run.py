@@ -49,6 +49,17 @@ class Iteration:
         return f"t{self.number:02d}"
 
     @property
+    def refused(self) -> str:
+        """Why nothing is learned from its trial; empty if it can be trusted."""
+        link = self.done["execute"].link.iloc[0] if "execute" in self.done else {"valid": True}
+        return "" if link["valid"] else str(link["reason"])
+
+    @property
+    def hit(self) -> bool:
+        """Whether the tip reached the target in a trial that can be trusted."""
+        return self.verdict is not None and self.verdict.hit and not self.refused
+
+    @property
     def observation(self) -> Observation:
         """Its trial as estimation sees it."""
         trial, points = self.done["execute"], self.done["extract"]
@@ -71,14 +82,14 @@ class Result:
     @property
     def hit(self) -> bool:
         """Whether the real tip reached the target."""
-        return any(i.verdict is not None and i.verdict.hit for i in self.iterations)
+        return any(i.hit for i in self.iterations)
 
 
 def cast(world: World, folder: Path, bar: Bar) -> Result:
     """Cast until it hits or the manipulations are spent."""
     begin(world, folder)
     iterations: list[Iteration] = []
-    while len(iterations) < world.config["manipulations"] and not (iterations and _hit(iterations[-1])):
+    while len(iterations) < world.config["manipulations"] and not (iterations and iterations[-1].hit):
         iterations.append(_iterate(world, folder, iterations, bar))
         _publish(world, folder, iterations)
     return _finish(folder, iterations)
@@ -169,15 +180,18 @@ def begin(world: World, folder: Path) -> None:
 
 
 def _iterate(world: World, folder: Path, before: list[Iteration], bar: Bar) -> Iteration:
-    """One manipulation, step by step."""
+    """One manipulation, step by step. Nothing is estimated from a trial that cannot be trusted."""
     current = Iteration(len(before) + 1, {})
+    estimates = [i.done["estimate"] for i in before if "estimate" in i.done]
     for name in world.config["steps"]:
-        seen = [*before, current] if "extract" in current.done else before
+        if name == "estimate" and current.refused:
+            continue
+        seen = [i for i in (*before, current) if "extract" in i.done and not i.refused]
         past = Past(
             current.number,
             current.done,
             before[-1].done["generate"] if before else None,
-            before[-1].done.get("estimate") if before else None,
+            estimates[-1] if estimates else None,
             tuple(i.observation for i in seen[-world.config["memory"] :]),
         )
         current.done[name] = _step(world, folder, name, past, bar)
@@ -230,6 +244,8 @@ def _publish(world: World, folder: Path, iterations: list[Iteration]) -> None:
         "arm": {"links": list(world.arm.links), "base": list(world.arm.base)},
         "camera": camera,
     }
+    refused = {i.name: {"invalid": i.refused} for i in iterations if i.refused}
+    about |= {"trials": refused} if refused else {}
     places = {i.name: _place(i.number, "execute") for i in iterations}
     inputs = {path.as_posix(): _hash(folder / path) for i in iterations for path in _sources(i.number)}
     dataset.publish(folder, trials, places, about, origin(world.config, "dataset", world.seed, inputs))
@@ -240,16 +256,12 @@ def _sources(number: int) -> tuple[Path, Path]:
     return _place(number, "execute"), _place(number, "extract")
 
 
-def _hit(iteration: Iteration) -> bool:
-    return iteration.verdict is not None and iteration.verdict.hit
-
-
 def _finish(folder: Path, iterations: list[Iteration]) -> Result:
     """Say how it ended."""
     last = iterations[-1]
     assert last.verdict is not None
     tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
-    if last.verdict.hit:
+    if last.hit:
         sentence = f"The tip reached the target in manipulation {last.number}."
     else:
         sentence = f"The tip did not reach the target in {tries}; the budget is spent."
@@ -264,7 +276,7 @@ def _ended(folder: Path, iterations: list[Iteration], sentence: str) -> Result:
         fit = i.done["estimate"].fit.iloc[0] if "estimate" in i.done else {}
         row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
         if i.verdict is not None:
-            row |= {"hit": i.verdict.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
+            row |= {"hit": i.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
             row |= {"touched": i.verdict.touched}
         row = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
         rows.append(row)

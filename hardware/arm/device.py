@@ -108,6 +108,10 @@ class VelocityArm:
             self._checked_play(here + share[:, None] * way)
         time.sleep(self.driving.settle)
 
+    def check(self, commands: pd.DataFrame) -> None:
+        """The whole movement against the arm's limits."""
+        check_movement(self.arm, self.driving.workspace, commands[list(JOINTS)].to_numpy())
+
     def perform(self, commands: pd.DataFrame) -> Performance:
         """Check the whole movement, then play it."""
         angles = commands[list(JOINTS)].to_numpy()

@@ -50,4 +50,5 @@ def _measured(log: Log, start: float) -> pd.DataFrame:
     quick = back - sent <= np.quantile(back - sent, QUICK) if len(known) else slice(None)
     ahead = np.median((clock - (sent + back) / 2)[quick]) if len(known) else 0.0
     angles = dict(zip(JOINTS, log.angles[known].T, strict=True))
-    return pd.DataFrame({"t": clock - ahead + start} | angles).drop_duplicates("t").reset_index(drop=True)
+    table = pd.DataFrame({"t": clock - ahead + start} | angles)
+    return table.sort_values("t").drop_duplicates("t").reset_index(drop=True)

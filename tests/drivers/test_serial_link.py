@@ -47,7 +47,8 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     np.testing.assert_array_equal(ticks[list(SENT)].to_numpy(), movement().filter(like="w").astype("float32"))
     assert (ticks["t_sent"] >= ticks["t_due"]).all()
     answered = ticks.dropna(subset="t_acknowledged")
-    assert (np.diff(answered["t_device"]) > 0).all()
+    assert (np.diff(answered["t_device"]) >= 0).all()  # a busy machine lets frames arrive together
+    assert np.ptp(answered["t_device"]) < 60.0
     assert performance.arm["t"].is_monotonic_increasing
     assert {"trip_p50", "trip_p99", "trip_max"} <= set(performance.link)
 

@@ -1,4 +1,7 @@
-"""`python -m hardware.serial.emulator`: serve a device on a pseudo-terminal, whose name is printed first."""
+"""`python -m hardware.serial.emulator`: serve a device on a pseudo-terminal, whose name is printed first.
+
+It ends with whoever started it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,6 @@ from hardware.serial.emulator.device import KINDS, Device, UnpluggedError
 from hardware.serial.emulator.joints import STEP
 from hardware.serial.firmware import Firmware
 
-LARGEST = 0.005  # [s] by which the device's clock moves at once: on a busy machine its time stands still
 AFTER = 0.5  # [s] for which an unplugged device goes on
 
 
@@ -76,13 +78,13 @@ def noter(write: Callable[[str], object]) -> Callable[[str, Device], None]:
 
 def serve(device: Device, master: int, end: float) -> None:
     """Let the device live on the pseudo-terminal until a moment of time.monotonic [s]. Raises UnpluggedError."""
-    last = time.monotonic()
-    while last < end:
+    last, parent = time.monotonic(), os.getppid()
+    while last < end and os.getppid() == parent:
         ready, _, _ = select.select([master], [], [], STEP)
         if ready:
             device.hear(os.read(master, 4096))
         now = time.monotonic()
-        out = device.advance(min(now - last, LARGEST))
+        out = device.advance(now - last)
         last = now
         if out:
             os.write(master, out)
