@@ -29,12 +29,14 @@ START_TOLERANCE = 0.02  # [rad] between reported and commanded start
 class Driving:
     """How an arm is driven.
 
-    misses: unanswered ticks in a row after which it is brought to rest. late: lateness [s] above which a tick
-    counts as missed; most_missed: share of missed ticks above which the trial is invalid. astray: distance from
-    the commanded angles [rad] at which it is brought to rest. approach: speed [rad/s] of `move_to`; settle: time
-    [s] for the string to come to rest. priority: SCHED_FIFO, 1 to 99, where the system allows it; 0: as usual.
+    round_trip: median of the link test [s] above which nothing moves. misses: unanswered ticks in a row after
+    which it is brought to rest. late: lateness [s] above which a tick counts as missed; most_missed: share of missed
+    ticks above which the trial is invalid. astray: distance from the commanded angles [rad] at which it is brought
+    to rest. approach: speed [rad/s] of `move_to`; settle: time [s] for the string to come to rest. priority:
+    SCHED_FIFO, 1 to 99, where the system allows it; 0: as usual. workspace: where joints and hand may be.
     """
 
+    round_trip: Annotated[float, Field(gt=0)]
     misses: Annotated[int, Field(ge=1)]
     late: Annotated[float, Field(gt=0)]
     most_missed: Annotated[float, Field(ge=0, le=1)]
@@ -154,11 +156,11 @@ class VelocityArm:
             self.wire.angles()
             trips.append(time.monotonic() - begun)
         self.trips = np.array(trips)
-        if np.median(self.trips) > self.arm.tick:
+        if np.median(self.trips) > self.driving.round_trip:
             p50, p99, most = np.percentile(self.trips, [50, 99, 100]) * 1e3
             raise HardwareError(
                 f"arm on {self.wire.name}: a round trip takes {p50:.1f} ms (99 %: {p99:.1f}, longest: {most:.1f} ms), "
-                f"a tick is {self.arm.tick * 1e3:.0f} ms. Lower the adapter's latency timer to 1 ms, or change ports."
+                f"allowed are {self.driving.round_trip * 1e3:.1f}. Lower the adapter's latency timer, or change ports."
             )
         if self.wire.watchdog < 2 * self.arm.tick:
             raise HardwareError(

@@ -37,6 +37,7 @@ class Log:
     angles: np.ndarray
     begun: float = 0.0
     last: int = -1  # the latest tick that was answered
+    previous: int = -1  # the one answered before it
     held: str = ""
     waiting: dict[int, int] = field(default_factory=dict)  # ticks by the number of their command
 
@@ -78,10 +79,10 @@ class Guard:
         off = np.abs(log.angles[at] - log.expected[at])
         if off.max() > self.astray:
             return f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent"
-        if at == 0 or np.isnan(log.clock[at - 1]):
+        if log.previous < 0:
             return ""
-        leap = np.abs(log.angles[at] - log.angles[at - 1]) - NOISE
-        most = 2 * np.asarray(self.arm.speed) * max(log.clock[at] - log.clock[at - 1], self.arm.tick)
+        leap = np.abs(log.angles[at] - log.angles[log.previous]) - NOISE
+        most = 2 * np.asarray(self.arm.speed) * max(log.clock[at] - log.clock[log.previous], self.arm.tick)
         return f"the encoder of joint {(leap - most).argmax() + 1} jumped" if (leap > most).any() else ""
 
 
@@ -123,7 +124,9 @@ def _note(log: Log, number: int, clock: float, held: str, angles: tuple[float, .
         return
     log.acknowledged[at] = time.monotonic() - log.begun
     log.clock[at], log.angles[at] = clock, angles
-    log.last, log.held = max(log.last, at), log.held or held
+    log.held = log.held or held
+    if at > log.last:
+        log.previous, log.last = log.last, at
 
 
 def _emergency(wire: Wire, guard: Guard) -> None:

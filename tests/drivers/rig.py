@@ -18,12 +18,12 @@ from stages.model.arm import Arm
 ARM = Arm((0.25, 0.2, 0.135), (0.0, 0.0), (-2.0,) * 3, (2.0,) * 3, (20.0,) * 3, (300.0,) * 3, 21.8, 0.005)
 WORKSPACE = Workspace((-0.6, -0.6), (0.6, 0.6))
 # A busy machine must not fail the tests: budgets for time are wide, and so is the device's watchdog (`emulator`).
-DRIVING = Driving(20, 0.1, 0.5, 1.0, approach=2.0, settle=0.0, priority=0, workspace=WORKSPACE)
+DRIVING = Driving(1.0, 20, 0.1, 0.5, 1.0, approach=2.0, settle=0.0, priority=0, workspace=WORKSPACE)
 WATCHDOG = 0.25  # [s]
 
 
-def driver(port, **changed):
-    return VelocityArm(ARM, SerialWire(port, 1_000_000), Driving(**{**vars(DRIVING), **changed}))
+def driver(port, arm=ARM, **changed):
+    return VelocityArm(arm, SerialWire(port, 1_000_000), Driving(**{**vars(DRIVING), **changed}))
 
 
 def movement(duration=0.3):
@@ -34,9 +34,10 @@ def movement(duration=0.3):
 
 
 @contextmanager
-def emulator(log, *options, command=(sys.executable, "-m", "hardware.serial.emulator")):
+def emulator(log, *options, command=(sys.executable, "-m", "hardware.serial.emulator"), watchdog=WATCHDOG):
     """The name of an emulated device's port; the device ends with the block."""
-    whole = [*command, "--log", str(log), "--until", "30", "--watchdog", str(round(WATCHDOG * 1e3)), *options]
+    patience = ["--watchdog", str(round(watchdog * 1e3))] if watchdog else []
+    whole = [*command, "--log", str(log), "--until", "60", *patience, *options]
     process = subprocess.Popen(whole, stdout=subprocess.PIPE, text=True)
     try:
         yield process.stdout.readline().strip()

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,8 +90,9 @@ def test_a_fault_of_one_frame_is_survived_and_accounted_for(log, kind):
 def test_a_fault_of_the_device_ends_with_the_arm_at_rest_and_one_error(log, kind):
     frame = random.Random(kind).randrange(5, 55)
     said = r"no answer|link is gone|does not answer|restarted|watchdog|jumped"
+    slow = replace(ARM, speed=(3.0,) * 3)  # so that what an encoder can truly report is little, also after a pause
     with emulator(log, "--fault", f"{kind}:{frame}") as port:
-        with pytest.raises(HardwareError, match=said), driver(port, misses=5) as arm:
+        with pytest.raises(HardwareError, match=said), driver(port, slow) as arm:
             arm.perform(movement(0.6))
         took = standstill(log, kind)
     assert took is not None
@@ -102,6 +104,15 @@ def test_too_many_late_ticks_make_the_trial_invalid_with_the_reason(log):
         link = arm.perform(movement()).link.iloc[0]
     assert not link["valid"]
     assert "were late or lost, allowed are 0.0%" in link["reason"]
+
+
+def test_a_slow_link_is_refused_with_its_distribution(log):
+    with (
+        emulator(log) as port,
+        pytest.raises(HardwareError, match=r"round trip takes .* ms \(99 %: .*, longest: "),
+        driver(port, round_trip=1e-6),
+    ):
+        pass
 
 
 def test_a_wrong_start_is_refused_before_anything_moves(log):

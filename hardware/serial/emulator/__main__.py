@@ -8,15 +8,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import pty
-import select
-import time
-import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from hardware.serial.emulator.device import KINDS, Device, UnpluggedError
-from hardware.serial.emulator.joints import STEP
+from hardware.emulated.terminal import serve
+from hardware.serial.emulator.device import KINDS, Device
 from hardware.serial.firmware import Firmware
 
 AFTER = 0.5  # [s] for which an unplugged device goes on
@@ -27,15 +23,7 @@ def main() -> None:
     options = parsed()
     with options.log.open("w", buffering=1) as log:
         device = Device(Firmware(options.watchdog), dict(options.fault), noter(log.write), options.since)
-        master, slave = pty.openpty()
-        tty.setraw(slave)
-        print(os.ttyname(slave), flush=True)
-        try:
-            serve(device, master, time.monotonic() + options.until)
-        except UnpluggedError:
-            os.close(slave)
-            os.close(master)
-            device.advance(AFTER)
+        serve(device, options.until, AFTER)
 
 
 def parsed() -> argparse.Namespace:
@@ -74,20 +62,6 @@ def noter(write: Callable[[str], object]) -> Callable[[str, Device], None]:
         write(json.dumps(row) + "\n")
 
     return note
-
-
-def serve(device: Device, master: int, end: float) -> None:
-    """Let the device live on the pseudo-terminal until a moment of time.monotonic [s]. Raises UnpluggedError."""
-    last, parent = time.monotonic(), os.getppid()
-    while last < end and os.getppid() == parent:
-        ready, _, _ = select.select([master], [], [], STEP)
-        if ready:
-            device.hear(os.read(master, 4096))
-        now = time.monotonic()
-        out = device.advance(now - last)
-        last = now
-        if out:
-            os.write(master, out)
 
 
 if __name__ == "__main__":

@@ -36,6 +36,11 @@ class Joint:
         """What is measured [rad]."""
         return self.angle + self.offset
 
+    @property
+    def still(self) -> bool:
+        """Whether it stands, its wire at rest."""
+        return abs(self.speed) < STILL and abs(self.drive) < STILL
+
 
 @dataclass
 class Joints:
@@ -55,5 +60,5 @@ class Joints:
 
     @property
     def still(self) -> bool:
-        """Whether everything stands, wires at rest."""
-        return all(abs(joint.speed) < STILL and abs(joint.drive) < STILL for joint in self.joints)
+        """Whether all of them stand."""
+        return all(joint.still for joint in self.joints)
