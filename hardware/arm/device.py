@@ -116,6 +116,7 @@ class VelocityArm:
 
     def perform(self, commands: pd.DataFrame) -> Performance:
         """Check the whole movement, then play it."""
+        self._refuse_latched()
         angles = commands[list(JOINTS)].to_numpy()
         off = np.abs(self.angles() - angles[0]).max()
         if off > START_TOLERANCE:
@@ -128,11 +129,7 @@ class VelocityArm:
         return performance(log, start, self.driving.late, self.driving.most_missed, self.trips)
 
     def _checked_play(self, angles: np.ndarray) -> Log:
-        if self.latched:
-            raise HardwareError(
-                f"arm on {self.wire.name}: latched by the emergency stop ({self.latched}). "
-                "Look why, make it safe, then clear it."
-            )
+        self._refuse_latched()
         check_movement(self.arm, self.driving.workspace, angles)
         log = blank(angles[0], self.arm.commanded(angles), self.arm.tick)
         self.moving = True
@@ -144,6 +141,13 @@ class VelocityArm:
         self.wire.stop()
         self.moving = False
         return log
+
+    def _refuse_latched(self) -> None:
+        if self.latched:
+            raise HardwareError(
+                f"arm on {self.wire.name}: latched by the emergency stop ({self.latched}). "
+                "Look why, make it safe, then clear it."
+            )
 
     def _guard(self) -> Guard:
         return Guard(self.arm, self.driving.misses, self.driving.astray, lambda: self.latched)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hardware.arm.clock import SPIN, undisturbed, wait_until
-from hardware.arm.wire import Wire
+from hardware.arm.wire import Answer, Wire
 from stages.model.arm import Arm
 from stages.roles import HardwareError
 
@@ -73,17 +73,17 @@ class Guard:
 
     def _wrong(self, log: Log) -> str:
         """What the last measured angles betray."""
-        at = log.last
-        if at < 0:
+        at, before = log.last, log.previous
+        if before < 0:
             return ""
+        leap = np.abs(log.angles[at] - log.angles[before]) - NOISE
+        most = 2 * np.asarray(self.arm.speed) * max(log.clock[at] - log.clock[before], self.arm.tick)
+        if (leap > most).any():
+            return f"the encoder of joint {(leap - most).argmax() + 1} jumped"
         off = np.abs(log.angles[at] - log.expected[at])
-        if off.max() > self.astray:
-            return f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent"
-        if log.previous < 0:
-            return ""
-        leap = np.abs(log.angles[at] - log.angles[log.previous]) - NOISE
-        most = 2 * np.asarray(self.arm.speed) * max(log.clock[at] - log.clock[log.previous], self.arm.tick)
-        return f"the encoder of joint {(leap - most).argmax() + 1} jumped" if (leap > most).any() else ""
+        return (
+            f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent" if off.max() > self.astray else ""
+        )
 
 
 def play(wire: Wire, log: Log, guard: Guard, priority: int) -> None:
@@ -110,21 +110,23 @@ def play(wire: Wire, log: Log, guard: Guard, priority: int) -> None:
 
 
 def _listen(wire: Wire, log: Log, until: float) -> None:
-    """Note the answers as they come, until all have come or the moment is there."""
-    while log.waiting and time.monotonic() < until:
+    """Note the answers as they come, until all have come or the moment is there: looking once even when late."""
+    while log.waiting:
         for answer in wire.answers():
-            _note(log, answer.number, answer.clock, answer.held, answer.angles)
+            _note(log, answer)
+        if time.monotonic() + POLL > until:
+            break
         if log.waiting:
             time.sleep(POLL)
 
 
-def _note(log: Log, number: int, clock: float, held: str, angles: tuple[float, ...]) -> None:
-    at = log.waiting.pop(number, -1)
+def _note(log: Log, answer: Answer) -> None:
+    at = log.waiting.pop(answer.number, -1)
     if at < 0:  # a duplicate, or the answer to something else
         return
     log.acknowledged[at] = time.monotonic() - log.begun
-    log.clock[at], log.angles[at] = clock, angles
-    log.held = log.held or held
+    log.clock[at], log.angles[at] = answer.clock, answer.angles
+    log.held = log.held or answer.held
     if at > log.last:
         log.previous, log.last = log.last, at
 
