@@ -78,7 +78,7 @@ class VelocityArm:
     ) -> None:
         """Stop, whatever happened, and let go. A movement that did not come to its end is an emergency."""
         with self.signals.ignored():
-            if self.moving:
+            if self.moving or self.latched:
                 self.wire.latch()
             self.wire.stop()
             self.wire.close()

@@ -81,9 +81,9 @@ class Guard:
         if (leap > most).any():
             return f"the encoder of joint {(leap - most).argmax() + 1} jumped"
         off = np.abs(log.angles[at] - log.expected[at])
-        return (
-            f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent" if off.max() > self.astray else ""
-        )
+        if off.max() > self.astray:
+            return f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent"
+        return ""
 
 
 def play(wire: Wire, log: Log, guard: Guard, priority: int) -> None:

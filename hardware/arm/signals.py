@@ -37,9 +37,11 @@ class Signals:
         """Nobody interrupts what is inside: an impatient second Ctrl-C must not prevent the stop."""
         for number in self.before:
             signal.signal(number, signal.SIG_IGN)
-        yield
-        for number in self.before:
-            signal.signal(number, _leave)
+        try:
+            yield
+        finally:
+            for number in self.before:
+                signal.signal(number, _leave)
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

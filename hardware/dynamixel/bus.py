@@ -43,6 +43,7 @@ except ImportError:
     BROKEN = (serial.SerialException, OSError)
 
 TRIES = 3
+BLOCK = 0.001  # [s] that a read sleeps for bytes; the library would spin, and keep a core from everybody else
 
 
 @dataclass(frozen=True)
@@ -97,12 +98,7 @@ class DynamixelBus:
         self._connect()
         for servo, limit in zip(self.servos, self.fastest, strict=True):
             self._check(servo, limit)
-        for servo in self.servos:
-            self._write(servo, TORQUE_ENABLE, 0)  # the mode can be changed only so
-            self._write(servo, OPERATING_MODE, VELOCITY_MODE)
-            self._write(servo, BUS_WATCHDOG, 0)
-            self._write(servo, GOAL_VELOCITY, 0)
-            self._write(servo, TORQUE_ENABLE, 1)
+        self._make_ready()
 
     def close(self) -> None:
         """Torque off, and let go."""
@@ -152,23 +148,24 @@ class DynamixelBus:
         return [Answer(self.number, clock, self._held(states), self._angles(states))]
 
     def stop(self) -> None:
-        """Velocity zero, then the watchdogs may rest; one that has acted stays as it is."""
+        """Velocity zero, then the watchdogs that we armed may rest; one that has acted stays as it is."""
         try:
             for _ in range(TRIES):
                 self._write_all(GOAL_VELOCITY, 0)
-            if not self.latched:
+            self._held(self._read_all())
+            if self.armed and not self.latched:
                 self._write_all(BUS_WATCHDOG, 0)
         except HardwareError:
-            return
+            return  # nobody is there: the watchdogs act
         self.armed = False
 
     def latch(self) -> None:
         """Velocity zero, then silence until the servos' watchdogs have tripped: that is their own latch."""
         self.latched = True
         try:
-            self._write_all(BUS_WATCHDOG, 1)
             for _ in range(TRIES):
                 self._write_all(GOAL_VELOCITY, 0)
+            self._write_all(BUS_WATCHDOG, 1)
         except HardwareError:
             return
         time.sleep(3 * WATCHDOG_UNIT)
@@ -177,10 +174,17 @@ class DynamixelBus:
         """Undo tripped watchdogs; connects where nothing is open."""
         if self.handler is None:
             self._connect()
-        for servo in self.servos:
-            self._write(servo, GOAL_VELOCITY, 0)
-            self._write(servo, BUS_WATCHDOG, 0)
+        self._make_ready()
         self.latched = self.armed = False
+
+    def _make_ready(self) -> None:
+        """Velocity mode at velocity zero, torque on, watchdogs at rest."""
+        for servo in self.servos:
+            self._write(servo, TORQUE_ENABLE, 0)  # the mode can be changed only so
+            self._write(servo, OPERATING_MODE, VELOCITY_MODE)
+            self._write(servo, BUS_WATCHDOG, 0)  # first: a tripped one makes the goal read-only
+            self._write(servo, GOAL_VELOCITY, 0)
+            self._write(servo, TORQUE_ENABLE, 1)
 
     def _connect(self) -> None:
         check_latency(self.port)
@@ -200,6 +204,7 @@ class DynamixelBus:
             raise self._unopened(str(error)) from error
         if not opened:
             raise self._unopened(f"the library knows no rate of {self.baud} baud")
+        self.handler.ser.timeout = BLOCK
         self.reader = self.sdk.GroupSyncRead(self.handler, self.packets, *STATE)
         self.writer = self.sdk.GroupSyncWrite(self.handler, self.packets, *GOAL_VELOCITY)
         for servo in self.servos:
@@ -213,6 +218,7 @@ class DynamixelBus:
         """Refuse a servo that is latched, ill or too slow. speed: what the arm's limits ask of it [rad/s]."""
         place = f"arm on {self.port}: servo {servo.id}"
         if self._read(servo, BUS_WATCHDOG) == TRIPPED:
+            self.latched = True
             raise HardwareError(
                 f"{place} was latched by an emergency stop or its watchdog. Look why, make it safe, then: python -m "
                 f"hardware.dynamixel.clear {self.port} {' '.join(str(s.id) for s in self.servos)}"

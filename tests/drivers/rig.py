@@ -18,7 +18,7 @@ from stages.model.arm import Arm
 ARM = Arm((0.25, 0.2, 0.135), (0.0, 0.0), (-2.0,) * 3, (2.0,) * 3, (20.0,) * 3, (300.0,) * 3, 21.8, 0.005)
 WORKSPACE = Workspace((-0.6, -0.6), (0.6, 0.6))
 # A busy machine must not fail the tests: budgets for time are wide, and so is the device's watchdog (`emulator`).
-DRIVING = Driving(1.0, 20, 0.1, 0.5, 1.0, approach=2.0, settle=0.0, priority=0, workspace=WORKSPACE)
+DRIVING = Driving(1.0, 20, 0.1, 0.5, 3.0, approach=2.0, settle=0.0, priority=0, workspace=WORKSPACE)
 WATCHDOG = 0.25  # [s]
 
 
