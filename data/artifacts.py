@@ -18,6 +18,7 @@ from data.schema import Column, Table
 
 JOINTS = ("q1", "q2", "q3")
 SPEEDS = ("w1", "w2", "w3")
+SENT = ("sent1", "sent2", "sent3")
 
 _TIME = Column("t", "s", "time; 0 is the start of the movement")
 _Q = tuple(Column(f"q{j}", "rad", f"angle of joint {j}") for j in (1, 2, 3))
@@ -109,6 +110,10 @@ TICKS = Table(
         *_W,
         *(Column(f"q{j}", "rad", f"measured angle of joint {j} in the acknowledgement") for j in (1, 2, 3)),
         Column("missed", "", "the command was late or lost", "bool"),
+        *(
+            Column(f"sent{j}", "rad/s", f"velocity of joint {j} as the link carried it", optional=True)
+            for j in (1, 2, 3)
+        ),
     ),
 )
 FRAMES = Table(
@@ -131,6 +136,9 @@ LINK = Table(
         Column("jitter_p50", "s", "median lateness of a command"),
         Column("jitter_p99", "s", "99th percentile of lateness"),
         Column("jitter_max", "s", "largest lateness"),
+        Column("trip_p50", "s", "median round trip of the link test", optional=True),
+        Column("trip_p99", "s", "99th percentile of the round trips", optional=True),
+        Column("trip_max", "s", "longest round trip", optional=True),
     ),
 )
 

@@ -98,7 +98,7 @@ def read(folder: Path) -> Dataset:
         moved = {motion_table.name: _of(motion, name)}
         parts = [_of(frame, name) for frame in (points, readings, masks)]
         times = shots[name][0] if parts[0].empty and name in shots else parts[0]["t"].to_numpy()
-        reason = _unusable(moved[motion_table.name]["t"].to_numpy(), times)
+        reason = _invalid(known, name) or _unusable(moved[motion_table.name]["t"].to_numpy(), times)
         if reason:
             rejected[name] = reason
             continue
@@ -207,6 +207,11 @@ def fits(data: Dataset, length: float) -> Dataset:
     }
     kept = {name: o for name, o in data.trials.items() if name not in long}
     return replace(data, trials=kept, rejected={**data.rejected, **reasons})
+
+
+def _invalid(known: Mapping[str, Any], name: str) -> str:
+    """Why dataset.yaml says that a trial is not to be used; empty if it does not."""
+    return str(((known.get("trials") or {}).get(name) or {}).get("invalid", ""))
 
 
 def _unusable(moved: np.ndarray, seen: np.ndarray) -> str:

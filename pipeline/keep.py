@@ -152,6 +152,8 @@ def publish(world: World, folder: Path, to: Path, iterations: list[Iteration]) -
         "arm": {"links": list(world.arm.links), "base": list(world.arm.base)},
         "camera": camera,
     }
+    refused = {i.name: {"invalid": i.refused} for i in iterations if i.refused}
+    about |= {"trials": refused} if refused else {}
     places = {i.name: place_of(i.number, "execute") for i in iterations}
     dataset.publish(to, trials, places, about, origin(world.config, "dataset", world.seed, _trials(folder, iterations)))
 

@@ -37,6 +37,17 @@ class Iteration:
         return f"performed-{self.number:02d}" if "propose" in self.done else f"t{self.number:02d}"
 
     @property
+    def refused(self) -> str:
+        """Why nothing is learned from its trial; empty if it can be trusted."""
+        link = self.done["execute"].link.iloc[0] if "execute" in self.done else {"valid": True}
+        return "" if link["valid"] else str(link["reason"])
+
+    @property
+    def hit(self) -> bool:
+        """Whether the tip reached the target in a trial that can be trusted."""
+        return self.verdict is not None and self.verdict.hit and not self.refused
+
+    @property
     def observation(self) -> Observation:
         """Its trial as estimation sees it."""
         trial, points = self.done["execute"], self.done["extract"]
@@ -59,7 +70,7 @@ class Result:
     @property
     def hit(self) -> bool:
         """Whether the real tip reached the target."""
-        return any(i.verdict is not None and i.verdict.hit for i in self.iterations)
+        return any(i.hit for i in self.iterations)
 
 
 class Desk(Protocol):
@@ -83,7 +94,7 @@ def work(world: World, folder: Path, desk: Desk) -> Result:
 def cast(world: World, folder: Path, desk: Desk) -> Result:
     """Cast until it hits or the manipulations are spent."""
     iterations: list[Iteration] = []
-    while len(iterations) < world.config["manipulations"] and not (iterations and _hit(iterations[-1])):
+    while len(iterations) < world.config["manipulations"] and not (iterations and iterations[-1].hit):
         iterations.append(_iterate(world, iterations, desk))
         desk.publish(iterations)
     return Result(folder, tuple(iterations), _ended(iterations))
@@ -158,10 +169,8 @@ def _performed(past: Past, current: Iteration, desk: Desk) -> Past:
 
 def _fault(current: Iteration) -> str:
     """Why a trial just performed cannot be used; empty if it can."""
-    link = current.done["execute"].link.iloc[0]
-    if not link["valid"]:
-        return str(link["reason"])
-    return "" if current.done["extract"].readings["valid"].any() else "the string could not be read in any frame"
+    read = current.done["extract"].readings["valid"].any()
+    return current.refused or ("" if read else "the string could not be read in any frame")
 
 
 def _concluded(past: Past) -> str:
@@ -208,15 +217,18 @@ def _read_again(world: World, stored: Observation, past: Past, desk: Desk) -> tu
 
 
 def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
-    """One manipulation, step by step."""
+    """One manipulation, step by step. Nothing is estimated from a trial that cannot be trusted."""
     current = Iteration(len(before) + 1, {})
+    estimates = [i.done["estimate"] for i in before if "estimate" in i.done]
     for name in world.config["steps"]:
-        seen = [*before, current] if "extract" in current.done else before
+        if name == "estimate" and current.refused:
+            continue
+        seen = [i for i in (*before, current) if "extract" in i.done and not i.refused]
         past = Past(
             current.number,
             current.done,
             before[-1].done["generate"] if before else None,
-            before[-1].done.get("estimate") if before else None,
+            estimates[-1] if estimates else None,
             tuple(i.observation for i in seen[-world.config["memory"] :]),
         )
         current.done[name] = desk.step(name, past)
@@ -225,14 +237,10 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
     return Iteration(current.number, current.done, judge(points, world.target, world.obstacles, motion.duration))
 
 
-def _hit(iteration: Iteration) -> bool:
-    return iteration.verdict is not None and iteration.verdict.hit
-
-
 def _ended(iterations: list[Iteration]) -> str:
     """How casting ended, in a sentence."""
     last = iterations[-1]
-    if _hit(last):
+    if last.hit:
         return f"The tip reached the target in manipulation {last.number}."
     tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
     return f"The tip did not reach the target in {tries}; the budget is spent."
@@ -245,7 +253,7 @@ def in_numbers(result: Result) -> dict[str, Any]:
         fit = i.done["estimate"].fit.iloc[0] if "estimate" in i.done else {}
         row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
         if i.verdict is not None:
-            row |= {"hit": i.verdict.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
+            row |= {"hit": i.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
             row |= {"touched": i.verdict.touched}
         row = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
         rows.append(row)

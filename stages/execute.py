@@ -27,12 +27,17 @@ def execute(
     """
     commands = padded(motion.commands, before, after)
     with camera, arm:
-        arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
-        camera.start()
-        performance = arm.perform(commands)
-        recording = camera.stop(performance.begun - float(commands["t"].iloc[0]))
-    end = motion.duration + after
-    inside = np.flatnonzero((recording.t >= -before - 1e-9) & (recording.t <= end + 1e-9))
+        return filmed(commands, arm, camera, end=motion.duration + after)
+
+
+def filmed(commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: float) -> Trial:
+    """Go to the start of `commands` and play them on film, with open devices. end: of the film [s]."""
+    begin = float(commands["t"].iloc[0])
+    arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
+    camera.start()
+    performance = arm.perform(commands)
+    recording = camera.stop(performance.begun - begin)
+    inside = np.flatnonzero((recording.t >= begin - 1e-9) & (recording.t <= end + 1e-9))
     frames = pd.DataFrame(
         {
             "frame": np.arange(len(inside)),

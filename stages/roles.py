@@ -51,6 +51,12 @@ class ArmDevice(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
 
+    def angles(self) -> np.ndarray:
+        """Joint angles as measured now, (J,) [rad]."""
+
+    def check(self, commands: pd.DataFrame) -> None:
+        """Refuse a table COMMANDS that leaves a limit of the arm anywhere; nothing moves."""
+
     def move_to(self, angles: Sequence[float]) -> None:
         """Go slowly to joint angles [rad] and wait until the string has settled."""
 

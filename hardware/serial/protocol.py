@@ -2,82 +2,140 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from dataclasses import dataclass
+from enum import IntEnum
 
-PING, VELOCITY, STOP, ACKNOWLEDGED = 0x01, 0x02, 0x03, 0x81
+VERSION = 2
 JOINTS = 3
+LONGEST = 64  # bytes between two delimiters; more cannot be a frame
+
+
+class Kind(IntEnum):
+    """What a frame is. Host to device below 0x80, device to host above."""
+
+    PING = 0x01
+    VELOCITY = 0x02
+    STOP = 0x03
+    LATCH = 0x04
+    CLEAR = 0x05
+    HELLO = 0x06
+    ANSWER = 0x81
+    GREETING = 0x82
+
+
+class State(IntEnum):
+    """What the device is about."""
+
+    FRESH = 0  # just switched on: obeys HELLO only
+    IDLE = 1  # at rest, ready
+    MOVING = 2  # follows velocities; the watchdog is armed
+    TRIPPED = 3  # the watchdog brought it to rest: obeys HELLO only
+    LATCHED = 4  # emergency stop: obeys CLEAR only
+
+
 _HEAD = struct.Struct("<BH")
-_SPEEDS = struct.Struct(f"<{JOINTS}f")
+_BODIES = {Kind.VELOCITY: struct.Struct(f"<{JOINTS}f"), Kind.HELLO: struct.Struct("<B")}
+_NONE = struct.Struct("")
 _ANSWER = struct.Struct(f"<IB{JOINTS}f")
+_GREETING = struct.Struct("<BBHB")
 
 
 class FrameError(Exception):
     """Bytes that are no whole frame of ours."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Command:
-    """Host to device. speeds: [rad/s], only with VELOCITY."""
+    """Host to device. values: speeds [rad/s] of VELOCITY, the host's version of HELLO, else nothing."""
 
-    kind: int
+    kind: Kind
     sequence: int
-    speeds: tuple[float, ...] = ()
+    values: tuple[float, ...] = ()
 
 
-@dataclass(frozen=True)
-class Answer:
-    """Device to host. clock: device time [s], wraps at 2^32 microseconds. stopped: by watchdog or STOP.
-    angles: measured [rad]."""
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Device to host. micros: device clock [us], wraps at 2^32. angles: measured [rad]."""
 
     sequence: int
-    clock: float
-    stopped: bool
+    micros: int
+    state: State
     angles: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Greeting:
+    """The device's answer to HELLO. watchdog [ms]."""
+
+    sequence: int
+    version: int
+    joints: int
+    watchdog: int
+    state: State
 
 
 def encode_command(command: Command) -> bytes:
     """The bytes of a command, delimiter included."""
-    body = _SPEEDS.pack(*command.speeds) if command.kind == VELOCITY else b""
-    return _framed(_HEAD.pack(command.kind, command.sequence) + body)
+    return _framed(command.kind, command.sequence, _BODIES.get(command.kind, _NONE).pack(*command.values))
 
 
 def decode_command(frame: bytes) -> Command:
-    """A command from the bytes between two delimiters; raises FrameError."""
-    payload = _unframed(frame)
-    kind, sequence = _HEAD.unpack_from(payload)
-    expected = _HEAD.size + (_SPEEDS.size if kind == VELOCITY else 0)
-    if kind not in (PING, VELOCITY, STOP) or len(payload) != expected:
-        raise FrameError(f"command {kind:#x} of {len(payload)} bytes")
-    return Command(kind, sequence, _SPEEDS.unpack_from(payload, _HEAD.size) if kind == VELOCITY else ())
+    """A command from the bytes between two delimiters; raises FrameError, also where a speed is no number."""
+    kind, sequence, body = _unframed(frame)
+    layout = _BODIES.get(kind, _NONE)
+    if kind >= Kind.ANSWER or len(body) != layout.size:
+        raise FrameError(f"command {kind!r} of {len(body)} bytes")
+    values = layout.unpack(body)
+    if not all(map(math.isfinite, values)):
+        raise FrameError("a speed that is no number")
+    return Command(kind, sequence, values)
 
 
-def encode_answer(answer: Answer) -> bytes:
+def encode_answer(answer: Report | Greeting) -> bytes:
     """The bytes of an answer, delimiter included."""
-    micros = round(answer.clock * 1e6) % 2**32
-    body = _ANSWER.pack(micros, answer.stopped, *answer.angles)
-    return _framed(_HEAD.pack(ACKNOWLEDGED, answer.sequence) + body)
+    if isinstance(answer, Greeting):
+        body = _GREETING.pack(answer.version, answer.joints, answer.watchdog, answer.state)
+        return _framed(Kind.GREETING, answer.sequence, body)
+    return _framed(Kind.ANSWER, answer.sequence, _ANSWER.pack(answer.micros, answer.state, *answer.angles))
 
 
-def decode_answer(frame: bytes) -> Answer:
+def decode_answer(frame: bytes) -> Report | Greeting:
     """An answer from the bytes between two delimiters; raises FrameError."""
-    payload = _unframed(frame)
-    if len(payload) != _HEAD.size + _ANSWER.size or payload[0] != ACKNOWLEDGED:
-        raise FrameError(f"answer of {len(payload)} bytes")
-    micros, stopped, *angles = _ANSWER.unpack_from(payload, _HEAD.size)
-    return Answer(_HEAD.unpack_from(payload)[1], micros * 1e-6, bool(stopped), tuple(angles))
+    kind, sequence, body = _unframed(frame)
+    try:
+        if kind is Kind.ANSWER:
+            micros, state, *angles = _ANSWER.unpack(body)
+            return Report(sequence, micros, State(state), tuple(angles))
+        if kind is Kind.GREETING:
+            version, joints, watchdog, state = _GREETING.unpack(body)
+            return Greeting(sequence, version, joints, watchdog, State(state))
+    except (struct.error, ValueError) as error:
+        raise FrameError(str(error)) from error
+    raise FrameError(f"answer {kind!r}")
 
 
-def _framed(payload: bytes) -> bytes:
+def newer(sequence: int, last: int) -> bool:
+    """Whether a sequence number comes after another, round the end of 16 bits."""
+    return 0 < (sequence - last) % 2**16 < 2**15
+
+
+def _framed(kind: Kind, sequence: int, body: bytes) -> bytes:
+    payload = _HEAD.pack(kind, sequence) + body
     return cobs(payload + struct.pack("<I", zlib.crc32(payload))) + b"\0"
 
 
-def _unframed(frame: bytes) -> bytes:
+def _unframed(frame: bytes) -> tuple[Kind, int, bytes]:
     whole = uncobs(frame)
     if len(whole) < 4 + _HEAD.size or struct.unpack("<I", whole[-4:])[0] != zlib.crc32(whole[:-4]):
         raise FrameError("checksum")
-    return whole[:-4]
+    kind, sequence = _HEAD.unpack_from(whole)
+    try:
+        return Kind(kind), sequence, whole[_HEAD.size : -4]
+    except ValueError as error:
+        raise FrameError(str(error)) from error
 
 
 def cobs(data: bytes) -> bytes:
@@ -104,3 +162,17 @@ def uncobs(data: bytes) -> bytes:
         if code < 255 and at < len(data):
             result.append(0)
     return bytes(result)
+
+
+class Deframer:
+    """Cuts a stream of bytes into what stands between delimiters. What is too long to be a frame is dropped."""
+
+    def __init__(self) -> None:
+        """Nothing has come yet."""
+        self.rest = b""
+
+    def frames(self, data: bytes) -> list[bytes]:
+        """The whole frames, empty ones left out, once their delimiter has come."""
+        *parts, rest = (self.rest + data).split(b"\0")
+        self.rest = rest[: LONGEST + 1]  # enough to know that it is too long
+        return [part for part in parts if 0 < len(part) <= LONGEST]

@@ -145,6 +145,13 @@ class VirtualArm:
     ) -> None:
         """Nothing moves on its own."""
 
+    def angles(self) -> np.ndarray:
+        """Where it was last, (J,) [rad]; at zero before it was moved."""
+        return np.zeros(len(self.bench.arm.links)) if self.bench.pose is None else self.bench.pose
+
+    def check(self, commands: pd.DataFrame) -> None:
+        """It bears everything."""
+
     def move_to(self, angles: Sequence[float]) -> None:
         """Be there; the string has settled."""
         self.bench.pose = np.asarray(angles, dtype=float)

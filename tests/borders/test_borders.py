@@ -12,7 +12,7 @@ ALLOWED = {
     "hardware": {"data", "stages", "hardware"},
     "pipeline": {"data", "stages", "hardware", "pipeline", "hydra", "omegaconf"},
 }
-GUARDED = set(ALLOWED) | {"hydra", "omegaconf", "serial"}
+GUARDED = set(ALLOWED) | {"hydra", "omegaconf", "serial", "dynamixel_sdk"}
 
 
 def imported(file: Path) -> set[str]:

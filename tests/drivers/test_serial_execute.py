@@ -1,7 +1,6 @@
 """The execute stage on the real driver and the OpenCV camera: an emulated arm, and a film played to it."""
 
-import subprocess
-import sys
+import threading
 import time
 from types import SimpleNamespace
 
@@ -9,28 +8,24 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from rig import ARM, DRIVING, emulator, events, standstill
 
 from data.artifacts import JOINTS, SPEEDS
 from hardware.opencv_camera import OpenCvCamera
-from hardware.serial import open_lab
-from hardware.serial.arm import SerialArm
-from hardware.serial.protocol import VELOCITY
+from hardware.serial.lab import open_lab
+from hardware.serial.wire import SerialWire
 from stages.execute import execute
-from stages.model.arm import Arm
 from stages.model.camera import Camera
+from stages.roles import HardwareError
 
-ARM = Arm((0.25, 0.2, 0.135), (0.0, 0.0), (-2.0,) * 3, (2.0,) * 3, (20.0,) * 3, (300.0,) * 3, 21.8, 0.005)
 CAMERA = Camera(64, 48, 50.0, (32.0, 24.0), 100.0)
-LINK = {"baud": 1_000_000, "misses": 20, "late": 0.1, "most_missed": 0.5, "approach": 2.0, "settle": 0.0, "delay": 0.0}
+LINK = {"baud": 1_000_000, "driving": DRIVING, "delay": 0.0}
 
 
 @pytest.fixture
 def port(tmp_path):
-    command = [sys.executable, "-m", "hardware.serial.emulator", "--log", str(tmp_path / "state.json"), "--until", "30"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    yield process.stdout.readline().strip()
-    process.kill()
-    process.wait()
+    with emulator(tmp_path / "events.jsonl") as port:
+        yield port
 
 
 @pytest.fixture
@@ -56,8 +51,8 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
     trial = execute(motion(), lab.arm, lab.camera, before=0.1, after=0.1)
     t = trial.frames["t"].to_numpy()
-    assert t[0] == pytest.approx(-0.1, abs=0.011)
-    assert t[-1] == pytest.approx(0.4, abs=0.011)
+    assert t[0] == pytest.approx(-0.1, abs=0.03)  # a frame every 10 ms; a busy machine is late with one or two
+    assert t[-1] == pytest.approx(0.4, abs=0.03)
     assert np.median(np.diff(t)) == pytest.approx(0.01, abs=1e-3)
     assert len(trial.images) == len(t) >= 45
     assert trial.ticks["t_due"].iloc[20] == pytest.approx(0.0, abs=1e-9)
@@ -68,12 +63,12 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
 def test_the_camera_is_told_when_the_arm_began_to_move(port, monkeypatch):
     """Not when it was asked to: pings and checks lie between, and differ from cast to cast."""
     sent, told = [], []
-    send = SerialArm._send
+    send = SerialWire.send
 
-    def watched(self, kind, speeds=()):
-        if kind == VELOCITY and any(speeds):
+    def watched(self, speeds):
+        if any(speeds):
             sent.append(time.monotonic())
-        return send(self, kind, speeds)
+        return send(self, speeds)
 
     class Watch(OpenCvCamera):
         def __enter__(self):
@@ -86,7 +81,30 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, monkeypatch):
             told.append(moved_at)
             return SimpleNamespace(t=np.zeros(0), images=[])
 
-    monkeypatch.setattr(SerialArm, "_send", watched)
+    monkeypatch.setattr(SerialWire, "send", watched)
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=0, **LINK)
     execute(motion(), lab.arm, Watch(CAMERA, 0, 0.0), before=0.1, after=0.1)
     assert told[0] == pytest.approx(sent[0], abs=0.004)  # less than a tick, on a machine that may be busy
+
+
+def test_a_camera_that_fails_on_the_way_leaves_the_arm_at_rest(tmp_path):
+    class Broken(OpenCvCamera):
+        def __enter__(self):
+            return self
+
+        def start(self):
+            self.filming.set()
+            self.thread = threading.Thread(target=self._film, daemon=True)
+            self.thread.start()
+
+        def _film(self):
+            """It dies at once, as a camera whose cable is pulled."""
+
+    log = tmp_path / "events.jsonl"
+    with emulator(log) as port:
+        lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=0, **LINK)
+        with pytest.raises(HardwareError, match="no frame came"):
+            execute(motion(), lab.arm, Broken(CAMERA, 0, 0.0), before=0.1, after=0.1)
+        assert standstill(log, "moves") is not None
+        assert events(log)[-1]["state"] == "idle"
+        assert lab.arm.wire.link is None

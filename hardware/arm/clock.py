@@ -1,0 +1,47 @@
+"""Moments that are kept: absolute deadlines, no garbage collection, real-time priority where it is allowed."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+SPIN = 0.001  # [s] before a moment from which the clock is watched closely
+
+
+def wait_until(moment: float) -> None:
+    """Sleep, then watch the clock: a sleep alone wakes up late. moment: of time.monotonic [s]."""
+    rest = moment - time.monotonic() - SPIN
+    if rest > 0:
+        time.sleep(rest)
+    while time.monotonic() < moment:
+        pass
+
+
+@contextmanager
+def undisturbed(priority: int) -> Iterator[None]:
+    """No garbage collection inside, and SCHED_FIFO at `priority` (1 to 99; 0: as usual) where the system allows it."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        with _priority(priority):
+            yield
+    finally:
+        if collecting:
+            gc.enable()
+
+
+@contextmanager
+def _priority(priority: int) -> Iterator[None]:
+    if not priority or not hasattr(os, "sched_setscheduler"):
+        yield
+        return
+    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(PermissionError):  # needs CAP_SYS_NICE or an rtprio limit; the jitter is in the record either way
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, before, parameters)

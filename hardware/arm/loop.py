@@ -1,0 +1,155 @@
+"""The loop: a velocity every tick on an absolute schedule, and every reason to stop looked at every tick."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hardware.arm.clock import SPIN, undisturbed, wait_until
+from hardware.arm.wire import Answer, Wire
+from stages.model.arm import Arm
+from stages.roles import HardwareError
+
+POLL = 0.0003  # [s] between looks for an answer
+DRAIN = 0.05  # [s] that the last answers may take
+NOISE = 0.02  # [rad] by which an encoder may be off from one answer to the next
+
+
+@dataclass
+class Log:
+    """Of every tick, all reserved before the loop begins; NaN where nothing came.
+
+    due, sent, acknowledged: host time since `begun` (time.monotonic), (K,) [s]. clock: device time (K,) [s].
+    asked, carried: velocity that was due, and as the wire could carry it, (K, J) [rad/s].
+    expected, angles: joint angles at each tick, as commanded and as measured, (K, J) [rad].
+    """
+
+    due: np.ndarray
+    asked: np.ndarray
+    expected: np.ndarray
+    sent: np.ndarray
+    acknowledged: np.ndarray
+    clock: np.ndarray
+    carried: np.ndarray
+    angles: np.ndarray
+    begun: float = 0.0
+    last: int = -1  # the latest tick that was answered
+    previous: int = -1  # the one answered before it
+    held: str = ""
+    waiting: dict[int, int] = field(default_factory=dict)  # ticks by the number of their command
+
+
+def blank(start: np.ndarray, speeds: np.ndarray, tick: float) -> Log:
+    """A log for velocities (K, J) [rad/s], played from the pose `start` (J,) [rad]."""
+    count = len(speeds)
+    turned = np.concatenate([np.zeros((1, len(start))), np.cumsum(speeds[:-1], axis=0) * tick])
+    sent, acknowledged, clock = np.full((3, count), np.nan)
+    carried, angles = np.full((2, *speeds.shape), np.nan)
+    return Log(np.arange(count) * tick, speeds, start + turned, sent, acknowledged, clock, carried, angles)
+
+
+@dataclass(frozen=True)
+class Guard:
+    """Why a movement must end early.
+
+    arm: its speed limits bound what an encoder can truly report. misses: unanswered ticks in a row that are
+    borne. astray: largest distance from the commanded angles [rad]. pressed: the emergency stop, empty or a reason.
+    """
+
+    arm: Arm
+    misses: int
+    astray: float
+    pressed: Callable[[], str]
+
+    def reason(self, log: Log, tick: int) -> str:
+        """Empty if all is well after sending `tick`."""
+        silent = tick - 1 - log.last
+        if silent > self.misses:
+            return f"no answer for {silent} ticks"
+        return log.held or self._wrong(log)
+
+    def _wrong(self, log: Log) -> str:
+        """What the last measured angles betray."""
+        at, before = log.last, log.previous
+        if before < 0:
+            return ""
+        leap = np.abs(log.angles[at] - log.angles[before]) - NOISE
+        most = 2 * np.asarray(self.arm.speed) * max(log.clock[at] - log.clock[before], self.arm.tick)
+        if (leap > most).any():
+            return f"the encoder of joint {(leap - most).argmax() + 1} jumped"
+        off = np.abs(log.angles[at] - log.expected[at])
+        if off.max() > self.astray:
+            return f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent"
+        return ""
+
+
+def play(wire: Wire, log: Log, guard: Guard, priority: int) -> None:
+    """Send the log's velocities, each at its moment, and fill in what becomes of them.
+
+    Raises HardwareError where `guard` finds a reason, after a ramp to rest, and KeyboardInterrupt, which the
+    caller answers with the emergency stop.
+    """
+    tick = guard.arm.tick
+    log.begun = time.monotonic() + 2 * tick
+    with undisturbed(priority):
+        for k in range(len(log.due)):
+            due = log.begun + k * tick
+            _listen(wire, log, due - SPIN)
+            wait_until(due)
+            _emergency(wire, guard)
+            log.sent[k] = time.monotonic() - log.begun
+            number, log.carried[k] = wire.send(log.asked[k])
+            log.waiting[number] = k
+            reason = guard.reason(log, k)
+            if reason:
+                _give_up(wire, log, k, guard.arm, reason)
+        _listen(wire, log, time.monotonic() + DRAIN)
+
+
+def _listen(wire: Wire, log: Log, until: float) -> None:
+    """Note the answers as they come, until all have come or the moment is there: looking once even when late."""
+    while log.waiting:
+        for answer in wire.answers():
+            _note(log, answer)
+        if time.monotonic() + POLL > until:
+            break
+        if log.waiting:
+            time.sleep(POLL)
+
+
+def _note(log: Log, answer: Answer) -> None:
+    at = log.waiting.pop(answer.number, -1)
+    if at < 0:  # a duplicate, or the answer to something else
+        return
+    log.acknowledged[at] = time.monotonic() - log.begun
+    log.clock[at], log.angles[at] = answer.clock, answer.angles
+    log.held = log.held or answer.held
+    if at > log.last:
+        log.previous, log.last = log.last, at
+
+
+def _emergency(wire: Wire, guard: Guard) -> None:
+    """Obey the emergency stop before anything else is sent."""
+    if guard.pressed():
+        wire.latch()
+        raise HardwareError(f"arm on {wire.name}: emergency stop ({guard.pressed()}).")
+
+
+def _give_up(wire: Wire, log: Log, tick: int, arm: Arm, reason: str) -> None:
+    """Slow to rest within the arm's acceleration, whether or not anybody answers, and say why."""
+    speed = log.carried[tick]
+    count = max(int(np.ceil(np.abs(speed / arm.acceleration).max() / arm.tick)), 1)
+    try:
+        for share in np.linspace(1, 0, count + 1)[1:]:
+            wait_until(time.monotonic() + arm.tick)
+            wire.send(speed * share)
+    except HardwareError:
+        reason += ", then the link went"
+    wire.stop()
+    raise HardwareError(
+        f"arm on {wire.name}: {reason} at {log.due[tick]:.3f} s; it was brought to rest. "
+        "Look at the arm, the cable and the device before the next try."
+    )

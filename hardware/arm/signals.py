@@ -1,0 +1,48 @@
+"""A polite kill becomes an exception, so that the way out stops the arm."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+Handler = Callable[[int, FrameType | None], object] | int | None
+POLITE = (signal.SIGINT, signal.SIGTERM) + ((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ())
+
+
+class Signals:
+    """While in force, SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt. Only the main thread receives signals;
+    in another one this does nothing."""
+
+    def __init__(self) -> None:
+        """Nothing is in force yet."""
+        self.before: dict[signal.Signals, Handler] = {}
+
+    def watch(self) -> None:
+        """From now on."""
+        try:
+            self.before = {number: signal.signal(number, _leave) for number in POLITE}
+        except ValueError:
+            self.before = {}
+
+    def release(self) -> None:
+        """As it was."""
+        for number, handler in self.before.items():
+            signal.signal(number, handler)
+        self.before = {}
+
+    @contextmanager
+    def ignored(self) -> Iterator[None]:
+        """Nobody interrupts what is inside: an impatient second Ctrl-C must not prevent the stop."""
+        for number in self.before:
+            signal.signal(number, signal.SIG_IGN)
+        try:
+            yield
+        finally:
+            for number in self.before:
+                signal.signal(number, _leave)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

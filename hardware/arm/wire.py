@@ -1,0 +1,56 @@
+"""What carries velocities to an arm and brings back its angles: a serial device, a bus of servos."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """number: of the command that is answered. clock: device time, unwrapped [s]. held: why the device follows no
+    commands, empty if it does. angles: measured when the command arrived, (J,) [rad]."""
+
+    number: int
+    clock: float
+    held: str
+    angles: tuple[float, ...]
+
+
+class Wire(Protocol):
+    """A connection to an arm. Each method raises `stages.roles.HardwareError` where it cannot do its work."""
+
+    @property
+    def name(self) -> str:
+        """Where the arm is, for messages."""
+
+    @property
+    def watchdog(self) -> float:
+        """Time without a command after which the device stops the arm by itself [s]."""
+
+    def open(self) -> None:
+        """Connect and agree on how to talk; nothing moves. Refuses a device that was latched."""
+
+    def close(self) -> None:
+        """Let go. Does nothing where nothing is open."""
+
+    def angles(self) -> tuple[float, ...]:
+        """Measured now, by one round trip, (J,) [rad]."""
+
+    def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
+        """Send velocities (J,) [rad/s] without waiting; the command's number, and what was really sent."""
+
+    def answers(self) -> Sequence[Answer]:
+        """The answers that have come since the last call; damaged ones are left out."""
+
+    def stop(self) -> None:
+        """Velocity zero, at once. Also where the connection is broken: then it does nothing."""
+
+    def latch(self) -> None:
+        """Emergency stop: velocity zero, and the device follows nothing until `clear`. Never raises."""
+
+    def clear(self) -> None:
+        """Undo `latch` on purpose, after a person has looked at the arm."""

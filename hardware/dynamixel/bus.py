@@ -1,0 +1,295 @@
+"""The host's side of the bus: velocities by sync write, angles by sync read, the servos' own bus watchdog."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import serial
+from pydantic import Field
+
+from hardware.arm.wire import Answer
+from hardware.dynamixel.registers import (
+    BUS_WATCHDOG,
+    GOAL_VELOCITY,
+    HARDWARE_ERROR,
+    OPERATING_MODE,
+    POSITION_UNIT,
+    PRESENT_POSITION,
+    REALTIME_TICK,
+    STATE,
+    TICKS,
+    TORQUE_ENABLE,
+    TRIPPED,
+    VELOCITY_LIMIT,
+    VELOCITY_MODE,
+    VELOCITY_UNIT,
+    WATCHDOG_UNIT,
+    Register,
+    taken,
+)
+from hardware.serial.wire import check_latency
+from stages.roles import HardwareError
+
+try:  # what a pulled cable raises in pyserial, beside its own error
+    import termios
+
+    BROKEN: tuple[type[Exception], ...] = (serial.SerialException, OSError, termios.error)
+except ImportError:
+    BROKEN = (serial.SerialException, OSError)
+
+TRIES = 3
+BLOCK = 0.001  # [s] that a read sleeps for bytes; the library would spin, and keep a core from everybody else
+
+
+@dataclass(frozen=True)
+class Servo:
+    """One joint. zero: position [counts of 2 pi / 4096] at joint angle zero; direction: of the joint's angle."""
+
+    id: Annotated[int, Field(ge=0, le=252)]
+    zero: int
+    direction: Literal[-1, 1]
+
+
+@dataclass
+class DynamixelBus:
+    """Fills `hardware.arm.wire.Wire`.
+
+    servos: base first. fastest: what each must be able to do [rad/s]. reply: time [s] that an answer may take.
+    patience: multiples of 20 ms without a command after which each servo stops by itself. owed: velocity that
+    rounding has left out so far (J,) [rad/s]; it is made up for in the next command, so that rounding to
+    0.024 rad/s does not add up to a way.
+    """
+
+    port: str
+    baud: int
+    servos: Sequence[Servo]
+    fastest: Sequence[float]
+    reply: float
+    patience: int
+    number: int = 0
+    pending: bool = False
+    armed: bool = False
+    latched: bool = False
+    millis: int | None = None
+    owed: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    sdk: Any = None
+    handler: Any = None
+    packets: Any = None
+    reader: Any = None
+    writer: Any = None
+
+    @property
+    def name(self) -> str:
+        """The port."""
+        return self.port
+
+    @property
+    def watchdog(self) -> float:
+        """Of every servo [s]."""
+        return self.patience * WATCHDOG_UNIT
+
+    def open(self) -> None:
+        """Connect, find every servo well, and put it into velocity mode; nothing moves."""
+        self._connect()
+        for servo, limit in zip(self.servos, self.fastest, strict=True):
+            self._check(servo, limit)
+        self._make_ready()
+
+    def close(self) -> None:
+        """Torque off, and let go."""
+        if self.handler is None:
+            return
+        try:
+            for _ in range(TRIES):
+                self._write_all(TORQUE_ENABLE, 0)
+        except HardwareError:
+            pass  # nobody is there: the bus watchdog has acted
+        if self.handler.ser is not None:
+            self.handler.closePort()
+        self.handler = None
+
+    def angles(self) -> tuple[float, ...]:
+        """By a sync read."""
+        for _ in range(TRIES):
+            states = self._read_all()
+            if states:
+                return self._angles(states)
+        raise HardwareError(f"arm on {self.port}: the servos do not answer. Check their supply and the bus.")
+
+    def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
+        """In units of 0.229 rpm; the watchdogs are armed by the first."""
+        if not self.armed:
+            self._write_all(BUS_WATCHDOG, self.patience)
+            self.armed, self.owed = True, np.zeros(len(self.servos))
+        wanted = speeds + self.owed
+        counts = np.rint(wanted / VELOCITY_UNIT).astype(int)
+        carried = counts * VELOCITY_UNIT
+        self.owed = wanted - carried
+        for servo, count in zip(self.servos, counts, strict=True):
+            self.writer.changeParam(servo.id, list(int(servo.direction * count).to_bytes(4, "little", signed=True)))
+        self._done(self.writer.txPacket)
+        self.number, self.pending = self.number + 1, True
+        return self.number, carried
+
+    def answers(self) -> Sequence[Answer]:
+        """Where the servos are, asked once after each velocity."""
+        if not self.pending:
+            return []
+        self.pending = False
+        states = self._read_all()
+        if not states:
+            return []
+        clock = self._clock(taken(states[0], REALTIME_TICK))
+        return [Answer(self.number, clock, self._held(states), self._angles(states))]
+
+    def stop(self) -> None:
+        """Velocity zero, then the watchdogs that we armed may rest; one that has acted stays as it is."""
+        try:
+            for _ in range(TRIES):
+                self._write_all(GOAL_VELOCITY, 0)
+            self._held(self._read_all())
+            if self.armed and not self.latched:
+                self._write_all(BUS_WATCHDOG, 0)
+        except HardwareError:
+            return  # nobody is there: the watchdogs act
+        self.armed = False
+
+    def latch(self) -> None:
+        """Velocity zero, then silence until the servos' watchdogs have tripped: that is their own latch."""
+        self.latched = True
+        try:
+            for _ in range(TRIES):
+                self._write_all(GOAL_VELOCITY, 0)
+            self._write_all(BUS_WATCHDOG, 1)
+        except HardwareError:
+            return
+        time.sleep(3 * WATCHDOG_UNIT)
+
+    def clear(self) -> None:
+        """Undo tripped watchdogs; connects where nothing is open."""
+        if self.handler is None:
+            self._connect()
+        self._make_ready()
+        self.latched = self.armed = False
+
+    def _make_ready(self) -> None:
+        """Velocity mode at velocity zero, torque on, watchdogs at rest."""
+        for servo in self.servos:
+            self._write(servo, TORQUE_ENABLE, 0)  # the mode can be changed only so
+            self._write(servo, OPERATING_MODE, VELOCITY_MODE)
+            self._write(servo, BUS_WATCHDOG, 0)  # first: a tripped one makes the goal read-only
+            self._write(servo, GOAL_VELOCITY, 0)
+            self._write(servo, TORQUE_ENABLE, 1)
+
+    def _connect(self) -> None:
+        check_latency(self.port)
+        try:
+            self.sdk = import_module("dynamixel_sdk")
+        except ModuleNotFoundError as error:
+            raise HardwareError(
+                "hardware=dynamixel needs the maker's library: .venv/bin/python -m pip install dynamixel-sdk"
+            ) from error
+        self.handler = self.sdk.PortHandler(self.port)
+        # The library waits for 34 ms at least, seven ticks.
+        self.handler.setPacketTimeout = lambda length: self.handler.setPacketTimeoutMillis(self.reply * 1e3)
+        self.packets = self.sdk.PacketHandler(2.0)
+        try:
+            opened = self.handler.setBaudRate(self.baud)
+        except BROKEN as error:
+            raise self._unopened(str(error)) from error
+        if not opened:
+            raise self._unopened(f"the library knows no rate of {self.baud} baud")
+        self.handler.ser.timeout = BLOCK
+        self.reader = self.sdk.GroupSyncRead(self.handler, self.packets, *STATE)
+        self.writer = self.sdk.GroupSyncWrite(self.handler, self.packets, *GOAL_VELOCITY)
+        for servo in self.servos:
+            self.reader.addParam(servo.id)
+            self.writer.addParam(servo.id, [0, 0, 0, 0])
+
+    def _unopened(self, reason: str) -> HardwareError:
+        return HardwareError(f"arm on {self.port}: cannot be opened ({reason}). Check hardware.port and the cable.")
+
+    def _check(self, servo: Servo, speed: float) -> None:
+        """Refuse a servo that is latched, ill or too slow. speed: what the arm's limits ask of it [rad/s]."""
+        place = f"arm on {self.port}: servo {servo.id}"
+        if self._read(servo, BUS_WATCHDOG) == TRIPPED:
+            self.latched = True
+            raise HardwareError(
+                f"{place} was latched by an emergency stop or its watchdog. Look why, make it safe, then: python -m "
+                f"hardware.dynamixel.clear {self.port} {' '.join(str(s.id) for s in self.servos)}"
+            )
+        ill = self._read(servo, HARDWARE_ERROR)
+        if ill:
+            raise HardwareError(f"{place} reports hardware error {ill:#04x}. See its manual, then reboot it.")
+        limit = self._read(servo, VELOCITY_LIMIT) * VELOCITY_UNIT
+        if limit < speed:
+            raise HardwareError(f"{place} turns at {limit:.2f} rad/s at most, arm.speed is {speed:.2f}. Lower that.")
+
+    def _read(self, servo: Servo, register: Register) -> int:
+        def ask() -> tuple[Any, int, int]:
+            return self.packets.readTxRx(self.handler, servo.id, *register)
+
+        return int.from_bytes(bytes(self._asked(servo, ask)), "little")
+
+    def _write(self, servo: Servo, register: Register, value: int) -> None:
+        data = list(value.to_bytes(register.size, "little"))
+        self._asked(servo, lambda: (None, *self.packets.writeTxRx(self.handler, servo.id, *register, data)))
+
+    def _asked(self, servo: Servo, ask: Any) -> Any:
+        """An exchange with one servo; asks again a few times, for a packet may be lost. Raises HardwareError."""
+        why = ""
+        for _ in range(TRIES):
+            data, result, error = self._done(ask)
+            if result == self.sdk.COMM_SUCCESS and error & 0x7F == 0:  # the top bit: see HARDWARE_ERROR
+                return data
+            why = self.packets.getRxPacketError(error & 0x7F) or self.packets.getTxRxResult(result)
+        raise HardwareError(f"arm on {self.port}: servo {servo.id}: {why} Check its id, supply and baud rate.")
+
+    def _write_all(self, register: Register, value: int) -> None:
+        """To every servo in one packet, which nobody answers."""
+        data = value.to_bytes(register.size, "little")
+        flat = [byte for servo in self.servos for byte in (servo.id, *data)]
+        self._done(lambda: self.packets.syncWriteTxOnly(self.handler, *register, flat, len(flat)))
+
+    def _read_all(self) -> list[bytes]:
+        """The registers STATE of all servos; empty where one did not answer."""
+        if self._done(self.reader.txRxPacket) != self.sdk.COMM_SUCCESS:
+            return []
+        return [bytes(self.reader.data_dict[servo.id]) for servo in self.servos]
+
+    def _done(self, act: Any) -> Any:
+        """What the library gives; a broken connection is a HardwareError."""
+        if self.handler is None or not self.handler.is_open:
+            raise HardwareError(f"arm on {self.port}: it is not open.")
+        try:
+            return act()
+        except BROKEN as error:
+            raise HardwareError(
+                f"arm on {self.port}: the link is gone ({error}). The servos' bus watchdogs stop the arm."
+            ) from error
+        finally:
+            self.handler.is_using = False  # the library leaves it set where it was interrupted
+
+    def _held(self, states: Sequence[bytes]) -> str:
+        """Why a servo follows no commands, which its watchdog betrays; empty if all do."""
+        watchdogs = {taken(state, BUS_WATCHDOG) for state in states}
+        if TRIPPED in watchdogs:
+            self.latched = True
+            return "a servo's bus watchdog stopped it"
+        return "" if watchdogs == {self.patience} else "a servo restarted"
+
+    def _angles(self, states: Sequence[bytes]) -> tuple[float, ...]:
+        return tuple(
+            servo.direction * (taken(state, PRESENT_POSITION) - servo.zero) * POSITION_UNIT
+            for servo, state in zip(self.servos, states, strict=True)
+        )
+
+    def _clock(self, millis: int) -> float:
+        """The first servo's clock [s], unwrapped: it goes round every 33 seconds."""
+        self.millis = millis if self.millis is None else self.millis + (millis - self.millis) % TICKS
+        return self.millis * 1e-3

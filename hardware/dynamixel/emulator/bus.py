@@ -1,0 +1,213 @@
+"""Emulated servos in velocity mode, with the registers that a driver uses, on one bus."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from hardware.dynamixel.emulator.packets import (
+    PING,
+    READ,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packet,
+    Splitter,
+    status,
+)
+from hardware.dynamixel.registers import (
+    BUS_WATCHDOG,
+    GOAL_VELOCITY,
+    OPERATING_MODE,
+    POSITION_UNIT,
+    PRESENT_POSITION,
+    REALTIME_TICK,
+    TICKS,
+    TORQUE_ENABLE,
+    TRIPPED,
+    VELOCITY_LIMIT,
+    VELOCITY_MODE,
+    VELOCITY_UNIT,
+    WATCHDOG_UNIT,
+    Register,
+)
+from hardware.emulated.joints import STEP, Joint
+from hardware.emulated.terminal import UnpluggedError
+
+MODEL = bytes([0xFC, 0x03, 0x2D])  # XM430-W350, firmware 45
+NO_ERROR, UNKNOWN, RANGE, ACCESS = 0, 2, 4, 7  # of status packets
+GOALS = (100, 120)  # addresses that a tripped watchdog makes read-only
+LOCKED = 64  # addresses below are locked while the torque is on
+
+
+@dataclass
+class Servo:
+    """table: the control table. silent: time since the last packet on the bus [s]."""
+
+    table: bytearray = field(default_factory=lambda: bytearray(147))
+    joint: Joint = field(default_factory=Joint)
+    silent: float = 0.0
+
+    def __post_init__(self) -> None:
+        """As it leaves the works, but for a velocity limit of 60 rad/s."""
+        self.set(OPERATING_MODE, 3)
+        self.set(VELOCITY_LIMIT, round(60 / VELOCITY_UNIT))
+        self.set(PRESENT_POSITION, 2048)
+
+    def get(self, register: Register) -> int:
+        """A value, signed if it has four bytes."""
+        data = self.table[register.address : register.address + register.size]
+        return int.from_bytes(data, "little", signed=register.size == 4)
+
+    def set(self, register: Register, value: int) -> None:
+        """A value, whatever it is."""
+        data = value.to_bytes(register.size, "little", signed=value < 0)
+        self.table[register.address : register.address + register.size] = data
+
+    def write(self, address: int, data: bytes) -> int:
+        """As by an instruction; the error of the status packet."""
+        if self.get(TORQUE_ENABLE) and address < LOCKED:
+            return ACCESS
+        if self.get(BUS_WATCHDOG) == TRIPPED and GOALS[0] <= address < GOALS[1]:
+            return RANGE
+        self.table[address : address + len(data)] = data
+        return NO_ERROR
+
+    def step(self, clock: float) -> None:
+        """One step of time; clock: the servo's own [s]."""
+        self.silent += STEP
+        watchdog = self.get(BUS_WATCHDOG)
+        if self.get(TORQUE_ENABLE) and 0 < watchdog < 128 and self.silent > watchdog * WATCHDOG_UNIT:
+            self.set(BUS_WATCHDOG, TRIPPED)
+            self.set(GOAL_VELOCITY, 0)
+        follows = self.get(TORQUE_ENABLE) and self.get(OPERATING_MODE) == VELOCITY_MODE
+        self.joint.step(self.get(GOAL_VELOCITY) * VELOCITY_UNIT if follows else 0.0)
+        self.set(REALTIME_TICK, int(clock * 1e3) % TICKS)
+        self.set(PRESENT_POSITION, 2048 + math.floor(self.joint.encoder / POSITION_UNIT + 0.5))
+
+
+@dataclass
+class Bus:
+    """servos: by id. faults: by number of the goal velocity that is written to all, from 0. note: told of every event.
+    deaf: until when nothing is read [s]."""
+
+    servos: Mapping[int, Servo]
+    faults: Mapping[int, str]
+    note: Callable[[str, Bus], None]
+    clock: float = 0.0
+    owed: float = 0.0
+    number: int = 0
+    deaf: float = 0.0
+    splitter: Splitter = field(default_factory=Splitter)
+    coming: list[Packet] = field(default_factory=list)
+    seen: tuple[bool, bool] = (False, True)
+
+    def hear(self, data: bytes) -> None:
+        """Bytes from the host. Raises UnpluggedError."""
+        for packet in self.splitter.packets(data):
+            if not self._lost(packet):
+                self.coming.append(packet)
+
+    def advance(self, elapsed: float) -> bytes:
+        """Let `elapsed` [s] pass; the status packets that leave meanwhile."""
+        out = b""
+        self.owed += elapsed
+        while self.owed >= STEP:
+            self.owed -= STEP
+            self.clock += STEP
+            for servo in self.servos.values():
+                servo.step(self.clock)
+            if self.clock >= self.deaf:
+                out += b"".join(self._obey(packet) for packet in self.coming)
+                self.coming.clear()
+            self._watch()
+        return out
+
+    def _lost(self, packet: Packet) -> bool:
+        """Count goal velocities, and let the fault of this one strike."""
+        if packet.instruction != SYNC_WRITE or packet.parameters[0] != GOAL_VELOCITY.address:
+            return False
+        fault = self.faults.get(self.number, "")
+        self.number += 1
+        if not fault:
+            return False
+        self.note(fault, self)
+        return STRIKES[fault](self)
+
+    def _obey(self, packet: Packet) -> bytes:
+        for servo in self.servos.values():
+            servo.silent = 0.0
+        if packet.instruction == SYNC_WRITE:
+            self._sync_write(packet.parameters)
+            return b""
+        if packet.instruction == SYNC_READ:
+            where, identities = _place(packet.parameters), packet.parameters[4:]
+            return b"".join(
+                status(i, NO_ERROR, bytes(self.servos[i].table[where])) for i in identities if i in self.servos
+            )
+        return self._answer(packet) if packet.id in self.servos else b""
+
+    def _answer(self, packet: Packet) -> bytes:
+        """Of one servo to one instruction."""
+        servo = self.servos[packet.id]
+        if packet.instruction == PING:
+            return status(packet.id, NO_ERROR, MODEL)
+        if packet.instruction == READ:
+            return status(packet.id, NO_ERROR, bytes(servo.table[_place(packet.parameters)]))
+        if packet.instruction == WRITE:
+            address = int.from_bytes(packet.parameters[:2], "little")
+            return status(packet.id, servo.write(address, packet.parameters[2:]))
+        return status(packet.id, UNKNOWN)
+
+    def _sync_write(self, parameters: bytes) -> None:
+        place = _place(parameters)
+        size = place.stop - place.start
+        for at in range(4, len(parameters), 1 + size):
+            if parameters[at] in self.servos:
+                self.servos[parameters[at]].write(place.start, parameters[at + 1 : at + 1 + size])
+
+    def _watch(self) -> None:
+        """Note when a watchdog trips, and when the arm sets off or stands."""
+        servos = self.servos.values()
+        now = (any(s.get(BUS_WATCHDOG) == TRIPPED for s in servos), all(s.joint.still for s in servos))
+        if now[0] is not self.seen[0]:
+            self.note("tripped" if now[0] else "cleared", self)
+        if now[1] is not self.seen[1]:
+            self.note("stands" if now[1] else "moves", self)
+        self.seen = now
+
+
+def _place(parameters: bytes) -> slice:
+    """Address and length, which begin most instructions."""
+    address, length = (int.from_bytes(parameters[i : i + 2], "little") for i in (0, 2))
+    return slice(address, address + length)
+
+
+def _drop(bus: Bus) -> bool:
+    return True
+
+
+def _freeze(bus: Bus) -> bool:
+    bus.deaf = bus.clock + 0.4
+    return False
+
+
+def _unplug(bus: Bus) -> bool:
+    raise UnpluggedError
+
+
+def _brownout(bus: Bus) -> bool:
+    for servo in bus.servos.values():
+        kept, servo.table = servo.table, Servo().table
+        servo.table[:LOCKED] = kept[:LOCKED]
+    return True
+
+
+# Each says whether the packet is lost.
+STRIKES: dict[str, Callable[[Bus], bool]] = {
+    "drop": _drop,
+    "freeze": _freeze,
+    "unplug": _unplug,
+    "brownout": _brownout,
+}

@@ -1,0 +1,37 @@
+"""An arm of Dynamixel servos, watched by a camera that OpenCV can open."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from hardware.arm import Driving, VelocityArm
+from hardware.dynamixel.bus import DynamixelBus, Servo
+from hardware.opencv_camera import OpenCvCamera
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.roles import HardwareError, Lab
+
+
+def open_lab(
+    arm: Arm,
+    camera: Camera,
+    *,
+    seed: int,
+    trial: int,
+    port: str,
+    baud: Annotated[int, Field(gt=0)],
+    servos: tuple[Servo, ...],
+    reply: Annotated[float, Field(gt=0)],
+    patience: Annotated[int, Field(ge=1, le=127)],
+    driving: Driving,
+    source: int | str,
+    delay: float,
+) -> Lab:
+    """The servos on `port` and the camera `source`; see `DynamixelBus`, `VelocityArm` and `OpenCvCamera`. Nothing is
+    left to chance here: seed and trial play no part."""
+    if len(servos) != len(arm.links):
+        raise HardwareError(f"hardware.servos names {len(servos)} servos, arm.links has {len(arm.links)}. Match them.")
+    bus = DynamixelBus(port, baud, servos, arm.speed, reply, patience)
+    return Lab(VelocityArm(arm, bus, driving), OpenCvCamera(camera, source, delay))

@@ -1,0 +1,38 @@
+"""The part of the X series' control table that a velocity-driven arm needs (e-manual, ROBOTIS)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+
+class Register(NamedTuple):
+    """address and size in bytes, little-endian."""
+
+    address: int
+    size: int
+
+
+OPERATING_MODE = Register(11, 1)
+VELOCITY_LIMIT = Register(44, 4)
+TORQUE_ENABLE = Register(64, 1)
+HARDWARE_ERROR = Register(70, 1)
+BUS_WATCHDOG = Register(98, 1)
+GOAL_VELOCITY = Register(104, 4)
+REALTIME_TICK = Register(120, 2)
+PRESENT_POSITION = Register(132, 4)
+
+STATE = Register(BUS_WATCHDOG.address, PRESENT_POSITION.address + PRESENT_POSITION.size - BUS_WATCHDOG.address)
+
+VELOCITY_MODE = 1
+TRIPPED = 255  # of BUS_WATCHDOG: it has stopped the servo, whose goals are read-only until 0 is written
+WATCHDOG_UNIT = 0.020  # [s]
+TICKS = 32768  # after which REALTIME_TICK begins anew [ms]
+VELOCITY_UNIT = 0.229 * 2 * math.pi / 60  # [rad/s]
+POSITION_UNIT = 2 * math.pi / 4096  # [rad]
+
+
+def taken(state: bytes, register: Register) -> int:
+    """A register's value, signed, out of the bytes of STATE."""
+    begin = register.address - STATE.address
+    return int.from_bytes(state[begin : begin + register.size], "little", signed=register.size == 4)

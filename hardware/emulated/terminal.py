@@ -1,0 +1,53 @@
+"""A device on a pseudo-terminal, whose name is printed first."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import time
+import tty
+from typing import Protocol
+
+STEP = 0.0005  # [s] between looks
+
+
+class UnpluggedError(Exception):
+    """The cable is pulled."""
+
+
+class Emulated(Protocol):
+    """What can be spoken to."""
+
+    def hear(self, data: bytes) -> None:
+        """Bytes from the host. May raise UnpluggedError."""
+
+    def advance(self, elapsed: float) -> bytes:
+        """Let `elapsed` [s] pass; the bytes that leave meanwhile."""
+
+
+def serve(device: Emulated, until: float, after: float) -> None:
+    """Let the device live for `until` seconds, or as long as whoever started this. Unplugged, it goes on alone for
+    `after` seconds."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    print(os.ttyname(slave), flush=True)
+    try:
+        _talk(device, master, time.monotonic() + until)
+    except UnpluggedError:
+        os.close(slave)
+        os.close(master)
+        device.advance(after)
+
+
+def _talk(device: Emulated, master: int, end: float) -> None:
+    last, parent = time.monotonic(), os.getppid()
+    while last < end and os.getppid() == parent:
+        ready, _, _ = select.select([master], [], [], STEP)
+        if ready:
+            device.hear(os.read(master, 4096))
+        now = time.monotonic()
+        out = device.advance(now - last)
+        last = now
+        if out:
+            os.write(master, out)

@@ -1,0 +1,140 @@
+"""The emulated device: firmware, joints and line on one clock, with a note of everything that happens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from hardware.emulated.joints import STEP, Joints
+from hardware.emulated.terminal import UnpluggedError
+from hardware.serial.emulator.faults import LINE, whole
+from hardware.serial.firmware import Firmware
+from hardware.serial.protocol import Deframer, FrameError, Kind, State, decode_command
+
+FREEZE = 0.2  # [s] for which a frozen device reads nothing; its watchdog's timer goes on
+BOOT = 0.05  # [s] that a device needs once its supply is back
+BACK = "answer-"  # of faults on the way back
+
+
+class Arrival(NamedTuple):
+    """Bytes on their way: when they arrive [s], and the fault that befalls them or their answer."""
+
+    when: float
+    frame: bytes
+    fault: str
+
+
+@dataclass
+class Device:
+    """firmware: what it runs. faults: by number of the velocity command, from 0. note: told of every event.
+    since: its clock when it starts [us]. clock: true time [s]; owed: time that passed but makes no whole step;
+    booted: when it last started; deaf: until when it reads nothing [s]."""
+
+    firmware: Firmware
+    faults: Mapping[int, str]
+    note: Callable[[str, Device], None]
+    since: int = 0
+    joints: Joints = field(default_factory=Joints)
+    clock: float = 0.0
+    owed: float = 0.0
+    booted: float = 0.0
+    deaf: float = 0.0
+    number: int = 0
+    coming: list[Arrival] = field(default_factory=list)
+    going: list[Arrival] = field(default_factory=list)
+    deframer: Deframer = field(default_factory=Deframer)
+    seen: tuple[State, bool] = (State.FRESH, True)
+
+    @property
+    def micros(self) -> int:
+        """The device's clock [us]."""
+        return (self.since + round((self.clock - self.booted) * 1e6)) % 2**32
+
+    def hear(self, data: bytes) -> None:
+        """Bytes from the host, on their way from now on. Raises UnpluggedError."""
+        for frame in self.deframer.frames(data):
+            fault = self._befallen(frame)
+            self.coming += self._sent(frame, fault, LINE.get(fault, whole))
+
+    def advance(self, elapsed: float) -> bytes:
+        """Let `elapsed` [s] pass: timer, joints, and what arrives meanwhile. Returns the bytes that leave."""
+        out = b""
+        self.owed += elapsed
+        while self.owed >= STEP:
+            self.owed -= STEP
+            self.clock += STEP
+            self.firmware.tick(self.micros)
+            self.joints.step(self.firmware.target)
+            if self.clock >= self.deaf:
+                out += self._exchange()
+            self._watch()
+        return out
+
+    def restart(self) -> None:
+        """The supply broke down for a moment: all that was known is lost, the joints stay where they are."""
+        self.firmware = Firmware(self.firmware.watchdog)
+        self.coming, self.going = [], []
+        self.since, self.booted, self.deaf = 0, self.clock, self.clock + BOOT
+
+    def _befallen(self, frame: bytes) -> str:
+        """The fault of this frame, if any; one of the device itself strikes at once."""
+        try:
+            if decode_command(frame).kind is not Kind.VELOCITY:
+                return ""
+        except FrameError:
+            return ""
+        fault = self.faults.get(self.number, "")
+        self.number += 1
+        if fault:
+            self.note(fault, self)
+        STRIKES.get(fault, lambda device: None)(self)
+        return fault
+
+    def _sent(self, frame: bytes, fault: str, through: Callable[[bytes], list[tuple[float, bytes]]]) -> list[Arrival]:
+        return [Arrival(self.clock + late, piece, fault) for late, piece in through(frame)]
+
+    def _exchange(self) -> bytes:
+        """What has arrived is obeyed, what is due leaves."""
+        for _, frame, fault in _taken(self.coming, self.clock):
+            answer = self.firmware.obey(frame, self.micros, self.joints.measured)
+            through = LINE[fault.removeprefix(BACK)] if fault.startswith(BACK) else whole
+            self.going += self._sent(answer, fault, through)
+        return b"".join(arrival.frame for arrival in _taken(self.going, self.clock))
+
+    def _watch(self) -> None:
+        """Note when the firmware changes its state, and when the arm sets off or stands."""
+        now = (self.firmware.state, self.joints.still)
+        if now[0] is not self.seen[0]:
+            self.note(now[0].name.lower(), self)
+        if now[1] is not self.seen[1]:
+            self.note("stands" if now[1] else "moves", self)
+        self.seen = now
+
+
+def _taken(way: list[Arrival], now: float) -> list[Arrival]:
+    """What is due by now, removed from its way."""
+    due = [arrival for arrival in way if arrival.when <= now]
+    way[:] = [arrival for arrival in way if arrival.when > now]
+    return due
+
+
+def _freeze(device: Device) -> None:
+    device.deaf = device.clock + FREEZE
+
+
+def _unplug(device: Device) -> None:
+    raise UnpluggedError
+
+
+def _jump(device: Device) -> None:
+    device.joints.joints[0].offset += 0.5
+
+
+STRIKES: dict[str, Callable[[Device], None]] = {
+    "freeze": _freeze,
+    "unplug": _unplug,
+    "brownout": Device.restart,
+    "jump": _jump,
+}
+KINDS = (*LINE, *(BACK + name for name in LINE), *STRIKES)

@@ -1,0 +1,124 @@
+"""The real driver over a real terminal to an emulated arm, whose movement swings the virtual lab's string."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Annotated, Self
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from data.artifacts import JOINTS
+from hardware.arm import Driving, VelocityArm
+from hardware.serial.wire import SerialWire
+from hardware.virtual import Bench, Look, Obstacles, Servo, Specimen, VirtualCamera
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+from stages.roles import HardwareError, Lab, Performance
+
+BAUD = 1_000_000  # a pseudo-terminal takes any
+
+
+@dataclass
+class Emulator:
+    """A device in a process of its own; a context manager that gives its port."""
+
+    options: Sequence[str]
+    process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> str:
+        """Start it."""
+        command = [sys.executable, "-m", "hardware.serial.emulator", *self.options]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        assert self.process.stdout is not None
+        port = self.process.stdout.readline().strip()
+        if not port:
+            self.__exit__(None, None, None)
+            raise HardwareError(f"emulator: it did not start. Try it alone: {' '.join(command[1:])}")
+        return port
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End it."""
+        if self.process is not None:
+            self.process.terminate()
+            self.process.wait()
+            assert self.process.stdout is not None
+            self.process.stdout.close()
+            self.process = None
+
+
+@dataclass
+class RehearsalArm:
+    """The driver on an emulated device; what it does, the bench's string is made to do. Fills `ArmDevice`."""
+
+    device: VelocityArm
+    emulator: Emulator
+    bench: Bench
+
+    def __enter__(self) -> Self:
+        """Start the device and open the link to it."""
+        self.device.wire = SerialWire(self.emulator.__enter__(), BAUD)
+        try:
+            self.device.__enter__()
+        except BaseException:
+            self.emulator.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop, then end the device."""
+        self.device.__exit__(kind, error, trace)
+        self.emulator.__exit__(kind, error, trace)
+
+    def angles(self) -> np.ndarray:
+        """As the device reports them."""
+        return self.device.angles()
+
+    def check(self, commands: pd.DataFrame) -> None:
+        """As of a real arm."""
+        self.device.check(commands)
+
+    def move_to(self, angles: Sequence[float]) -> None:
+        """Go there; the string has settled."""
+        self.device.move_to(angles)
+
+    def perform(self, commands: pd.DataFrame) -> Performance:
+        """Play, and let the bench's string follow what was measured."""
+        performance = self.device.perform(commands)
+        measured = performance.arm
+        self.bench.performed = (measured["t"].to_numpy(), measured[list(JOINTS)].to_numpy())
+        return performance
+
+
+def open_lab(
+    arm: Arm,
+    camera: Camera,
+    *,
+    seed: int,
+    trial: int,
+    specimen: Specimen,
+    servo: Servo,
+    look: Look,
+    obstacles: Obstacles,
+    driving: Driving,
+    watchdog: Annotated[int, Field(gt=0)],
+    faults: list[str],
+) -> Lab:
+    """The emulated arm and the virtual camera of one trial.
+
+    seed, trial, specimen, servo, look, obstacles: as of the virtual lab; of the servo only its time step matters.
+    watchdog: the device's [ms]. faults: KIND:N, as the emulator takes them.
+    """
+    bench = Bench(arm, camera, specimen, seed, servo, look, obstacles, count=trial)
+    options = ["--watchdog", str(watchdog), *(f"--fault={fault}" for fault in faults)]
+    device = VelocityArm(arm, SerialWire("", BAUD), driving)
+    return Lab(RehearsalArm(device, Emulator(options), bench), VirtualCamera(bench))

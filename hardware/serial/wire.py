@@ -1,0 +1,188 @@
+"""The host's side of the link, as hardware/serial/README.md specifies it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import serial
+
+from hardware.arm.wire import Answer
+from hardware.serial.protocol import (
+    JOINTS,
+    VERSION,
+    Command,
+    Deframer,
+    FrameError,
+    Greeting,
+    Kind,
+    Report,
+    State,
+    decode_answer,
+    encode_command,
+)
+from stages.roles import HardwareError
+
+ANSWER_WITHIN = 0.25  # [s] that an exchange may take before it is tried again
+TRIES = 3
+HELD = {
+    State.FRESH: "the device restarted",
+    State.TRIPPED: "the device's watchdog stopped it",
+    State.LATCHED: "the device is latched",
+}
+
+
+@dataclass
+class SerialWire:
+    """Fills `hardware.arm.wire.Wire`. port: its device file; sequence: number of the last command."""
+
+    port: str
+    baud: int
+    sequence: int = 0
+    watchdog: float = 0.0
+    link: serial.Serial | None = None
+    deframer: Deframer = field(default_factory=Deframer)
+    micros: int | None = None  # device clock as last reported, unwrapped [us]
+
+    @property
+    def name(self) -> str:
+        """The port."""
+        return self.port
+
+    def open(self) -> None:
+        """Open the port and greet the device."""
+        self._connect()
+        greeting = self._exchange(Kind.HELLO, (VERSION,))
+        assert isinstance(greeting, Greeting)
+        if (greeting.version, greeting.joints) != (VERSION, JOINTS):
+            raise HardwareError(
+                f"arm on {self.port}: the device speaks version {greeting.version} for {greeting.joints} joints, this "
+                f"is version {VERSION} for {JOINTS}. Update the older one (hardware/serial/README.md)."
+            )
+        if greeting.state is State.LATCHED:
+            raise HardwareError(
+                f"arm on {self.port}: latched by an emergency stop. Look why, make it safe, then: "
+                f"python -m hardware.serial.clear {self.port}"
+            )
+        self.watchdog = greeting.watchdog * 1e-3
+
+    def close(self) -> None:
+        """Close the port."""
+        if self.link is not None:
+            self.link.close()
+            self.link = None
+
+    def angles(self) -> tuple[float, ...]:
+        """By a ping."""
+        return self._report(Kind.PING).angles
+
+    def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
+        """In single precision."""
+        carried = speeds.astype(np.float32)
+        return self._send(Kind.VELOCITY, tuple(carried)), carried
+
+    def answers(self) -> Sequence[Answer]:
+        """Answers to velocities; greetings and damaged frames are left out."""
+        return [self._answer(report) for report in self._received() if isinstance(report, Report)]
+
+    def stop(self) -> None:
+        """Three times, for a frame may be lost; then wait for an answer, so that none is in flight."""
+        try:
+            for _ in range(TRIES):
+                self._send(Kind.STOP)
+            self._report(Kind.STOP)
+        except HardwareError:
+            return  # nobody is there: the device's watchdog acts
+
+    def latch(self) -> None:
+        """Emergency stop."""
+        try:
+            for _ in range(TRIES):
+                self._send(Kind.LATCH)
+        except HardwareError:
+            return
+
+    def clear(self) -> None:
+        """Undo the emergency stop; connects where nothing is open."""
+        if self.link is None:
+            self._connect()
+        self._report(Kind.CLEAR)
+        self._exchange(Kind.HELLO, (VERSION,))
+
+    def _connect(self) -> None:
+        check_latency(self.port)
+        try:
+            self.link = serial.Serial(self.port, self.baud, timeout=0, write_timeout=0.5, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise HardwareError(
+                f"arm on {self.port}: cannot be opened ({error}). Check hardware.port and the cable."
+            ) from error
+
+    def _answer(self, report: Report) -> Answer:
+        return Answer(report.sequence, self._clock(report.micros), HELD.get(report.state, ""), report.angles)
+
+    def _clock(self, micros: int) -> float:
+        """Device time [s]: 32 bits of microseconds go round every 72 minutes, and answers may change places."""
+        if self.micros is None:
+            self.micros = micros
+        step = (micros - self.micros + 2**31) % 2**32 - 2**31
+        self.micros += step
+        return self.micros * 1e-6
+
+    def _report(self, kind: Kind) -> Report:
+        report = self._exchange(kind)
+        assert isinstance(report, Report)
+        return report
+
+    def _exchange(self, kind: Kind, values: tuple[float, ...] = ()) -> Report | Greeting:
+        """Send and wait for the answer; asks again a few times, for a frame may be lost."""
+        for _ in range(TRIES):
+            number = self._send(kind, values)
+            end = time.monotonic() + ANSWER_WITHIN
+            while time.monotonic() < end:
+                for answer in self._received():
+                    if answer.sequence == number and isinstance(answer, Greeting) == (kind is Kind.HELLO):
+                        return answer
+                time.sleep(0.0002)
+        raise HardwareError(f"arm on {self.port}: the device does not answer. Is it switched on, and this its port?")
+
+    def _send(self, kind: Kind, values: tuple[float, ...] = ()) -> int:
+        if self.link is None:
+            raise HardwareError(f"arm on {self.port}: it is not open.")
+        self.sequence = (self.sequence + 1) % 2**16
+        try:
+            self.link.write(encode_command(Command(kind, self.sequence, values)))
+        except (serial.SerialException, OSError) as error:
+            raise self._gone(error) from error
+        return self.sequence
+
+    def _received(self) -> list[Report | Greeting]:
+        """Whole answers that have arrived."""
+        assert self.link is not None
+        try:
+            data = self.link.read(4096)
+        except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed under pyserial's hands
+            raise self._gone(error) from error
+        answers = []
+        for frame in self.deframer.frames(data):
+            try:
+                answers.append(decode_answer(frame))
+            except FrameError:
+                continue
+        return answers
+
+    def _gone(self, error: Exception) -> HardwareError:
+        return HardwareError(f"arm on {self.port}: the link is gone ({error}). The device's watchdog stops the arm.")
+
+
+def check_latency(port: str, devices: Path = Path("/sys/bus/usb-serial/devices")) -> None:
+    """Refuse an FTDI adapter that holds bytes back for longer than 1 ms."""
+    timer = devices / Path(port).resolve().name / "latency_timer"
+    if timer.exists() and int(timer.read_text()) > 1:
+        raise HardwareError(
+            f"arm on {port}: the adapter's latency timer is {timer.read_text().strip()} ms; a 5 ms loop needs 1. "
+            f"Run: echo 1 | sudo tee {timer}"
+        )

@@ -1,0 +1,74 @@
+"""Rehearsals of a cast: they go through everything that `execute` goes through, and their trials are not used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from data.artifacts import JOINTS, SPEEDS, Motion, Trial
+from stages.execute import execute, filmed, padded
+from stages.roles import ArmDevice, CameraDevice
+
+
+def dry(
+    motion: Motion,
+    arm: ArmDevice,
+    camera: CameraDevice,
+    *,
+    before: Annotated[float, Field(ge=0, le=10)],
+    after: Annotated[float, Field(ge=0, le=10)],
+) -> Trial:
+    """With the arm disabled: the link is tested, `motion` checked, velocity zero sent on its schedule, and filmed.
+
+    before, after: as of `execute`.
+    """
+    commands = padded(motion.commands, before, after)
+    with camera, arm:
+        arm.check(commands)
+        here = arm.angles()
+        trial = filmed(still(commands, here), arm, camera, end=motion.duration + after)
+    return rehearsed(trial, "rehearsal with the arm disabled")
+
+
+def slow(
+    motion: Motion,
+    arm: ArmDevice,
+    camera: CameraDevice,
+    *,
+    before: Annotated[float, Field(ge=0, le=10)],
+    after: Annotated[float, Field(ge=0, le=10)],
+    share: Annotated[float, Field(gt=0, lt=1)],
+) -> Trial:
+    """At a share of the speed, along the same way. before, after: as of `execute`."""
+    outcome = motion.outcome.assign(duration=motion.duration / share)
+    slower = replace(motion, commands=slowed(motion.commands, share), outcome=outcome)
+    trial = execute(slower, arm, camera, before=before, after=after)
+    return rehearsed(trial, f"rehearsal at {share:g} of the speed")
+
+
+def still(commands: pd.DataFrame, angles: np.ndarray) -> pd.DataFrame:
+    """The same ticks at a standstill. angles: (J,) [rad]."""
+    return commands.assign(**dict(zip(JOINTS, angles, strict=True)), **dict.fromkeys(SPEEDS, 0.0))
+
+
+def slowed(commands: pd.DataFrame, share: float) -> pd.DataFrame:
+    """The same way at `share` of the speed, on the same tick: speed falls by `share`, acceleration no less."""
+    t, angles = commands["t"].to_numpy(), commands[list(JOINTS)].to_numpy()
+    tick = float(np.median(np.diff(t)))
+    count = int(np.ceil((len(t) - 1) / share)) + 1
+    place = np.minimum(np.arange(count) * share, len(t) - 1)
+    q = np.stack([np.interp(place, np.arange(len(t)), angle) for angle in angles.T], axis=-1)
+    w = np.concatenate([np.diff(q, axis=0) / tick, np.zeros((1, q.shape[1]))])
+    columns = {"t": t[0] + tick * np.arange(count)}
+    return pd.DataFrame(columns | dict(zip(JOINTS, q.T, strict=True)) | dict(zip(SPEEDS, w.T, strict=True)))
+
+
+def rehearsed(trial: Trial, reason: str) -> Trial:
+    """The trial marked, so that no later stage learns from it."""
+    before = str(trial.link["reason"].iloc[0])
+    reasons = "; ".join(filter(None, (reason, before)))
+    return replace(trial, link=trial.link.assign(valid=False, reason=reasons))

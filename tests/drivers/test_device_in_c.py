@@ -1,0 +1,145 @@
+"""The device's side in C: golden frames and fuzzed bytes give what the Python firmware gives, and the real driver
+drives it over a pseudo-terminal."""
+
+import random
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig import driver, movement
+
+from hardware.serial.firmware import Firmware
+from hardware.serial.protocol import VERSION, Command, Kind, encode_command
+from stages.roles import HardwareError
+
+FOLDER = Path(__file__).resolve().parents[2] / "hardware" / "serial" / "device"
+POSE = (0.5, 0.25, -1.0)
+STRICT = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+# Every way into memory is watched where the compiler can.
+WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Compile the device with one of its two mains; the program's path."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    folder = tmp_path_factory.mktemp("device")
+
+    def build(main):
+        program = folder / main
+        sources = [str(FOLDER / f"{main}.c"), str(FOLDER / "stringcast.c"), "-lm"]
+        if not program.exists():
+            command = [compiler, *STRICT, "-o", program, *sources]
+            watched = subprocess.run([*command, *WATCHED], check=False, capture_output=True)
+            if watched.returncode:
+                subprocess.run(command, check=True)
+        return program
+
+    return build
+
+
+def in_python(data):
+    """As pipe.c: a byte at a time, 1 ms after every delimiter."""
+    firmware, out, now = Firmware(), b"", 0
+    for byte in data:
+        firmware.tick(now)
+        out += firmware.receive(bytes([byte]), now, POSE)
+        now += 1000 * (byte == 0)
+    return out
+
+
+def in_c(program, data):
+    return subprocess.run([program], input=data, capture_output=True, check=True, timeout=20).stdout
+
+
+def golden():
+    lines = (FOLDER / "golden.txt").read_text().splitlines()
+    return (b"".join(bytes.fromhex(x[2:]) for x in lines if x.startswith(side)) for side in "><")
+
+
+def test_python_holds_the_golden_conversation():
+    said, answered = golden()
+    assert encode_command(Command(Kind.VELOCITY, 65535, (1.5, -2.25, 0.0))) in said
+    assert in_python(said) == answered
+
+
+def test_c_holds_the_golden_conversation(built):
+    said, answered = golden()
+    assert in_c(built("pipe"), said) == answered
+
+
+def fuzz(rng):
+    """Whole commands of every kind among torn, flipped, overlong and random ones, so that states are reached."""
+    sequence, stream = 0, encode_command(Command(Kind.HELLO, 0, (VERSION,)))
+    values = {Kind.VELOCITY: lambda: [rng.choice([0.0, 1.5, -3.0, float("nan"), float("inf")]) for _ in range(3)]}
+    values[Kind.HELLO] = lambda: [rng.choice([VERSION, VERSION, 1])]
+    for _ in range(300):
+        kind = rng.choice([*[k for k in Kind if k < 0x80], Kind.VELOCITY, Kind.VELOCITY, Kind.HELLO])
+        sequence = (sequence + rng.choice([1, 1, 1, 0, -1, 40000])) % 2**16
+        frame = bytearray(encode_command(Command(kind, sequence, tuple(values.get(kind, list)()))))
+        harm = rng.randrange(8)
+        if harm == 0:
+            frame[rng.randrange(len(frame))] ^= 1 << rng.randrange(8)
+        elif harm == 1:
+            frame = frame[: rng.randrange(len(frame))]
+        elif harm == 2:
+            frame = bytearray(rng.randbytes(rng.choice([1, 5, 63, 64, 65, 66, 300]))) + b"\0"
+        elif harm == 3:
+            frame += b"\0" * rng.choice([1, 5, 30])
+        stream += bytes(frame)
+    return stream
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
+    stream = fuzz(random.Random(seed))
+    answered = in_python(stream)
+    assert in_c(built("pipe"), stream) == answered
+    assert len(answered) > 1000  # it is a conversation, not silence
+
+
+@pytest.fixture
+def port(built):
+    process = subprocess.Popen([built("posix"), "250", "30"], stdout=subprocess.PIPE, text=True)
+    yield process.stdout.readline().strip()
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def test_the_real_driver_moves_the_device_in_c(port):
+    with driver(port) as arm:
+        performance = arm.perform(movement())
+        np.testing.assert_allclose(arm.angles(), [0.5, -0.4, 0.6], atol=0.1)
+    assert performance.ticks["t_acknowledged"].notna().mean() > 0.5
+
+
+def held(wire, number, within=5.0):
+    """Why the device did not follow a command, as its answer says."""
+    end = time.monotonic() + within
+    while time.monotonic() < end:
+        for answer in wire.answers():
+            if answer.number == number:
+                return answer.held
+        time.sleep(0.01)
+    return None
+
+
+def test_the_device_in_c_stands_when_its_host_falls_silent_and_must_be_greeted_again(port):
+    with driver(port) as arm:
+        arm.wire.send(np.array([0.5, 0.0, 0.0]))
+        time.sleep(0.6)
+        there = arm.angles()
+        assert there[0] > 0
+        number, _ = arm.wire.send(np.array([0.5, 0.0, 0.0]))
+        assert "watchdog" in held(arm.wire, number)
+        np.testing.assert_array_equal(arm.angles(), there)
+    with driver(port) as arm:
+        arm.wire.latch()
+    with pytest.raises(HardwareError, match="latched"), driver(port):
+        pass

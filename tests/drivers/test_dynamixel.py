@@ -1,0 +1,168 @@
+"""The Dynamixel driver, through the maker's own library, against an emulated bus on a real pseudo-terminal."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig import ARM, DRIVING, emulator, events, movement, standstill
+
+from data.artifacts import LINK, SENT, TICKS
+from hardware.arm import Driving, VelocityArm
+from hardware.dynamixel.bus import DynamixelBus, Servo
+from hardware.dynamixel.emulator.packets import Splitter, crc16, status
+from hardware.dynamixel.registers import BUS_WATCHDOG, TORQUE_ENABLE, TRIPPED, VELOCITY_UNIT
+from stages.roles import HardwareError
+
+sdk = pytest.importorskip("dynamixel_sdk")
+
+SERVOS = (Servo(1, 2048, 1), Servo(2, 2048, -1), Servo(3, 2048, 1))
+EMULATOR = (sys.executable, "-m", "hardware.dynamixel.emulator")
+PATIENCE = 15  # 0.3 s: a busy machine must not trip it
+SWINGS_OUT = 0.15
+
+
+def driver(port, servos=SERVOS, patience=PATIENCE, fastest=ARM.speed, **changed):
+    bus = DynamixelBus(port, 1_000_000, servos, fastest, reply=0.2, patience=patience)
+    return VelocityArm(ARM, bus, Driving(**{**vars(DRIVING), **changed}))
+
+
+@pytest.fixture
+def log(tmp_path):
+    return tmp_path / "events.jsonl"
+
+
+def bus(log, *options):
+    return emulator(log, *options, command=EMULATOR, watchdog=None)
+
+
+def test_packets_are_those_of_the_makers_library():
+    """The library writes and checks with its own table-driven CRC and stuffing; ours is bit by bit."""
+    library = sdk.Protocol2PacketHandler()
+    rng = np.random.default_rng(0)
+    for size in (1, 10, 60):
+        data = rng.bytes(size)
+        assert crc16(data) == library.updateCRC(0, list(data), size)
+    parameters = [0x40, 0, 0xFF, 0xFF, 0xFD, 7]
+    packet = [0, 0, 0, 0, 1, len(parameters) + 3, 0, 0x03, *parameters, 0, 0]
+    written = []
+
+    class Port:
+        is_using = False
+
+        def clearPort(self):  # noqa: N802
+            pass
+
+        def writePort(self, data):  # noqa: N802
+            written.extend(data)
+            return len(data)
+
+    assert library.txPacket(Port(), packet) == sdk.COMM_SUCCESS
+    torn = Splitter()
+    found = [p for byte in b"noise" + bytes(written) for p in torn.packets(bytes([byte]))]
+    assert [(p.id, p.instruction, list(p.parameters)) for p in found] == [(1, 3, parameters)]
+    damaged = bytearray(written)
+    damaged[9] ^= 4
+    assert Splitter().packets(bytes(damaged)) == []
+    assert library.removeStuffing(list(status(1, 0, bytes(parameters))))[9:15] == parameters
+
+
+def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
+    with bus(log) as port:
+        with driver(port) as arm:
+            performance = arm.perform(movement())
+            ended = arm.angles()
+        assert standstill(log, "moves") is not None
+        assert events(log)[-1]["angles"][1] > 0.3  # the second servo is mounted the other way round
+    ticks = TICKS.check(performance.ticks)
+    LINK.check(performance.link)
+    np.testing.assert_allclose(ended, [0.5, -0.4, 0.6], atol=0.1)
+    sent, asked = ticks[list(SENT)].to_numpy(), movement().filter(like="w").to_numpy()
+    np.testing.assert_allclose(sent / VELOCITY_UNIT, np.rint(sent / VELOCITY_UNIT), atol=1e-9)
+    # Rounded to 0.024 rad/s, yet it adds up to the way that was asked for.
+    assert np.abs(np.cumsum(sent - asked, axis=0)).max() <= VELOCITY_UNIT / 2 + 1e-9
+    assert performance.arm["t"].is_monotonic_increasing
+
+
+def test_the_torque_is_off_after_the_last_word(log):
+    with bus(log) as port:
+        with driver(port) as arm:
+            arm.move_to([0.1, 0.1, 0.1])
+        plain = DynamixelBus(port, 1_000_000, SERVOS, ARM.speed, 0.2, PATIENCE)
+        plain._connect()
+        assert [plain._read(servo, TORQUE_ENABLE) for servo in SERVOS] == [0, 0, 0]
+        assert [plain._read(servo, BUS_WATCHDOG) for servo in SERVOS] == [0, 0, 0]
+        plain.close()
+
+
+def test_a_lost_velocity_is_survived(log):
+    with bus(log, "--fault", "drop:30") as port, driver(port) as arm:
+        np.testing.assert_allclose(arm.perform(movement()).arm.iloc[-1][["q1", "q3"]], [0.5, 0.6], atol=0.15)
+
+
+@pytest.mark.parametrize("kind", ["freeze", "unplug", "brownout"])
+def test_a_fault_of_the_bus_ends_with_the_arm_at_rest_and_one_error(log, kind):
+    with bus(log, "--fault", f"{kind}:40") as port:
+        said = r"watchdog|restarted|no answer|link is gone|do not answer"
+        with pytest.raises(HardwareError, match=said), driver(port) as arm:
+            arm.perform(movement(1.0))
+        took = standstill(log, kind)
+    assert took is not None
+    assert took < PATIENCE * 0.02 + SWINGS_OUT
+
+
+class Interrupted(VelocityArm):
+    """A driver whose user loses patience in mid-movement."""
+
+    def _guard(self):
+        def pressed():
+            if self.wire.number > 20:
+                raise KeyboardInterrupt
+            return ""
+
+        return replace(super()._guard(), pressed=pressed)
+
+
+def test_an_emergency_stop_is_the_servos_own_latch_until_it_is_cleared(log):
+    with bus(log) as port:
+        with pytest.raises(KeyboardInterrupt), Interrupted(ARM, driver(port).wire, DRIVING) as arm:
+            arm.perform(movement())
+        assert "tripped" in {e["event"] for e in events(log)}
+        for _ in range(2):  # a refusal must not clear it on its way out
+            with pytest.raises(HardwareError, match=r"latched.*hardware\.dynamixel\.clear .* 1 2 3"), driver(port):
+                pass
+        clear = [sys.executable, "-m", "hardware.dynamixel.clear", port, "1", "2", "3", "--baud", "1000000"]
+        subprocess.run(clear, input="yes\n", text=True, check=True, capture_output=True)
+        with driver(port) as arm:
+            arm.move_to([0.1, 0.0, 0.0])
+
+
+def test_silence_trips_the_watchdogs_and_the_driver_is_told(log):
+    with bus(log) as port, driver(port, patience=2) as arm:
+        arm.wire.send(np.array([0.5, 0.0, 0.0]))
+        arm.wire.answers()
+        assert standstill(log, "tripped") is not None
+        there = arm.angles()
+        arm.wire.send(np.array([0.5, 0.0, 0.0]))
+        assert "watchdog" in arm.wire.answers()[0].held
+        np.testing.assert_array_equal(arm.angles(), there)
+        arm.wire.stop()
+        assert arm.wire._read(SERVOS[0], BUS_WATCHDOG) == TRIPPED  # a stop is not a clear
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"servos": (*SERVOS[:2], Servo(9, 2048, 1))}, r"servo 9: .*no status packet"),
+        ({"fastest": (100.0,) * 3}, r"60\.\d+ rad/s at most, arm\.speed is 100"),
+    ],
+)
+def test_what_is_wrong_with_the_servos_is_one_clear_error(log, changed, words):
+    with bus(log) as port, pytest.raises(HardwareError, match=words), driver(port, **changed):
+        pass
+
+
+def test_no_bus_is_one_clear_error():
+    with pytest.raises(HardwareError, match=r"hardware\.port"), driver("/dev/nowhere"):
+        pass

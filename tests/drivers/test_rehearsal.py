@@ -1,0 +1,97 @@
+"""Rehearsals: nothing moves, or moves slowly, or only in an emulator, and nobody learns from it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import specimen, swing
+from rig import DRIVING, WORKSPACE
+
+from data.artifacts import JOINTS, SPEEDS
+from hardware.serial.rehearsal import open_lab
+from hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
+from hardware.virtual.obstacles import Obstacles
+from hardware.virtual.render import Look
+from hardware.virtual.servo import Servo
+from stages.execute import execute
+from stages.rehearse import dry, slow, slowed
+from stages.roles import HardwareError
+
+START = [-0.9, 0.6, 0.4]
+
+
+@pytest.fixture
+def bench(arm, camera):
+    small = replace(camera, width=64, height=64, px_per_m=34.0, origin_px=(25.0, 38.0), fps=50.0)
+    return Bench(arm, small, specimen("A"), seed=3)
+
+
+def test_a_slowed_movement_goes_the_same_way_at_the_share_of_the_speed():
+    whole = swing().commands
+    for share in (0.2, 0.37, 0.9):
+        slower = slowed(whole, share)
+        q, w = slower[list(JOINTS)].to_numpy(), slower[list(SPEEDS)].to_numpy()
+        np.testing.assert_allclose(np.diff(slower["t"]), 0.005)
+        np.testing.assert_allclose(q[[0, -1]], whole[list(JOINTS)].to_numpy()[[0, -1]])
+        np.testing.assert_allclose(q[:-1] + 0.005 * w[:-1], q[1:], atol=1e-12)
+        fastest = np.abs(whole[list(SPEEDS)]).max().to_numpy()
+        assert (np.abs(w).max(axis=0) <= share * fastest + 1e-9).all()
+        assert np.abs(np.diff(w, axis=0)).max() <= np.abs(np.diff(whole[list(SPEEDS)], axis=0)).max() + 1e-9
+
+
+def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
+    trial = slow(swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1, share=0.5)
+    ended = swing().commands[list(JOINTS)].iloc[-1]
+    np.testing.assert_allclose(trial.arm[list(JOINTS)].iloc[-1], ended, atol=0.02)
+    assert trial.frames["t"].iloc[-1] == pytest.approx(1.1, abs=0.03)
+    assert not trial.link["valid"].iloc[0]
+    assert trial.link["reason"].iloc[0] == "rehearsal at 0.5 of the speed"
+
+
+def test_dry_the_arm_stays_where_it_is_and_the_film_is_whole(bench):
+    bench.pose = np.array(START) + 0.3
+    trial = dry(swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1)
+    np.testing.assert_allclose(trial.arm[list(JOINTS)] - (np.array(START) + 0.3), 0, atol=1e-4)
+    assert len(trial.images) == pytest.approx(0.7 * 50, abs=2)
+    assert not trial.link["valid"].iloc[0]
+    assert "disabled" in trial.link["reason"].iloc[0]
+
+
+@pytest.fixture
+def rehearsal(bench):
+    settings = {"specimen": bench.specimen, "servo": Servo(), "look": Look(), "obstacles": Obstacles()}
+    driving = replace(DRIVING, workspace=replace(WORKSPACE, low=(-0.5, -0.5), high=(0.9, 0.9)), approach=3.0)
+
+    def lab(faults=()):
+        more = {"driving": driving, "watchdog": 250, "faults": list(faults)}
+        return open_lab(bench.arm, bench.camera, seed=3, trial=1, **settings, **more)
+
+    return lab
+
+
+def test_the_emulators_movement_swings_the_virtual_string(rehearsal):
+    lab = rehearsal()
+    trial = execute(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
+    ended = swing().commands[list(JOINTS)].iloc[-1]
+    np.testing.assert_allclose(trial.arm[list(JOINTS)].iloc[-1], ended, atol=0.3)
+    assert len(trial.images) == pytest.approx(0.7 * 50, abs=3)
+    performed = lab.camera.bench.performed
+    np.testing.assert_array_equal(performed[1], trial.arm[list(JOINTS)])
+    assert lab.arm.emulator.process is None
+
+
+def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
+    lab = rehearsal()
+    trial = dry(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
+    assert (trial.ticks[[f"sent{j}" for j in (1, 2, 3)]] == 0).all(axis=None)
+    np.testing.assert_allclose(trial.arm[list(JOINTS)], 0, atol=1e-9)
+    too_fast = swing(speeds=(60.0, 0.0, 0.0))
+    with pytest.raises(HardwareError, match=r"leaves arm\."):
+        dry(too_fast, lab.arm, lab.camera, before=0.1, after=0.1)
+
+
+def test_a_fault_in_rehearsal_is_the_error_that_a_real_one_would_be(rehearsal):
+    lab = rehearsal(["brownout:400"])
+    with pytest.raises(HardwareError, match=r"restarted|no answer"):
+        execute(swing(3.0, speeds=(0.3, 0.2, 0.1)), lab.arm, lab.camera, before=0.1, after=0.1)
+    assert lab.arm.emulator.process is None

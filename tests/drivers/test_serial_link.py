@@ -1,0 +1,212 @@
+"""The real driver against a device on a real pseudo-terminal, well and ill."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig import ARM, DRIVING, WATCHDOG, WORKSPACE, driver, emulator, events, movement, standstill
+
+from data.artifacts import JOINTS, LINK, SENT, TICKS
+from hardware.arm import VelocityArm
+from hardware.arm.limits import check_movement
+from hardware.arm.loop import blank
+from hardware.arm.record import performance
+from hardware.serial.emulator.device import KINDS
+from hardware.serial.protocol import VERSION
+from hardware.serial.wire import SerialWire
+from stages.roles import HardwareError
+
+# From the watchdog's last word to standstill: the wires swing out. Measured 0.05 s on the device's own clock.
+SWINGS_OUT = 0.15
+SURVIVED = tuple(kind for kind in KINDS if kind not in ("freeze", "unplug", "brownout", "jump"))
+
+
+@pytest.fixture
+def log(tmp_path):
+    return tmp_path / "events.jsonl"
+
+
+def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
+    # The device's clock and the host's numbers both go round on the way.
+    with emulator(log, "--since", str(2**32 - 200_000)) as port:
+        arm = driver(port)
+        arm.wire.sequence = 2**16 - 80
+        with arm:
+            performance = arm.perform(movement())
+            ended = arm.angles()
+        assert standstill(log, "moving") is not None
+    ticks = TICKS.check(performance.ticks)
+    LINK.check(performance.link)
+    assert len(ticks) == len(movement())
+    np.testing.assert_allclose(ended, [0.5, -0.4, 0.6], atol=0.1)
+    np.testing.assert_array_equal(ticks[list(SENT)].to_numpy(), movement().filter(like="w").astype("float32"))
+    assert (ticks["t_sent"] >= ticks["t_due"]).all()
+    answered = ticks.dropna(subset="t_acknowledged")
+    assert (np.diff(answered["t_device"]) >= 0).all()  # a busy machine lets frames arrive together
+    assert np.ptp(answered["t_device"]) < 60.0
+    assert performance.arm["t"].is_monotonic_increasing
+    assert {"trip_p50", "trip_p99", "trip_max"} <= set(performance.link)
+
+
+def test_measured_angles_are_put_at_the_moment_they_were_measured():
+    """A device clock 7 s ahead; answers linger for 0.3 to 9 ms on their way back, as they do in an adapter."""
+    rng = np.random.default_rng(1)
+    log = blank(np.zeros(3), np.ones((400, 3)), 0.005)
+    log.sent = log.due + 1e-4
+    measured = log.sent + 3e-4
+    log.acknowledged = measured + 3e-4 + rng.exponential(3e-3, 400)
+    log.clock, log.angles = measured + 7.0, np.zeros((400, 3))
+    log.acknowledged[50:60] = np.nan
+    table = performance(log, -0.2, 1.0, 1.0, np.ones(2)).arm
+    np.testing.assert_allclose(table["t"], np.delete(measured, slice(50, 60)) - 0.2, atol=5e-4)
+
+
+def test_move_to_goes_there_slowly(log):
+    with emulator(log) as port, driver(port) as arm:
+        arm.move_to([0.3, 0.2, -0.3])
+        np.testing.assert_allclose(arm.angles(), [0.3, 0.2, -0.3], atol=0.05)
+
+
+@pytest.mark.parametrize("kind", SURVIVED)
+def test_a_fault_of_one_frame_is_survived_and_accounted_for(log, kind):
+    frame = random.Random(kind).randrange(60)
+    with emulator(log, "--fault", f"{kind}:{frame}") as port:
+        with driver(port) as arm:
+            performance = arm.perform(movement())
+        assert standstill(log, kind) is not None
+    lost = performance.ticks["t_acknowledged"].isna()
+    if kind.endswith(("drop", "corrupt")):
+        assert lost.iloc[frame]
+    assert performance.ticks["missed"][lost].all()
+
+
+@pytest.mark.parametrize("kind", ["freeze", "unplug", "brownout", "jump"])
+def test_a_fault_of_the_device_ends_with_the_arm_at_rest_and_one_error(log, kind):
+    frame = random.Random(kind).randrange(5, 55)
+    said = r"no answer|link is gone|does not answer|restarted|watchdog|jumped"
+    slow = replace(ARM, speed=(3.0,) * 3)  # so that what an encoder can truly report is little, also after a pause
+    with emulator(log, "--fault", f"{kind}:{frame}") as port:
+        with pytest.raises(HardwareError, match=said), driver(port, slow) as arm:
+            arm.perform(movement(0.6))
+        took = standstill(log, kind)
+    assert took is not None
+    assert took < WATCHDOG + SWINGS_OUT
+
+
+def test_too_many_late_ticks_make_the_trial_invalid_with_the_reason(log):
+    with emulator(log) as port, driver(port, late=1e-9, most_missed=0.0) as arm:
+        link = arm.perform(movement()).link.iloc[0]
+    assert not link["valid"]
+    assert "were late or lost, allowed are 0.0%" in link["reason"]
+
+
+def test_a_slow_link_is_refused_with_its_distribution(log):
+    with (
+        emulator(log) as port,
+        pytest.raises(HardwareError, match=r"round trip takes .* ms \(99 %: .*, longest: "),
+        driver(port, round_trip=1e-6),
+    ):
+        pass
+
+
+def test_a_wrong_start_is_refused_before_anything_moves(log):
+    shifted = movement()
+    shifted["q1"] += 0.1
+    with emulator(log) as port:
+        with pytest.raises(HardwareError, match="degrees from the movement's start"), driver(port) as arm:
+            arm.perform(shifted)
+        assert not {"moving", "moves"} & {e["event"] for e in events(log)}
+
+
+@pytest.mark.parametrize(
+    ("change", "limit"),
+    [(3.0, "range"), (0.12, r"arm\.speed"), (0.01, r"arm\.acceleration"), (float("nan"), "no numbers")],
+)
+def test_limits_are_checked_on_the_whole_movement(change, limit):
+    angles = np.zeros((40, 3))
+    angles[20:, 0] = change
+    with pytest.raises(HardwareError, match=limit):
+        check_movement(ARM, WORKSPACE, angles)
+
+
+def test_the_hands_speed_and_the_workspace_are_checked_too():
+    t = np.arange(0, 0.4, 0.005)
+    fast = np.stack([17 * t - 2 * (1 - np.cos(8.5 * t))] * 3, axis=-1) * 0.25
+    with pytest.raises(HardwareError, match="hand_speed"):
+        check_movement(type(ARM)(**{**vars(ARM), "hand_speed": 1.0}), WORKSPACE, fast)
+    tight = type(WORKSPACE)((-0.6, -0.6), (0.6, 0.1))
+    with pytest.raises(HardwareError, match="workspace"):
+        check_movement(ARM, tight, movement()[list(JOINTS)].to_numpy())
+
+
+class Pressed(SerialWire):
+    """A wire on which somebody presses the emergency stop as soon as the arm moves."""
+
+    press = staticmethod(lambda reason: None)
+
+    def send(self, speeds):
+        if any(speeds):
+            self.press("button")
+        return super().send(speeds)
+
+
+def test_the_emergency_stop_is_latched_here_and_in_the_device(log):
+    with emulator(log) as port:
+        wire = Pressed(port, 1_000_000)
+        pressed = VelocityArm(ARM, wire, DRIVING)
+        wire.press = pressed.press
+        with pytest.raises(HardwareError, match=r"emergency stop \(button\)"), pressed as arm:
+            arm.perform(movement())
+        assert standstill(log, "latched") < SWINGS_OUT
+        clear = [sys.executable, "-m", "hardware.serial.clear", port]
+        subprocess.run(clear, input="no\n", text=True, check=False, capture_output=True)
+        with pytest.raises(HardwareError, match=r"latched.*hardware\.serial\.clear"), driver(port):
+            pass
+        subprocess.run(clear, input="yes\n", text=True, check=True, capture_output=True)
+        with driver(port) as arm:
+            arm.press("button")
+            with pytest.raises(HardwareError, match="latched by the emergency stop"):
+                arm.move_to([0.1, 0.1, 0.1])
+            arm.clear()
+            arm.move_to([0.1, 0.1, 0.1])
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
+def test_killing_the_host_leaves_the_arm_at_rest(log, name):
+    script = (
+        "import sys; sys.path.insert(0, 'tests/drivers'); import rig\n"
+        "with rig.driver(sys.argv[1]) as arm: arm.perform(rig.movement(3.0))\n"
+    )
+    with emulator(log) as port:
+        host = subprocess.Popen([sys.executable, "-c", script, port], stderr=subprocess.DEVNULL)
+        end = time.monotonic() + 20
+        while "moves" not in {e["event"] for e in events(log)} and time.monotonic() < end:
+            time.sleep(0.02)
+        os.kill(host.pid, getattr(signal, name))
+        host.wait(timeout=10)
+        if name == "SIGKILL":
+            assert standstill(log, "tripped") < SWINGS_OUT
+        else:
+            assert standstill(log, "latched") < SWINGS_OUT
+            assert "tripped" not in {e["event"] for e in events(log)}
+
+
+def test_a_host_of_another_version_is_refused(log, monkeypatch):
+    monkeypatch.setattr("hardware.serial.wire.VERSION", VERSION + 1)
+    with (
+        emulator(log) as port,
+        pytest.raises(HardwareError, match=f"speaks version {VERSION} for 3 joints"),
+        driver(port),
+    ):
+        pass
+
+
+def test_no_device_is_one_clear_error():
+    with pytest.raises(HardwareError, match=r"hardware.port"), driver("/dev/nowhere"):
+        pass

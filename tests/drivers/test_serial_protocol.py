@@ -1,0 +1,147 @@
+"""Frames and the state machine of the device, byte by byte and without any clock but the test's own."""
+
+import pytest
+
+from hardware.serial.firmware import Firmware
+from hardware.serial.protocol import (
+    VERSION,
+    Command,
+    Deframer,
+    FrameError,
+    Greeting,
+    Kind,
+    Report,
+    State,
+    cobs,
+    decode_answer,
+    decode_command,
+    encode_answer,
+    encode_command,
+    newer,
+    uncobs,
+)
+from hardware.serial.wire import SerialWire, check_latency
+from stages.roles import HardwareError
+
+POSE = (0.5, 0.25, -1.0)
+
+
+def tell(firmware, kind, sequence, values=(), micros=0):
+    answer = firmware.receive(encode_command(Command(kind, sequence, values)), micros, POSE)
+    return decode_answer(answer[:-1])
+
+
+@pytest.fixture
+def firmware():
+    device = Firmware()
+    tell(device, Kind.HELLO, 1, (VERSION,))
+    return device
+
+
+@pytest.mark.parametrize("data", [b"", b"\0", b"\0\0", b"abc", bytes(range(256)) * 3, b"\1" * 254, b"\1" * 255])
+def test_stuffing_has_no_zero_and_undoes_itself(data):
+    assert 0 not in cobs(data)
+    assert uncobs(cobs(data)) == data
+
+
+def test_frames_come_back_and_damaged_ones_do_not():
+    command = Command(Kind.VELOCITY, 513, (1.5, -2.25, 0.0))
+    assert decode_command(encode_command(command)[:-1]) == command
+    greeting = Greeting(9, VERSION, 3, 25, State.LATCHED)
+    assert decode_answer(encode_answer(greeting)[:-1]) == greeting
+    report = Report(7, 1_250_000, State.MOVING, POSE)
+    wire = encode_answer(report)
+    assert decode_answer(wire[:-1]) == report
+    for i in range(len(wire) - 1):
+        for bit in range(8):
+            damaged = bytearray(wire[:-1])
+            damaged[i] ^= 1 << bit
+            with pytest.raises(FrameError):
+                decode_answer(bytes(damaged))
+
+
+def test_frames_are_cut_wherever_the_bytes_are_torn():
+    frames = [encode_command(Command(Kind.VELOCITY, n, POSE))[:-1] for n in range(3)]
+    stream = b"\0".join([*frames, b"x" * 500, b"", frames[0], b""])
+    for size in (1, 2, 7, 64, 1000):
+        cut = Deframer()
+        found = [f for i in range(0, len(stream), size) for f in cut.frames(stream[i : i + size])]
+        assert found == [*frames, frames[0]]
+
+
+@pytest.mark.parametrize(
+    ("sequence", "last", "after"), [(1, 0, True), (0, 65535, True), (5, 65530, True), (0, 0, False), (65535, 0, False)]
+)
+def test_sequence_numbers_go_round(sequence, last, after):
+    assert newer(sequence, last) is after
+
+
+def test_the_host_unwraps_the_devices_clock_and_bears_answers_that_change_places():
+    wire = SerialWire("", 0)
+    reported = [2**32 - 2000, 2**32 - 1000, 500, 2**32 - 500, 4000]
+    times = [wire._clock(micros) for micros in reported]
+    assert [round((t - times[0]) * 1e6) for t in times] == [0, 1000, 2500, 1500, 6000]
+
+
+def test_a_fresh_device_obeys_no_velocity_before_a_greeting():
+    device = Firmware()
+    assert tell(device, Kind.VELOCITY, 1, POSE).state is State.FRESH
+    assert device.target == (0.0, 0.0, 0.0)
+
+
+def test_a_greeting_of_another_version_changes_nothing():
+    device = Firmware()
+    assert tell(device, Kind.HELLO, 1, (VERSION + 1,)) == Greeting(1, VERSION, 3, 25, State.FRESH)
+
+
+def test_the_watchdog_trips_for_good_also_when_its_clock_goes_round(firmware):
+    start = 2**32 - 10_000
+    tell(firmware, Kind.VELOCITY, 2, POSE, start)
+    firmware.tick((start + 25_000) % 2**32)
+    assert firmware.state is State.MOVING
+    firmware.tick((start + 25_001) % 2**32)
+    assert firmware.state is State.TRIPPED
+    assert tell(firmware, Kind.VELOCITY, 3, POSE, 20_000).state is State.TRIPPED
+    assert firmware.target == (0.0, 0.0, 0.0)
+    assert tell(firmware, Kind.HELLO, 4, (VERSION,)).state is State.IDLE
+
+
+def test_a_device_at_rest_has_no_watchdog(firmware):
+    firmware.tick(10_000_000)
+    assert firmware.state is State.IDLE
+
+
+def test_what_was_overtaken_is_answered_but_not_obeyed(firmware):
+    tell(firmware, Kind.VELOCITY, 3, (1.0, 1.0, 1.0))
+    assert tell(firmware, Kind.VELOCITY, 2, (2.0, 2.0, 2.0)).sequence == 2
+    assert firmware.target == (1.0, 1.0, 1.0)
+    tell(firmware, Kind.STOP, 5)
+    assert tell(firmware, Kind.VELOCITY, 4, (2.0, 2.0, 2.0)).state is State.IDLE
+    assert firmware.target == (0.0, 0.0, 0.0)
+
+
+def test_an_emergency_stop_holds_against_everything_but_clear(firmware):
+    tell(firmware, Kind.VELOCITY, 2, POSE)
+    assert tell(firmware, Kind.LATCH, 3).state is State.LATCHED
+    for kind, values in ((Kind.VELOCITY, POSE), (Kind.STOP, ()), (Kind.HELLO, (VERSION,)), (Kind.PING, ())):
+        assert tell(firmware, kind, 4, values).state is State.LATCHED
+        assert firmware.target == (0.0, 0.0, 0.0)
+    assert tell(firmware, Kind.CLEAR, 5).state is State.FRESH
+    assert tell(firmware, Kind.VELOCITY, 6, POSE).state is State.FRESH
+    assert tell(firmware, Kind.HELLO, 7, (VERSION,)).state is State.IDLE
+
+
+@pytest.mark.parametrize("speed", [float("nan"), float("inf")])
+def test_a_speed_that_is_no_number_is_no_command(firmware, speed):
+    assert firmware.receive(encode_command(Command(Kind.VELOCITY, 2, (0.0, speed, 0.0))), 0, POSE) == b""
+    assert firmware.state is State.IDLE
+
+
+def test_a_slow_adapter_is_refused_with_the_remedy(tmp_path):
+    timer = tmp_path / "ttyUSB7" / "latency_timer"
+    timer.parent.mkdir()
+    timer.write_text("16\n")
+    with pytest.raises(HardwareError, match=r"16 ms.*echo 1"):
+        check_latency("/dev/ttyUSB7", tmp_path)
+    timer.write_text("1\n")
+    check_latency("/dev/ttyUSB7", tmp_path)

@@ -1,0 +1,147 @@
+"""The loop that drives any wire, on a scripted one: every reason to stop, and how it stops."""
+
+import gc
+import os
+
+import numpy as np
+import pytest
+from rig import ARM, DRIVING, movement
+
+from hardware.arm import Answer, Driving, VelocityArm
+from hardware.arm.clock import undisturbed
+from stages.roles import HardwareError
+
+
+class Script:
+    """A wire whose arm follows perfectly, until `spoil` says otherwise of an answer (None: it is lost)."""
+
+    name, watchdog = "script", 0.025
+
+    def __init__(self, spoil=lambda answer: answer):
+        self.spoil, self.sent, self.said, self.due = spoil, [], [], []
+        self.pose = np.zeros(3)
+
+    def open(self):
+        self.said.append("open")
+
+    def close(self):
+        self.said.append("close")
+
+    def angles(self):
+        return tuple(self.pose)
+
+    def send(self, speeds):
+        number = len(self.sent)
+        answer = self.spoil(Answer(number, 0.005 * number, "", tuple(self.pose)))
+        self.due += [answer] if answer else []
+        self.sent.append(np.array(speeds))
+        self.pose = self.pose + 0.005 * np.array(speeds)
+        return number, np.array(speeds)
+
+    def answers(self):
+        due, self.due = self.due, []
+        return due
+
+    def stop(self):
+        self.said.append("stop")
+
+    def latch(self):
+        self.said.append("latch")
+
+    def clear(self):
+        self.said.append("clear")
+
+
+def after(number, change):
+    """Spoil the answers from a number on."""
+    return lambda answer: change(answer) if answer.number >= number else answer
+
+
+def turned(answer, by):
+    return Answer(answer.number, answer.clock, "", (answer.angles[0], answer.angles[1] + by, answer.angles[2]))
+
+
+def driver(wire, **changed):
+    return VelocityArm(ARM, wire, Driving(**{**vars(DRIVING), "misses": 4, **changed}))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda answer: None, r"no answer for 5 ticks at 0\.175 s"),
+        (lambda answer: Answer(answer.number, answer.clock, "the device restarted", answer.angles), "device restarted"),
+        (lambda answer: turned(answer, 0.3), "encoder of joint 2 jumped"),
+        (lambda answer: turned(answer, -0.02 * (answer.number - 30)), r"joint 2 is 0\.\d+ rad from where it was sent"),
+    ],
+    ids=["silence", "held", "jump", "astray"],
+)
+def test_every_reason_to_stop_ends_in_a_ramp_within_the_arms_acceleration(change, reason):
+    wire = Script(after(30, change))
+    with pytest.raises(HardwareError, match=reason), driver(wire, astray=0.2) as arm:
+        arm.perform(movement())
+    assert not wire.sent[-1].any()
+    assert len(wire.sent) < len(movement()) - 5
+    assert np.abs(np.diff(wire.sent, axis=0)).max() / ARM.tick <= max(ARM.acceleration) * 1.001
+    assert wire.said == ["open", "stop", "stop", "close"]
+
+
+def test_as_many_misses_as_allowed_are_borne_and_then_forgotten():
+    lost = {10, 11, 12, 13, 20, 21, 22, 23}
+    wire = Script(lambda answer: None if answer.number in lost else answer)
+    with driver(wire) as arm:
+        ticks = arm.perform(movement()).ticks
+    assert set(ticks.index[ticks["t_acknowledged"].isna()]) == lost
+    assert set(ticks.index[ticks["missed"]]) >= lost
+
+
+def test_an_encoder_that_jumps_while_an_answer_is_lost_is_seen_all_the_same():
+    wire = Script(lambda answer: None if answer.number == 30 else turned(answer, 0.5 * (answer.number > 30)))
+    with pytest.raises(HardwareError, match="joint 2 jumped"), driver(wire) as arm:
+        arm.perform(movement())
+
+
+def test_the_emergency_stop_sends_nothing_more_but_the_latch():
+    wire = Script()
+    arm = driver(wire)
+    wire.spoil = after(20, lambda answer: (arm.press("button"), answer)[1])
+    with pytest.raises(HardwareError, match=r"emergency stop \(button\)"), arm:
+        arm.perform(movement())
+    assert len(wire.sent) == 21
+    assert wire.said[1] == "latch"
+    with pytest.raises(HardwareError, match="latched by the emergency stop"), arm:
+        arm.perform(movement())
+    assert len(wire.sent) == 21
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, MemoryError])
+def test_any_exception_on_the_way_latches_stops_and_closes(error):
+    def fail(answer):
+        raise error
+
+    wire = Script(after(20, fail))
+    with pytest.raises(error), driver(wire) as arm:
+        arm.perform(movement())
+    assert wire.said == ["open", "latch", "stop", "close"]
+
+
+def test_an_exception_at_rest_stops_and_closes_without_a_latch():
+    wire = Script()
+    wire.pose = np.ones(3)
+    with pytest.raises(HardwareError, match="degrees from the movement's start"), driver(wire) as arm:
+        arm.perform(movement())
+    assert wire.said == ["open", "stop", "close"]
+
+
+def test_a_hasty_watchdog_is_refused():
+    wire = Script()
+    wire.watchdog = 0.008
+    with pytest.raises(HardwareError, match="watchdog of 8 ms is shorter than two ticks"), driver(wire):
+        pass
+
+
+@pytest.mark.parametrize("priority", [0, 10])
+def test_the_loop_leaves_the_process_as_it_found_it(priority):
+    before = os.sched_getscheduler(0), gc.isenabled()
+    with undisturbed(priority):
+        assert not gc.isenabled()
+    assert (os.sched_getscheduler(0), gc.isenabled()) == before
