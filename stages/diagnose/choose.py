@@ -31,6 +31,7 @@ MATTERS = 2.5  # standard deviations by which a cause must move something somewh
 PENALTY = 5.0  # of the log-likelihood for each parameter that no other trial confirms
 MAINLY = 0.4  # of where it moves most: a trial moved less can say little of a cause
 INEXACT = 0.002  # share of what a right model explains by which it may be wrong, and no cause be behind it
+CONFIRMED = 0.5  # share of what a cause explains where it is fitted that it must explain where it is not
 GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of its own noise
 
 
@@ -201,8 +202,7 @@ def _needed(court: Court, best: Causes) -> Causes:
 def earns(court: Court, without: Causes, causes: Causes) -> bool:
     """Whether a cause moves something by enough to matter, and predicts trials that it was not fitted to.
 
-    Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise. Of one
-    that is somewhere only, a touch by anybody would look the same: it needs a second trial.
+    Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise.
     """
     plain, fit = court.tried[without], court.tried[causes]
     acts = moved(court.evidence, plain, fit)
@@ -211,11 +211,11 @@ def earns(court: Court, without: Causes, causes: Causes) -> bool:
     explained = court.tried[frozenset()].cost - fit.cost
     least = max(GAIN * noisiness(court.evidence, fit), INEXACT * explained)
     alone = np.flatnonzero(acts > max(MATTERS, MAINLY * acts.max()))
-    anywhere = not any(court.library[name].local for name in causes - without)
-    if len(alone) == 1 and anywhere and _explains(court.evidence, fit, int(alone[0])):
+    if len(alone) == 1 and _explains(court.evidence, fit, int(alone[0])):
         price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))
         return plain.cost - fit.cost > least + price
-    return float((court.held(without).costs - court.held(causes).costs).sum()) > least
+    gain = float((court.held(without).costs - court.held(causes).costs).sum())
+    return gain > max(least, CONFIRMED * (plain.cost - fit.cost))
 
 
 def _explains(evidence: Evidence, fit: Fit, trial: int) -> bool:

@@ -51,7 +51,7 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> Fit:
     """Fitted to the other trials.
 
     The first step is Gauss and Newton's with the slopes at hand: it takes what only that trial knew back to where it
-    was expected. Then a few more.
+    was expected. Then a few more; or from where the fit to all is, if that first step led astray.
     """
     kept = evidence.trial != left_out
     start = fit.chi.copy()
@@ -59,7 +59,8 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> Fit:
         newton_step(fit.theory, fit.chi, fit.residual[kept], fit.slopes[kept], damping=0.0)
     )
     others = evidence.only([k for k in range(len(evidence.cases)) if k != left_out])
-    return fitted(others, [fit.theory], [np.clip(start, 0, 1)], AGAIN)[0]
+    both = fitted(others, [fit.theory] * 2, [np.clip(start, 0, 1), fit.chi], AGAIN)
+    return min(both, key=lambda each: each.cost)
 
 
 def blocks(evidence: Evidence) -> np.ndarray:

@@ -16,10 +16,21 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.theory import Theory
 
-HORIZONS = (0.2, 0.35, 0.6)  # [s], and then all
-STEPS = (6, 5, 4)
+FIRST = 0.2  # [s] of every trial that are fitted first
+GROWTH = 1.75  # of the horizon, from one to the next
+NEARLY = 0.8  # of the longest trial: from there on all is fitted
+STEPS = (6, 5, 4)  # at the first horizons; the last of these at all others
 LAST = 25
 DRAWN = 256
+
+
+def horizons(evidence: Evidence) -> list[float]:
+    """Beginnings of trials that are fitted one after the other [s], before all is."""
+    longest = NEARLY * max(float(np.ptp(case.times)) for case in evidence.cases)
+    result = [FIRST]
+    while result[-1] * GROWTH < longest:
+        result.append(result[-1] * GROWTH)
+    return result
 
 
 def searched(
@@ -34,14 +45,15 @@ def searched(
     drawn = np.repeat(theory.start[None], DRAWN, axis=0)
     drawn[:, free] = rng.uniform(0, 1, (DRAWN, len(free)))
     rough = replace(evidence, segments=evidence.segments[:1])  # good enough for a beginning
-    beginning = rough.until(HORIZONS[0])
+    beginning = rough.until(FIRST)
     order = np.argsort(np.sum(np.minimum(beginning.residuals(theory.model, drawn) ** 2, 1e4), axis=1))
     chi = list(drawn[order[:starts]])
-    for number, (horizon, steps) in enumerate(zip(HORIZONS, STEPS, strict=True)):
-        some = rough.until(horizon)
+    seconds = horizons(evidence)
+    for number, horizon in enumerate(seconds):
+        some, steps = rough.until(horizon), STEPS[min(number, len(STEPS) - 1)]
         fits = sorted(fitted(some, [theory] * len(chi), chi, steps), key=lambda fit: fit.cost)
         chi = [fit.chi for fit in fits[: max(len(chi) // 2, 2)]]
-        progress((number + 1) / (len(HORIZONS) + 1))
+        progress((number + 1) / (len(seconds) + 1))
     fits = fitted(evidence, [theory] * len(chi), chi, LAST)
     progress(1.0)
     return sorted(fits, key=lambda fit: fit.cost)

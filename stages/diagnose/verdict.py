@@ -24,7 +24,7 @@ COARSE = 2.0  # mean square at the configured number of mass points over that at
 WIDER = 2.0
 STEEP = 4.0  # of the odds of something that the library does not hold, with what is left
 LEFT = 0.06  # share of the misfit that a right cause may leave where something is still to be seen
-CLEAN = 0.5  # below this logarithm of a mismatch nothing is left, whatever its share
+CLEAN = 0.5  # of the logarithm of a mismatch: as far below 0 nothing is left, whatever its share, as far above much is
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
     if not causes:
         return _nothing(seen, coarse, left, chances)
     dirty = float(np.clip(seen / CLEAN + 1, 0, 1))
-    strange = float(expit(STEEP * (seen + dirty * np.log(max(left, 1e-3) / LEFT))))
+    strange = float(expit(STEEP * (min(seen, CLEAN) + dirty * np.log(max(left, 1e-3) / LEFT))))
     probability = _probability(chances, causes, strange)
     if strange > 0.5:
         return Judgement("unknown", (), probability, (), chances, left)

@@ -71,7 +71,8 @@ SLOTS: dict[str, Slot] = {
 class Effect(ABC):
     """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
 
-    local: it is in one place only, so that trials which do not come there say nothing of it.
+    local: it is in one place only, such as an obstacle: told, and not looked for by a diagnosis, to which anybody's
+    touch would look the same.
     """
 
     name: ClassVar[str]
