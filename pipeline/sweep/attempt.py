@@ -46,7 +46,7 @@ class Attempt:
         start, said = time.monotonic(), log.tell()
         code = self._process(job, log, threads)
         text = Path(log.name).read_bytes()[said:].decode(errors="replace")
-        seconds = round(time.monotonic() - start, 1)
+        seconds = round(time.monotonic() - start, 3)
         state, error = ended(code, text)
         ledger.write(replace(begun, state=state, error=error, seconds=seconds))
 

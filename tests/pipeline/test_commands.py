@@ -104,7 +104,7 @@ def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
 def real_arm():
     """The toy world with an arm that is not the virtual lab's."""
     here = toy_world()
-    hardware = {**here.config["hardware"], "_target_": "hardware.serial.open_lab"}
+    hardware = {**here.config["hardware"], "_target_": "hardware.serial.lab.open_lab"}
     return toy_world(hardware=hardware)
 
 

@@ -16,6 +16,7 @@ from omegaconf import OmegaConf
 from data.artifacts import Diagnosis, Motion
 from data.store import content_hash, load, origin_of
 from hardware.virtual.blind import CASES, draw
+from pipeline import keep
 from pipeline.run import diagnose
 from pipeline.world import world
 from tests.conftest import swing
@@ -56,7 +57,10 @@ def decide(data, folder, experiment="decide"):
         config = OmegaConf.to_container(compose("config", overrides), resolve=True)
     here = world(config, lambda block: f"conf/{block}")
     SEEN.clear()
-    return diagnose(replace(here, stages={**here.stages, "diagnose": proposing}), folder, data, silent)
+    here = replace(here, stages={**here.stages, "diagnose": proposing})
+    result = diagnose(here, folder, data, keep.Keeper(here, folder, silent, print))
+    keep.end(result)
+    return result
 
 
 def test_the_motion_proposed_is_performed_and_seen_with_the_others(data, tmp_path):
