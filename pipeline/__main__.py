@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import os
 import re
 import sys
@@ -36,6 +37,7 @@ from stages.roles import HardwareError
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 OmegaConf.register_new_resolver("commands", lambda *_: listed())
+logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names of trials that look like dates
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 UNANSWERED = 2  # exit status of a command that found no answer
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
