@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from rich.console import Console
 from rich.markup import escape
@@ -89,7 +90,8 @@ def printed(runs: pd.DataFrame) -> Printed:
     table = Printed(box=None, pad_edge=False)
     for name in SHOWN:
         table.add_column(name, overflow="fold")
-    for one in runs[list(SHOWN)].itertuples(index=False):
+    short = runs[list(SHOWN)].assign(stale=np.where(runs["stale"] != "", "yes", ""))  # `why` says more
+    for one in short.itertuples(index=False):
         table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else escape(str(cell)) for cell in one))
     return table
 

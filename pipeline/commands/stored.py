@@ -43,11 +43,14 @@ def walk(here: World, folder: Path, ask: Callable[[str, Past], Any]) -> Result |
 
 
 def stored_world(folder: Path) -> World:
-    """What a run works with, from its config.json. Raises UserError where there is none."""
+    """What a run works with, from its config.json. Raises UserError where there is none, or one of another version."""
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
-    return world(dataset.settings(path), lambda block: str(path))
+    try:
+        return world(dataset.settings(path), lambda block: str(path))
+    except KeyError as error:
+        raise UserError(f"{path}: it lacks the setting {error}: another version of this code made the run.") from error
 
 
 def run_of(place: Path) -> Path:

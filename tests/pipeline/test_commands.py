@@ -228,9 +228,9 @@ def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, cap
 
 @pytest.fixture
 def many(finished, tmp_path):
-    """Runs that ended, failed, were interrupted, are damaged, and are stale."""
+    """Runs that ended, failed, were interrupted, are damaged, stale, and of a version without a setting."""
     outputs = shutil.copytree(finished, tmp_path / "outputs")
-    for name in ("failed", "interrupted", "damaged", "stale"):
+    for name in ("failed", "interrupted", "damaged", "stale", "old"):
         shutil.copytree(outputs / "day/a", outputs / "day" / name)
     for name in ("failed", "interrupted"):
         (outputs / "day" / name / "run.json").unlink()
@@ -239,6 +239,8 @@ def many(finished, tmp_path):
     shutil.rmtree(outputs / "day/interrupted/iterations/02/estimate")
     config = outputs / "day/stale/config.json"
     config.write_text(config.read_text().replace('"points": 31', '"points": 30'))
+    old = outputs / "day/old/config.json"
+    old.write_text(old.read_text().replace('"precision"', '"width"'))
     return outputs
 
 
@@ -255,11 +257,13 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
         "day/interrupted": "incomplete",
         "day/damaged": "damaged",
         "day/stale": "ended",
+        "day/old": "ended",
     }
     assert runs.loc["day/a", "outcome"] == "missed"
     assert runs.loc["day/failed", "said"] == "the camera is not there"
     assert runs.loc["day/stale", "stale"] == "iterations/01/points: setting extract.points was 31, is 30"
-    assert (runs.drop("day/stale")["stale"] == "").all()
+    assert "lacks the setting 'precision'" in runs.loc["day/old", "stale"]
+    assert (runs.drop(["day/stale", "day/old"])["stale"] == "").all()
     fits = [pd.read_parquet(many / f"day/a/iterations/{n}/estimate/fit.parquet")["after"][0] for n in ("01", "02")]
     assert runs.loc["day/a", "best_E"] == max(fits)
     assert runs.loc["day/a", "iterations"] == 2
