@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stages.diagnose.closing import PROBES, closed_in
+from stages.diagnose.closing import PROBES, closed_in, closer
 from stages.diagnose.compare import HeldOut, blocks, held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
@@ -25,6 +25,7 @@ AGAIN = 4  # of a fit where doubt was found anew
 SHORTLIST = 6  # fits that then go on
 STARTS = 2  # probes of each from which it is fitted
 PROMISING = 5.0  # of a predicted gain of the log-likelihood
+UNDERRATED = 3.0  # times what first order says of an effect that depends on place, it may gain
 STEPS = 14
 SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, though nothing need be there
 MATTERS = 2.5  # standard deviations by which a cause must move something somewhere
@@ -103,7 +104,8 @@ class Court:
             effects = [effect for effect in known if effect.name not in context]
             self.probes[context] = screened(self.evidence, fit, effects, self.seed)
             chosen = promising(self.probes[context])
-            for made in shortlisted(self.evidence, chosen):
+            explained = self.tried[frozenset()].cost - fit.cost
+            for made in shortlisted(self.evidence, fit, chosen, INEXACT * explained):
                 self.hear(made)
             names = {probe.effect.name for probe in chosen} & {n for key in self.tried for n in key if key > context}
             self.contexts[context] = {n: self.tried[context | {n}] for n in names if context | {n} in self.tried}
@@ -121,16 +123,19 @@ def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
     return spread(probes, 1 if len(effect.parameters) == 1 else PROBES if placed(effect) else STARTS)
 
 
-def shortlisted(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
+def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: float) -> list[Fit]:
     """Fits of the most promising effects: a few steps of all, then the best to their ends.
 
     What an effect can do once the other parameters follow is not known before they do: the first order alone
-    has been seen to put the true cause twelfth.
+    has been seen to put the true cause twelfth. fit: without them. least: gain that would matter; an effect that
+    depends on place is closed in on only if it could gain that, and as much as any other does.
     """
     there = {probe.effect for probe in probes if placed(probe.effect)}
     begun = _begun(evidence, [probe for probe in probes if probe.effect not in there])
+    wanted = max([least, *(fit.cost - each.cost for each in begun)]) / UNDERRATED
     for effect in there:
-        begun += closed_in(evidence, [probe for probe in probes if probe.effect is effect])
+        some = [probe for probe in probes if probe.effect is effect]
+        begun += closed_in(evidence, some) if some[0].gain > wanted else []
     best = sorted(begun, key=lambda fit: fit.cost)[:SHORTLIST]
     return _fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
 
@@ -166,6 +171,9 @@ def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Ca
             break
         best = _needed(court, _settled(court, more))
         court = court.renewed(best)
+        for name in best:
+            if placed(court.library[name]):
+                court.hear(closer(court.evidence, court.tried[best], court.library[name]))
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
     return court, best

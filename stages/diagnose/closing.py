@@ -15,6 +15,7 @@ import numpy as np
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.screen import Probe, varied
+from stages.model.effect import Effect
 
 PROBES = 8  # from which it begins
 ROUNDS = ((PROBES, 2), (4, 3), (2, 3))  # how many go on, and steps of each
@@ -22,6 +23,7 @@ REACHES = (0.06, 0.04, 0.03, 0.02)  # of a range, within which places are tried 
 KEPT, ABOUT, FITTED = 2, 24, 4  # how many are gone about, places about each, and how many of these are fitted
 STEPS = 4
 LAST = 2  # steps with all mass points
+FINE = (0.03, 0.015, 0.008)  # reaches about a place that has been chosen
 
 
 def closed_in(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
@@ -37,6 +39,16 @@ def closed_in(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
     for reach in REACHES:
         fits = _best([*fits, *_about(rough, fits[:KEPT], where, reach, rng)])
     return _best(fitted(evidence, [theory] * KEPT, [fit.chi for fit in fits[:KEPT]], LAST))
+
+
+def closer(evidence: Evidence, fit: Fit, effect: type[Effect]) -> Fit:
+    """The best fit that there is near the place of an effect, with all mass points."""
+    rng = np.random.default_rng(0)
+    where = varied(fit.theory, effect)[1:]
+    fits = [fit]
+    for reach in FINE:
+        fits = _best([*fits, *_about(evidence, fits[:1], where, reach, rng)])
+    return fits[0]
 
 
 def _best(fits: Sequence[Fit]) -> list[Fit]:

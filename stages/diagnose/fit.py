@@ -19,7 +19,8 @@ from stages.model.model import Model
 
 STEP = 1e-4  # of chi, for slopes
 PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
-DAMPINGS = (1e-6, 1e-3, 1e-1, 10.0)
+DAMPINGS = (1e-3, 1e-1, 10.0)  # of steps straight in exponents
+IN_VALUES = (1e-6, 1e-3, 1e-1)  # and of those straight in values
 REACH = 0.25  # longest step of a chi, where all are shortened alike
 FURTHER = 0.5  # longest step of a chi, where values and not exponents go straight
 CONVERGED = 1e-4  # relative improvement of the cost
@@ -118,15 +119,19 @@ def _stepped(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
 
 
 def _steps(run: _Run) -> np.ndarray:
-    """Where damped steps lead, (2 x dampings, P): straight in exponents, and straight in values.
+    """Where damped steps lead, (dampings, P): straight in exponents, and straight in values.
 
     Of two drags, or two dampings, one may take the place of the other: their sum is what the data know. In exponents
     that is a bent valley, along which steps are short; in values it is straight.
     """
     free, chi = run.theory.free, run.chi
-    ways = [newton_step(run.theory, chi, run.residual, run.slopes, damping) for damping in DAMPINGS]
-    moved = np.repeat(chi[None], 2 * len(ways), axis=0)
-    moved[:, free] += np.stack([shortened(way) for way in ways] + [_in_values(run.theory, way) for way in ways])
+    ways = {
+        damping: newton_step(run.theory, chi, run.residual, run.slopes, damping) for damping in {*DAMPINGS, *IN_VALUES}
+    }
+    steps = [shortened(ways[damping]) for damping in DAMPINGS]
+    steps += [_in_values(run.theory, ways[damping]) for damping in IN_VALUES]
+    moved = np.repeat(chi[None], len(steps), axis=0)
+    moved[:, free] += np.stack(steps)
     return np.clip(moved, 0, 1)
 
 
