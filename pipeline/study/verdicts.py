@@ -79,10 +79,11 @@ def beliefs(row: Row) -> dict[str, float]:
 
 
 def confidence(row: Row) -> float:
-    """Probability of the answer: the first group's members together, or that of the verdict; NaN if there is none."""
+    """Probability of the answer: all that is named together, for causes that are needed together share what their set
+    has; or that of the verdict. NaN if there is none."""
     known, said = beliefs(row), answers(row)
     if said:
-        return min(sum(known.get(name, 0.0) for name in said[0]), 1.0)
+        return min(sum(known.get(name, 0.0) for name in frozenset().union(*said)), 1.0)
     verdict = row["diagnosis"]["verdict"]
     return known.get(RESOLUTION if verdict == "effect" else verdict, float("nan"))
 
