@@ -222,6 +222,8 @@ def earns(court: Court, without: Causes, causes: Causes) -> bool:
     if len(alone) == 1 and _explains(court.evidence, fit, int(alone[0])):
         price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))
         return plain.cost - fit.cost > least + price
+    if len(acts) == 1:
+        return False
     gain = float((court.held(without).costs - court.held(causes).costs).sum())
     return gain > max(least, CONFIRMED * (plain.cost - fit.cost))
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from stages.diagnose.compare import held_out
+from stages.diagnose.choose import MATTERS, Court, earns
+from stages.diagnose.compare import held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
 from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
@@ -136,6 +137,15 @@ def test_a_trial_left_out_is_predicted_by_a_right_cause_and_not_by_a_wrong_one(a
     gains = [float((before.costs - held_out(evidence, fit, before).costs).sum()) for fit in (right, wrong)]
     assert gains[0] > 1000
     assert gains[1] < 0.2 * gains[0]
+
+
+def test_a_cause_that_does_not_explain_the_only_trial_is_not_confirmed_by_it(arm, model):
+    evidence = measured(arm, model, {"tip_mass.ratio": 0.1}, trials=1)
+    court = Court(evidence, evidence, evidence, (14, 20), model, library(), 0)
+    court.hear(base(model, evidence))
+    court.fit(frozenset({"wind"}), frozenset())
+    assert moved(evidence, court.tried[frozenset()], court.tried[frozenset({"wind"})]).max() > MATTERS
+    assert not earns(court, frozenset(), frozenset({"wind"}))
 
 
 def test_a_range_that_ends_too_early_is_widened_where_the_data_press(arm, model):
