@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import hydra
-from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
@@ -29,7 +28,7 @@ from pipeline.commands import COMMANDS, listed
 from pipeline.keep import forget
 from pipeline.perform import perform
 from pipeline.run import Result
-from pipeline.settings import UserError
+from pipeline.settings import UserError, composed, names_given
 from pipeline.sweep.launcher import ended as sweep_ended
 from pipeline.world import world
 from stages.generate import MotionNotFoundError
@@ -70,8 +69,8 @@ def run(config: DictConfig, console: Console) -> Result:
 def with_trials_settings(config: DictConfig) -> Any:
     """All settings. Stored trials bring some along; what is given on the command line stands."""
     whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
+    given = names_given(HydraConfig.get().overrides.task)
     if config.trials is not None:
-        given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
         if "execute" in config.steps:
             check_bench(Path(config.trials), given)
         for name, value in brought_along(Path(config.trials), given).items():
@@ -80,7 +79,6 @@ def with_trials_settings(config: DictConfig) -> Any:
         for name, value in extended_model(Path(config.extended)).items():
             OmegaConf.update(whole, name, value, merge=True)
     if config.trials is not None or config.extended is not None:
-        given = {override.split("=")[0].lstrip("+~") for override in HydraConfig.get().overrides.task}
         for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
             OmegaConf.update(whole, name, OmegaConf.select(config, name))
     return OmegaConf.to_container(whole, resolve=True)
@@ -138,8 +136,7 @@ def refusal(error: BaseException) -> str:
         said = "\n".join(line for line in str(error).splitlines() if line.strip() and "provider" not in line)
         return said.removesuffix("Config search path:").strip()
     GlobalHydra.instance().clear()
-    with initialize_config_dir(str(Path(__file__).resolve().parents[1] / "conf"), version_base="1.3"):
-        names = list(flat(OmegaConf.to_container(compose("config"))))
+    names = list(flat(composed()))
     near = difflib.get_close_matches(key[1], names, 1)
     remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
     return f"{key[1]} (command line): there is no such setting. {remedy}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -57,8 +57,9 @@ class Keeper:
     def publish(self, iterations: list[Iteration]) -> None:
         """Keep the run a dataset that others can read. One that holds these trials already stays: no reader of a
         finished run is to see fewer of them."""
-        if not published(self.folder, iterations):
-            publish(self.world, self.folder, self.folder, iterations)
+        made_of = trial_hashes(self.folder, iterations)
+        if not published(self.folder, made_of):
+            publish(self.world, made_of, self.folder, iterations)
 
     def _stays(self, found: Found, name: str, number: int) -> bool:
         """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
@@ -142,8 +143,8 @@ def forget(folder: Path) -> None:
         disk.remove(folder)
 
 
-def publish(world: World, folder: Path, to: Path, iterations: list[Iteration]) -> None:
-    """Write the trials of a run as a dataset to a folder. folder: the run's."""
+def publish(world: World, made_of: Mapping[str, str], to: Path, iterations: list[Iteration]) -> None:
+    """Write the trials of a run as a dataset to a folder. made_of: `trial_hashes`."""
     trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
     camera = {k: world.config["camera"][k] for k in ("fps", "width", "height", "px_per_m", "origin_px", "distortion")}
     about = {
@@ -155,20 +156,19 @@ def publish(world: World, folder: Path, to: Path, iterations: list[Iteration]) -
     refused = {i.name: {"invalid": i.refused} for i in iterations if i.refused}
     about |= {"trials": refused} if refused else {}
     places = {i.name: place_of(i.number, "execute") for i in iterations}
-    dataset.publish(to, trials, places, about, origin(world.config, "dataset", world.seed, _trials(folder, iterations)))
+    dataset.publish(to, trials, places, about, origin(world.config, "dataset", world.seed, made_of))
 
 
-def published(folder: Path, iterations: list[Iteration]) -> bool:
-    """Whether the dataset in a run's folder holds these trials as they are."""
-    wanted = _trials(folder, iterations).items()
+def published(folder: Path, made_of: Mapping[str, str]) -> bool:
+    """Whether the dataset in a run's folder holds the trials of these `trial_hashes` as they are."""
     try:
         tables = [store.origin_of(folder / f"{table.name}.parquet")["inputs"] for table in dataset.PUBLISHED]
     except (*store.UNREADABLE, KeyError):
         return False
-    return (folder / "dataset.yaml").exists() and all(wanted <= inputs.items() for inputs in tables)
+    return (folder / "dataset.yaml").exists() and all(made_of.items() <= inputs.items() for inputs in tables)
 
 
-def _trials(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
+def trial_hashes(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
     """Content hashes of what a dataset is made of, by path."""
     made_of = [place_of(i.number, step) for i in iterations for step in ("execute", "extract")]
     return {place.as_posix(): store.content_hash(folder / place) for place in made_of}

@@ -5,19 +5,34 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
+from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
 Built = TypeVar("Built")
+CONF = Path(__file__).resolve().parents[1] / "conf"
 FROM_THE_RUN = ("seed", "manipulation", "trial", "progress")
 
 
 class UserError(Exception):
     """Something the user can put right; the message says what, where and how."""
+
+
+def composed(overrides: Sequence[str] = ()) -> Any:
+    """All settings as configured, as plain values, outside a run. overrides: as on the command line."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return OmegaConf.to_container(compose("config", list(overrides)))
+
+
+def names_given(overrides: Iterable[str]) -> set[str]:
+    """Names of the settings that overrides give."""
+    return {override.split("=")[0].lstrip("+~") for override in overrides}
 
 
 def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any]:

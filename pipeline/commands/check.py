@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -19,13 +18,12 @@ from rich.table import Table
 from data import dataset
 from data.schema import DataError
 from pipeline.brought import brought_along
-from pipeline.settings import UserError, build
+from pipeline.settings import UserError, build, composed, names_given
 from stages.check.measured import Measured
 from stages.check.overview import overview
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 
-CONF = Path(__file__).resolve().parents[2] / "conf"
 USABLE, NOT_USABLE = 0, 1  # exit status
 COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
@@ -56,9 +54,8 @@ def parser() -> argparse.ArgumentParser:
 
 def measured(folder: Path, overrides: Sequence[str]) -> Measured:
     """The data in a folder, with the arm, camera and string that a run would have."""
-    given = {override.split("=")[0].lstrip("+~") for override in overrides}
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        config = compose("config", list(overrides))
+    given = names_given(overrides)
+    config = OmegaConf.create(composed(overrides))
     for name, value in brought_along(folder, given).items():
         if name not in given:
             OmegaConf.update(config, name, value, merge=False, force_add=True)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 from rich.console import Console
 
 from hardware.virtual.blind import draw
-from pipeline.commands.check import CONF
-from pipeline.settings import build
+from pipeline.settings import build, composed
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 
@@ -48,6 +44,5 @@ def natural(text: str) -> int:
 
 def bench_of_conf() -> tuple[Arm, Camera]:
     """Arm and camera as configured."""
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        blocks: Any = OmegaConf.to_container(compose("config"))
+    blocks = composed()
     return build(Arm, blocks["arm"], "arm", "conf/arm"), build(Camera, blocks["camera"], "camera", "conf/camera")

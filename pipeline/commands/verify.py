@@ -80,7 +80,8 @@ def verify(here: World, folder: Path, aside: Path, bar: Callable[[str], Abstract
 def _ending(here: World, folder: Path, aside: Path, result: Result, outcome: Outcome) -> None:
     """The dataset and run.json: drawn from the steps alone, they must say what these say."""
     if here.config["trials"] is None:
-        keep.publish(here, folder, aside, list(result.iterations))
+        iterations = list(result.iterations)
+        keep.publish(here, keep.trial_hashes(folder, iterations), aside, iterations)
         written = [*sorted(aside.glob("*.parquet")), aside / "dataset.yaml"]
         faults = {path.name: differences(folder / path.name, path) for path in written}
         outcome.note("the run as a dataset", _lines(faults))

@@ -10,10 +10,10 @@ import numpy as np
 from stages.diagnose.closing import PROBES, closed_in, closer
 from stages.diagnose.compare import HeldOut, blocks, held_out, moved
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import CLEAR, mismatch, visible
 from stages.diagnose.screen import Probe, screened, spread
-from stages.diagnose.theory import Theory, candidates, joined, placed
+from stages.diagnose.theory import candidates, joined, placed
 from stages.model.effect import Effect
 from stages.model.model import Model
 
@@ -91,7 +91,7 @@ class Court:
         evidence = self.floor.doubted(fit.theory.model, fit.chi, self.finer)
         court = replace(self, evidence=evidence, tried={}, contexts={}, predictions={}, probes=dict(self.probes))
         old = list(self.tried.values())
-        for made in _fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
+        for made in fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
             court.hear(made)
         court.contexts = {c: {n: court.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
         return court
@@ -130,31 +130,15 @@ def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: fl
     has been seen to put the true cause twelfth. fit: without them. least: gain that would matter; an effect that
     depends on place is closed in on only if it could gain that, and as much as any other does.
     """
-    there = {probe.effect for probe in probes if placed(probe.effect)}
-    begun = _begun(evidence, [probe for probe in probes if probe.effect not in there])
+    there = dict.fromkeys(probe.effect for probe in probes if placed(probe.effect))
+    others = [probe for probe in probes if probe.effect not in there]
+    begun = fitted(evidence, [probe.theory for probe in others], [probe.chi for probe in others], FIRST)
     wanted = max([least, *(fit.cost - each.cost for each in begun)]) / UNDERRATED
     for effect in there:
         some = [probe for probe in probes if probe.effect is effect]
         begun += closed_in(evidence, some) if some[0].gain > wanted else []
-    best = sorted(begun, key=lambda fit: fit.cost)[:SHORTLIST]
-    return _fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
-
-
-def _begun(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
-    """A few steps from each."""
-    return _fitted(evidence, [probe.theory for probe in probes], [probe.chi for probe in probes], FIRST)
-
-
-def _fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.ndarray], most: int) -> list[Fit]:
-    """Fits of theories from their starts; those that share a model side by side."""
-    models: dict[tuple[type[Effect], ...], list[int]] = {}
-    for number, theory in enumerate(theories):
-        models.setdefault(theory.model.effects, []).append(number)
-    return [
-        fit
-        for some in models.values()
-        for fit in fitted(evidence, [theories[i] for i in some], [starts[i] for i in some], most)
-    ]
+    best = ranked(begun)[:SHORTLIST]
+    return fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
 
 
 def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Causes]:
@@ -171,7 +155,7 @@ def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Ca
             break
         best = _needed(court, _settled(court, more))
         court = court.renewed(best)
-        for name in best:
+        for name in sorted(best):
             if placed(court.library[name]):
                 court.hear(closer(court.evidence, court.tried[best], court.library[name]))
         progress(len(best) / MOST_CAUSES)
@@ -199,11 +183,11 @@ def _settled(court: Court, best: Causes) -> Causes:
 
 def _needed(court: Court, best: Causes) -> Causes:
     """Without causes that no longer earn their place beside the others."""
-    for cause in sorted(best) if len(best) > 1 else ():
+    for cause in sorted(best):
         without = best - {cause}
-        court.fit(without, best)
-        if len(best) > 1 and not earns(court, without, best):
-            best = without
+        if without:
+            court.fit(without, best)
+            best = best if earns(court, without, best) else without
     return best
 
 

@@ -8,12 +8,11 @@ which fewer and fewer go on; then places about the best are tried for what they 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.screen import Probe, varied
 from stages.model.effect import Effect
 
@@ -28,17 +27,16 @@ FINE = (0.03, 0.015, 0.008)  # reaches about a place that has been chosen
 
 def closed_in(evidence: Evidence, probes: Sequence[Probe]) -> list[Fit]:
     """The best fits of an effect, best first, from probes of it."""
-    rough = replace(evidence, segments=evidence.segments[:1])  # good enough for where it is
     theory = probes[0].theory
     chi = [probe.chi for probe in probes]
     for count, steps in ROUNDS:
-        fits = _best(fitted(rough, [theory] * len(chi[:count]), chi[:count], steps))
+        fits = ranked(fitted(evidence.rough, [theory] * len(chi[:count]), chi[:count], steps))
         chi = [fit.chi for fit in fits]
     rng = np.random.default_rng(0)
     where = varied(theory, probes[0].effect)[1:]
     for reach in REACHES:
-        fits = _best([*fits, *_about(rough, fits[:KEPT], where, reach, rng)])
-    return _best(fitted(evidence, [theory] * KEPT, [fit.chi for fit in fits[:KEPT]], LAST))
+        fits = ranked([*fits, *_about(evidence.rough, fits[:KEPT], where, reach, rng)])
+    return ranked(fitted(evidence, [theory] * KEPT, [fit.chi for fit in fits[:KEPT]], LAST))
 
 
 def closer(evidence: Evidence, fit: Fit, effect: type[Effect]) -> Fit:
@@ -47,12 +45,8 @@ def closer(evidence: Evidence, fit: Fit, effect: type[Effect]) -> Fit:
     where = varied(fit.theory, effect)[1:]
     fits = [fit]
     for reach in FINE:
-        fits = _best([*fits, *_about(evidence, fits[:1], where, reach, rng)])
+        fits = ranked([*fits, *_about(evidence, fits[:1], where, reach, rng)])
     return fits[0]
-
-
-def _best(fits: Sequence[Fit]) -> list[Fit]:
-    return sorted(fits, key=lambda fit: fit.cost)
 
 
 def _about(

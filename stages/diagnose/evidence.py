@@ -51,6 +51,11 @@ class Evidence:
         shares = [min(seconds / max(case.times[-1] - case.times[0], 1e-9), 1.0) for case in self.cases]
         return replace(self, cases=tuple(c.until(share) for c, share in zip(self.cases, shares, strict=True)))
 
+    @property
+    def rough(self) -> Evidence:
+        """With one number of segments alone: good enough for finding a beginning or a place."""
+        return replace(self, segments=self.segments[:1])
+
     def residuals(self, model: Model, chi: np.ndarray) -> np.ndarray:
         """Simulated less measured over sigma, (C, N), for exponents (C, P); LOST where a run was rejected."""
         values = values_of(model.parameters, chi)

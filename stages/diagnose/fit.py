@@ -15,6 +15,7 @@ import numpy as np
 
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.theory import Theory
+from stages.model.effect import Effect
 from stages.model.model import Model
 
 STEP = 1e-4  # of chi, for slopes
@@ -71,10 +72,28 @@ class _Run:
 
 
 def fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.ndarray], most: int) -> list[Fit]:
-    """Each theory from its start (P,), at most `most` steps. Theories must share their model."""
-    model = theories[0].model
+    """Each theory from its start (P,), at most `most` steps; those with the same effects at hand side by side.
+
+    Theories must share their model but for its effects.
+    """
     empty = np.empty(0)
     runs = [_Run(theory, chi.copy(), empty, empty) for theory, chi in zip(theories, starts, strict=True)]
+    together: dict[tuple[type[Effect], ...], list[_Run]] = {}
+    for run in runs:
+        together.setdefault(run.theory.model.effects, []).append(run)
+    for some in together.values():
+        _go_on(evidence, some, most)
+    return [Fit(run.theory, run.chi, run.residual, run.slopes) for run in runs]
+
+
+def ranked(fits: Sequence[Fit]) -> list[Fit]:
+    """Best first."""
+    return sorted(fits, key=lambda fit: fit.cost)
+
+
+def _go_on(evidence: Evidence, runs: Sequence[_Run], most: int) -> None:
+    """Fits that share their model, to their ends."""
+    model = runs[0].theory.model
     for _ in range(most):
         active = [run for run in runs if run.active]
         if not active:
@@ -82,7 +101,6 @@ def fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.n
         _linearised(evidence, model, active)
         _stepped(evidence, model, active)
     _linearised(evidence, model, runs)
-    return [Fit(run.theory, run.chi, run.residual, run.slopes) for run in runs]
 
 
 def _linearised(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:

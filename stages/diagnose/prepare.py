@@ -10,7 +10,7 @@ import numpy as np
 
 from data.artifacts import Observation
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import cleaned, estimated
 from stages.diagnose.search import searched
 from stages.diagnose.theory import Theory, candidates, whole
@@ -102,7 +102,7 @@ def widened(evidence: Evidence, model: Model, found: Sequence[Fit]) -> tuple[Mod
         model = replace(model, string=replace(model.string, ranges={**model.string.ranges, **ranges}))
         theory = plain_theory(resolved(model))
         fits = fitted(evidence, [theory] * len(fits), [theory.at(fit.values) for fit in fits], STEPS)
-        fits = sorted(fits, key=lambda fit: fit.cost)
+        fits = ranked(fits)
     return model, fits
 
 
@@ -132,7 +132,7 @@ def settled_starts(evidence: Evidence, found: Sequence[Fit]) -> tuple[Evidence, 
         cases = tuple(settled(replace(case, model=divided), values) for case in evidence.cases)
         evidence = replace(evidence, cases=cases)
         fits = fitted(evidence, [fit.theory for fit in fits], [fit.chi for fit in fits], STEPS)
-        fits = sorted(fits, key=lambda fit: fit.cost)
+        fits = ranked(fits)
     return evidence, fits
 
 
@@ -165,4 +165,4 @@ def finer(evidence: Evidence) -> tuple[int, ...]:
 def _best(evidence: Evidence, theory: Theory, named: Sequence[Mapping[str, float]]) -> Fit:
     """A theory from exponents known by name, the best of several."""
     fits = fitted(evidence, [theory] * len(named), [theory.carried(known) for known in named], STEPS)
-    return min(fits, key=lambda fit: fit.cost)
+    return ranked(fits)[0]

@@ -8,12 +8,11 @@ of them goes on.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.theory import Theory
 
 FIRST = 0.2  # [s] of every trial that are fitted first
@@ -44,16 +43,15 @@ def searched(
     free = theory.free
     drawn = np.repeat(theory.start[None], DRAWN, axis=0)
     drawn[:, free] = rng.uniform(0, 1, (DRAWN, len(free)))
-    rough = replace(evidence, segments=evidence.segments[:1])  # good enough for a beginning
-    beginning = rough.until(FIRST)
+    beginning = evidence.rough.until(FIRST)
     order = np.argsort(np.sum(np.minimum(beginning.residuals(theory.model, drawn) ** 2, 1e4), axis=1))
     chi = list(drawn[order[:starts]])
     seconds = horizons(evidence)
     for number, horizon in enumerate(seconds):
-        some, steps = rough.until(horizon), STEPS[min(number, len(STEPS) - 1)]
-        fits = sorted(fitted(some, [theory] * len(chi), chi, steps), key=lambda fit: fit.cost)
+        some, steps = evidence.rough.until(horizon), STEPS[min(number, len(STEPS) - 1)]
+        fits = ranked(fitted(some, [theory] * len(chi), chi, steps))
         chi = [fit.chi for fit in fits[: max(len(chi) // 2, 2)]]
         progress((number + 1) / (len(seconds) + 1))
     fits = fitted(evidence, [theory] * len(chi), chi, LAST)
     progress(1.0)
-    return sorted(fits, key=lambda fit: fit.cost)
+    return ranked(fits)

@@ -64,7 +64,7 @@ class Contest:
     @cached_property
     def chance(self) -> float:
         """By how much noise counts for more than if it were white."""
-        return noisiness(self.evidence, self.fits[int(np.argmax(self.chances))])
+        return noisiness(self.evidence, self.likeliest)
 
     @property
     def likeliest(self) -> Fit:
@@ -74,7 +74,7 @@ class Contest:
     def prospects(self, new: Evidence) -> list[Prospect]:
         """What each of some new trials would say."""
         every = (*self.fits, self.base)
-        seen = [fitted(new, [fit.theory], [fit.chi], 0)[0] for fit in every]
+        seen = fitted(new, [fit.theory for fit in every], [fit.chi for fit in every], 0)
         return [self._prospect([again(f, new.trial, k) for f in seen], new.only([k])) for k in range(len(new.cases))]
 
     def performed(self) -> list[Prospect]:
