@@ -369,6 +369,7 @@ THEORIES = Table(
         Column("mean_square", "1", "of the residual over noise and doubt; 1 or less is noise"),
         Column("fit_gain", "1", "gain of the log-likelihood over the base model, fitted to all trials"),
         Column("held_out_gain", "1", "the same on trials left out of the fit; NaN where it was not asked"),
+        Column("by_chance", "1", "gain the best of the library has by chance in one of 100 draws; NaN if not asked"),
         Column("moved", "1", "largest change by these causes, in standard deviations"),
         Column("unexplained", "1", "share of the base model's systematic misfit that is left"),
         Column("probability", "1", "of this set of causes"),

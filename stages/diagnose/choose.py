@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from stages.diagnose.chance import by_chance
 from stages.diagnose.closing import PROBES, closed_in, closer
 from stages.diagnose.compare import HeldOut, blocks, held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import CLEAR, mismatch, visible
 from stages.diagnose.screen import Probe, screened, spread
-from stages.diagnose.theory import candidates, joined, placed
-from stages.model.effect import Effect
+from stages.diagnose.theory import candidates, joined
+from stages.model.effect import Effect, placed
 from stages.model.model import Model
 
 Causes = frozenset[str]
@@ -55,6 +56,7 @@ class Court:
     contexts: dict[Causes, dict[str, Fit]] = field(default_factory=dict)
     probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
     predictions: dict[Causes, HeldOut] = field(default_factory=dict)
+    lucky: dict[Causes, float] = field(default_factory=dict)
 
     def hear(self, fit: Fit) -> None:
         """Remember a fit if it is the best of its causes."""
@@ -78,6 +80,13 @@ class Court:
             self.predictions[causes] = held_out(self.evidence, self.tried[causes], plain)
         return self.predictions[causes]
 
+    def by_chance(self, causes: Causes) -> float:
+        """What the best of the library would gain on the noise that these causes leave; 0 before it was asked."""
+        if causes not in self.lucky:
+            asked = self.probes.get(frozenset(), {})
+            self.lucky[causes] = by_chance(self.evidence, self.tried[causes], asked, self.seed) if asked else 0.0
+        return self.lucky[causes]
+
     def mismatch(self, causes: Causes) -> float:
         """What these causes leave that is not noise: half with the simulation's doubt as it was before there was a
         cause, half with it found anew."""
@@ -89,7 +98,8 @@ class Court:
         """The simulation's doubt found anew where these causes put the string, and all fits made anew."""
         fit = self.tried[causes]
         evidence = self.floor.doubted(fit.theory.model, fit.chi, self.finer)
-        court = replace(self, evidence=evidence, tried={}, contexts={}, predictions={}, probes=dict(self.probes))
+        court = Court(evidence, self.first, self.floor, self.finer, self.base, self.library, self.seed)
+        court.probes = dict(self.probes)
         old = list(self.tried.values())
         for made in fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
             court.hear(made)
@@ -147,7 +157,9 @@ def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Ca
     Also what was tried in the end: where a cause moves the string elsewhere, the simulation's doubt is found anew.
     """
     best: Causes = frozenset()
-    while len(best) < MOST_CAUSES and court.mismatch(best) > SUSPECT:
+    before: set[Causes] = set()  # two that do each other's work could replace each other for ever
+    while len(best) < MOST_CAUSES and best not in before and court.mismatch(best) > SUSPECT:
+        before.add(best)
         more = _added(court, best)
         if not earns(court, best, more):
             more = _added(court, more)  # of two that are needed, one alone may predict nothing
@@ -201,7 +213,7 @@ def earns(court: Court, without: Causes, causes: Causes) -> bool:
     if acts.max() < MATTERS:
         return False
     explained = court.tried[frozenset()].cost - fit.cost
-    least = max(GAIN * noisiness(court.evidence, fit), INEXACT * explained)
+    least = max(GAIN * noisiness(court.evidence, fit), court.by_chance(causes), INEXACT * explained)
     alone = np.flatnonzero(acts > max(MATTERS, MAINLY * acts.max()))
     if len(alone) == 1 and _explains(court.evidence, fit, int(alone[0])):
         price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))

@@ -19,6 +19,7 @@ from stages.diagnose import tables
 from stages.diagnose.casts import Design
 from stages.diagnose.choose import Causes, Court, chosen
 from stages.diagnose.describe import document, sentence
+from stages.diagnose.differing import differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import extended_settings, held_out_table, unseen
@@ -116,7 +117,8 @@ def _written(
     """The artifact."""
     fit = court.tried[causes]
     found = missing(court, fit) if judgement.verdict == "unknown" else None
-    left = unexplained(court, fit, judgement.left, found)
+    differs = differing(court, causes) if found else None
+    left = unexplained(court, fit, judgement.left, found, differs)
     if judgement.verdict == "insufficient":
         left["sentence"] = ALONE
     gains = HELD_OUT.empty()

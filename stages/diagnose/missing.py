@@ -15,6 +15,7 @@ import pandas as pd
 
 from data.artifacts import MISSING
 from stages.diagnose.choose import Court
+from stages.diagnose.differing import Differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit
 from stages.diagnose.noise import parts, systematic
@@ -103,8 +104,10 @@ def _by_place(table: pd.DataFrame) -> pd.DataFrame:
     return wide.assign(s=wide["s"].where(wide["s"] >= 0))
 
 
-def unexplained(court: Court, fit: Fit, left: float, found: Missing | None) -> dict[str, object]:
-    """What diagnosis.json says of what is left. left: share of the systematic misfit."""
+def unexplained(
+    court: Court, fit: Fit, left: float, found: Missing | None, differs: Differing | None
+) -> dict[str, object]:
+    """What diagnosis.json says of what is left. left: share of the systematic misfit. differs: from trial to trial."""
     if found is None:
         return {"fraction": left, "where": "", "sentence": ""}
     each = enumerate(parts(court.evidence, fit.residual))
@@ -117,7 +120,8 @@ def unexplained(court: Court, fit: Fit, left: float, found: Missing | None) -> d
     place = "" if np.isnan(top["s"]) else f" at {top['s']:.2f} m along the string"
     where = f"most in trial {case.name} ({100 * share:.0f} % of it), strongest at {top['t']:.2f} s{place}"
     shares = ", ".join(f"{kind} {100 * part:.0f} %" for kind, part in found.explained.items())
-    return {"fraction": left, "where": where, "sentence": f"{_kind(found)}; {where}. Explained as {shares}."}
+    said = f"{_kind(found)}; {where}. Explained as {shares}."
+    return {"fraction": left, "where": where, "sentence": f"{differs.sentence} {said}" if differs else said}
 
 
 def _kind(found: Missing) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from data.artifacts import Observation
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.noise import cleaned, estimated
+from stages.diagnose.noise import cleaned, estimated, tracks
 from stages.diagnose.search import searched
 from stages.diagnose.theory import Theory, candidates, whole
 from stages.estimate.forward import Case, case
@@ -34,6 +34,8 @@ WIDER = 10.0
 AT_END = 0.02  # of a range
 PRESSED = 10.0  # of the log-likelihood that lies beyond an end
 SETTLINGS = 2  # of the states in which trials begin moving
+STILL = 0.01  # of the string's length: a string that has come to rest stays so near to where it ends
+RESTING = 0.2  # [s] of rest that are kept
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def prepared(
 ) -> Ground:
     """Evidence and base model. Raises DataError where a trial cannot be used."""
     told = all("sigma" in o.points for o in observations)
-    evidence = Evidence(tuple(_known(case(resolved(model), o), told) for o in observations), SEGMENTS[0])
+    evidence = Evidence(tuple(awake(_known(case(resolved(model), o), told)) for o in observations), SEGMENTS[0])
     found = searched(evidence, plain_theory(resolved(model)), rng, starts, progress)
     model, found = widened(evidence, model, found)
     evidence, found = settled_starts(evidence, found)
@@ -134,6 +136,22 @@ def settled_starts(evidence: Evidence, found: Sequence[Fit]) -> tuple[Evidence, 
         fits = fitted(evidence, [fit.theory for fit in fits], [fit.chi for fit in fits], STEPS)
         fits = ranked(fits)
     return evidence, fits
+
+
+def awake(ready: Case) -> Case:
+    """Without its end, in which the string hangs still: what a few frames say, a thousand must not say anew.
+
+    Their errors are the same, and would count as many.
+    """
+    away = np.zeros(len(ready.times))
+    late = ready.times[ready.frame] > ready.times[-1] - RESTING
+    for track in tracks(ready):
+        if late[track].any():
+            end = np.median(ready.points[track[late[track]]], axis=0)
+            np.maximum.at(away, ready.frame[track], np.linalg.norm(ready.points[track] - end, axis=1))
+    moving = np.flatnonzero(away > STILL * ready.model.string.length)
+    last = ready.times[moving[-1]] if moving.size else ready.times[0]
+    return ready.until((last + RESTING - ready.times[0]) / max(float(np.ptp(ready.times)), 1e-9))
 
 
 def _known(ready: Case, told: bool) -> Case:

@@ -16,10 +16,10 @@ from scipy.stats import qmc
 
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import PRIOR, Fit
-from stages.diagnose.theory import Theory, joined, placed
+from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import Case
 from stages.estimate.result import values_of
-from stages.model.effect import Effect, StringEffect, taken
+from stages.model.effect import Effect, StringEffect, placed, taken
 from stages.model.model import Model
 
 SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range

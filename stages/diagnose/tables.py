@@ -64,6 +64,7 @@ def theories(court: Court, judgement: Judgement) -> pd.DataFrame:
             "mean_square": fit.mean_square,
             "fit_gain": base.cost - fit.cost,
             "held_out_gain": _held_gain(court, key),
+            "by_chance": court.lucky.get(key, float("nan")),
             "moved": moved(court.evidence, base, fit).max() if key else 0.0,
             "unexplained": systematic(court.evidence, fit.residual) / before,
             "probability": judgement.chances.get(key, 0.0),

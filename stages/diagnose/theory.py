@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
-from stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, arguments
+from stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, placed
 from stages.model.hand import HandMotion
 from stages.model.model import Model
 
@@ -104,11 +104,6 @@ def whole(base: Model, effects: Sequence[type[Effect]]) -> Theory:
     """
     cheap = [e for e in effects if not issubclass(e, CameraEffect) and not placed(e)]
     return Theory(base.with_effects(*cheap), (), base.names)
-
-
-def placed(effect: type[Effect]) -> bool:
-    """Whether one of an effect's laws depends on where the string is."""
-    return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())
 
 
 def joined(theory: Theory, *effects: type[Effect]) -> Theory:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import arguments
+from stages.model.effect import placed
 from stages.model.stability import load, slot_sum, vector_sum
 
 if TYPE_CHECKING:
@@ -31,19 +31,31 @@ GRAVITY = 9.81
 def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angles [rad] (continuous from the grasp) and lengths [m] of the segments at rest, (C, n - 1) each.
 
-    material: (C, P). pose: (1 or C, 3) of the grasp.
+    material: (C, P). pose: (1 or C, 3) of the grasp. First as if nothing depended on place; where the string then
+    touches something, or is pulled, it is sought anew.
     """
     pose = np.broadcast_to(pose, (len(material), 3))
-    masses, cells = string.masses(material)
+    free, own = string.only(tuple(e for e in string.effects if not placed(e)), material)
+    angles, lengths = _settled(free, own, pose)
+    if free.effects != string.effects:
+        with_all, without = (_force(*each, pose, angles, lengths) for each in ((string, material), (free, own)))
+        held = np.any(with_all != without, axis=(1, 2))
+        if held.any():
+            angles[held], lengths[held] = _settled(string, material[held], pose[held])
+    return angles, lengths
+
+
+def _settled(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and lengths, as `hanging`. pose: (C, 3)."""
     angles = _guess(string, material, pose[:, 2])
     lengths = np.full_like(angles, string.segment)
     moving = np.arange(len(material))
     limit, last = np.full((len(material), 1), LARGEST_TURN), np.zeros_like(angles)
     for _ in range(ITERATIONS):
         some, at = material[moving], pose[moving]
-        force = _force(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
+        force = _force(string, some, at, angles[moving], lengths[moving])
         lengths[moving] = _lengths(string, some, force, angles[moving], lengths[moving])
-        place = _yielding(string, some, at, angles[moving], lengths[moving], masses[moving], cells)
+        place = _yielding(string, some, at, angles[moving], lengths[moving])
         turn = _newton(string, some, at[:, 2], force, place, angles[moving], lengths[moving])
         if place is not None:
             limit[moving] = _cautious(limit[moving], turn, last[moving])
@@ -61,9 +73,8 @@ def stretched(string: String, material: np.ndarray, pose: np.ndarray, angles: np
 
     material: (C, P). pose: (1 or C, 3) of the grasp.
     """
-    masses, cells = string.masses(material)
     plain = np.full(angles.shape, string.segment)
-    force = _force(string, material, np.broadcast_to(pose, (len(material), 3)), angles, plain, masses, cells)
+    force = _force(string, material, np.broadcast_to(pose, (len(material), 3)), angles, plain)
     lengths = plain
     for _ in range(4):
         lengths = _lengths(string, material, force, angles, lengths)
@@ -91,12 +102,10 @@ def _force(
     pose: np.ndarray,
     angles: np.ndarray,
     lengths: np.ndarray,
-    masses: np.ndarray,
-    cells: np.ndarray,
 ) -> np.ndarray:
     """Force over nominal mass per length on the part beyond the start of each segment, (C, n - 1, 2) [m^2/s^2]."""
     tangent, places = _shape(pose, angles, lengths)
-    return _beyond(_weight(string, material, places, tangent, masses, cells))
+    return _beyond(_weight(string, material, places, tangent))
 
 
 def _shape(pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,10 +119,9 @@ def _weight(
     material: np.ndarray,
     places: np.ndarray,
     tangent: np.ndarray,
-    masses: np.ndarray,
-    cells: np.ndarray,
 ) -> np.ndarray:
     """Force over nominal mass per length on each free point at rest, (C, n - 1, 2) [m^2/s^2]."""
+    masses, cells = string.masses(material)
     x, y = places[..., 0], places[..., 1]
     s = string.arc_lengths()[None, 1:]
     pull = load(string, material, {"x": x, "y": y, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": s})
@@ -132,8 +140,6 @@ def _yielding(
     pose: np.ndarray,
     angles: np.ndarray,
     lengths: np.ndarray,
-    masses: np.ndarray,
-    cells: np.ndarray,
 ) -> np.ndarray | None:
     """How the moments of the forces change with the angles because points change place, (C, n - 1, n - 1).
 
@@ -141,13 +147,12 @@ def _yielding(
     place and n a segment's normal, l_j l_m n_j . (sum of K beyond both) n_m. None where no force
     depends on the place.
     """
-    laws = [e.laws().get(slot) for e in string.effects for slot in ("load", "acceleration")]
-    if not any({"x", "y"} & set(arguments(law)) for law in laws if law is not None):
+    if not any(placed(effect) for effect in string.effects):
         return None
     tangent, places = _shape(pose, angles, lengths)
     change = []
     for step in 1e-7 * np.eye(2):
-        up, down = (_weight(string, material, places + side * step, tangent, masses, cells) for side in (1, -1))
+        up, down = (_weight(string, material, places + side * step, tangent) for side in (1, -1))
         change.append((up - down) / 2e-7)
     both = np.maximum.outer(np.arange(angles.shape[1]), np.arange(angles.shape[1]))
     stiff = _beyond(np.stack(change, axis=-1))[:, both]

@@ -60,7 +60,14 @@ class Model:
 
     def divided(self, segments: int) -> Model:
         """The model with its string in so many segments."""
-        return replace(self, string=replace(self.string, points=segments + 1))
+        if segments not in self._divided:
+            self._divided[segments] = replace(self, string=replace(self.string, points=segments + 1))
+        return self._divided[segments]
+
+    @cached_property
+    def _divided(self) -> dict[int, Model]:
+        """What was asked of `divided`."""
+        return {}
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -15,7 +15,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from stages.model import kernel
-from stages.model.effect import StringEffect, arguments
+from stages.model.effect import StringEffect, arguments, placed
 from stages.model.effects.air_drag import AirDrag
 from stages.model.effects.axial_damper import AxialDamper
 from stages.model.effects.axial_spring import AxialSpring
@@ -94,6 +94,43 @@ class String:
         """Names of what `material` gives: the parameters, then what effects derive from them."""
         derived = (f"{e.name}.{d}" for e in self.effects for d in e.derived(**{p.name: p.start for p in e.parameters}))
         return (*self.names, *derived)
+
+    def at_work(self, material: np.ndarray) -> tuple[String, np.ndarray]:
+        """The string without effects that are absent in every candidate, whose laws add nothing, and its material.
+
+        For what is found before the first step, whose price goes with the number of laws. material: (C, rows).
+        Forces that depend on place stay: the rest position is sought in another way where there is one.
+        """
+        acts = np.any(material[:, : len(self.names)] != self._absent, axis=0)
+        return self.only(
+            tuple(e for e, places in self._removable.items() if not places or acts[places].any()), material
+        )
+
+    def only(self, effects: tuple[type[StringEffect], ...], material: np.ndarray) -> tuple[String, np.ndarray]:
+        """The string with some of its effects, and its material. material: (C, rows)."""
+        if effects not in self._smaller:
+            names = {e.qualified(p) for e in effects for p in e.parameters}
+            string = replace(self, effects=effects, ranges={n: p for n, p in self.ranges.items() if n in names})
+            self._smaller[effects] = string, np.array([self.rows.index(row) for row in string.rows])
+        string, places = self._smaller[effects]
+        return string, material[:, places]
+
+    @cached_property
+    def _absent(self) -> np.ndarray:
+        """(P,) material at which each effect is absent."""
+        own = np.array([p.start for e in self.effects for p in e.parameters])
+        return self.material(own)[: len(own)]
+
+    @cached_property
+    def _removable(self) -> dict[type[StringEffect], list[int]]:
+        """Places of the parameters of effects that add nothing where they are absent; none for all others."""
+        stay = {e for e in self.effects if e in BASE or placed(e)}
+        return {e: [] if e in stay else [self.names.index(e.qualified(p)) for p in e.parameters] for e in self.effects}
+
+    @cached_property
+    def _smaller(self) -> dict[tuple[type[StringEffect], ...], tuple[String, np.ndarray]]:
+        """Strings with fewer effects, and the places of their rows."""
+        return {}
 
     @property
     def segment(self) -> float:
@@ -204,7 +241,7 @@ def simulate(
     """
     material = string.material(np.atleast_2d(values))
     poses, rates = _extended(hand, float(np.max(times)))
-    steps, possible = steps_per_tick(string, material, hand.tick)
+    steps, possible = steps_per_tick(*string.at_work(material), hand.tick)
     parts = []
     for level in np.unique(steps[possible]):
         chosen = np.flatnonzero(possible & (steps == level))
@@ -256,7 +293,7 @@ def _run(
     own = pose if len(pose) == 1 else pose[index]
     start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
     angles, lengths, velocity = (part[index] for part in start)
-    constants = string.integrator.constants(string, material[index], hand.tick / steps)
+    constants = string.integrator.constants(*string.at_work(material[index]), hand.tick / steps)
     positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, constants)
     shared = len(pose) == 1
     cubic = string.precision.hand(_cubic(own, rate if shared else rate[index], hand.tick))
@@ -280,7 +317,7 @@ def _run(
 
 def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angles and lengths of the segments in equilibrium, and velocities of the points: none. As `_moving`."""
-    angles, lengths = hanging(string, material, pose[:, 0])
+    angles, lengths = hanging(*string.at_work(material), pose[:, 0])
     return angles, lengths, np.zeros((len(material), string.points, 2))
 
 

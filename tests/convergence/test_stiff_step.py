@@ -70,7 +70,7 @@ class Stiffening(StringEffect):
     """A cubic spring along the string."""
 
     name = "stiffening"
-    parameters = (Parameter("cube", "m2/s2", "cubic stiffness", 0.0, 1e6, 1e5),)
+    parameters = (Parameter("cube", "m2/s2", "cubic stiffness", 0.0, 1e6, 0.0),)
 
     @staticmethod
     def tension(stretch: float, cube: float) -> float:

@@ -1,0 +1,78 @@
+"""Causes that are another in each trial: a grasp at another angle, a string that was bent in between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stages.diagnose.choose import Causes, Court
+from stages.diagnose.fit import fitted
+from stages.diagnose.noise import systematic
+from stages.diagnose.screen import Probe, varied
+from stages.model.effect import Effect
+
+STEPS = 5
+MOSTLY = 0.5  # share of the misfit that has to go
+FURTHER = 2.0  # times what the effect explains with one value for all trials
+ALIKE = 0.8  # of the best one's gain: effects that do it about as well
+
+
+@dataclass(frozen=True)
+class Differing:
+    """effect: the one that explains most with a value of its own in each trial. values: by trial, in its unit.
+    explained: share of the systematic misfit. alike: others that would do about as well."""
+
+    effect: type[Effect]
+    values: Mapping[str, float]
+    explained: float
+    alike: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What to say of it."""
+        unit = self.effect.parameters[0].unit
+        values = ", ".join(f"{value:.3g}" for value in self.values.values())
+        others = f" ({' or '.join(self.alike)} would do about as well)" if self.alike else ""
+        share = f"{100 * self.explained:.0f} % of it"
+        return f"The trials differ: {self.effect.name} of its own in each, {values} {unit}, explains {share}{others}."
+
+
+def differing(court: Court, causes: Causes) -> Differing | None:
+    """The effect that explains most of what these causes leave if each trial has its own; None where none does."""
+    gains = {some[0].effect: _gains(court, causes, some) for some in court.probes.get(causes, {}).values()}
+    single = {effect: gain for effect, gain in gains.items() if len(effect.parameters) == 1}
+    if not single or len(court.evidence.cases) == 1:
+        return None
+    effect = max(single, key=lambda e: single[e][0])
+    each, common = single[effect]
+    if each < FURTHER * common:
+        return None
+    values, explained = _fitted(court, causes, effect)
+    alike = tuple(e.name for e, gain in single.items() if e is not effect and gain[0] > ALIKE * each)
+    return Differing(effect, values, explained, alike) if explained > MOSTLY else None
+
+
+def _gains(court: Court, causes: Causes, probes: list[Probe]) -> tuple[float, float]:
+    """Gain of the log-likelihood, to first order, with a size for each trial and with one for all."""
+    residual, trial = court.tried[causes].residual, court.evidence.trial
+    best = (0.0, 0.0)
+    for probe in probes:
+        along = np.bincount(trial, probe.direction * residual)
+        size = np.maximum(np.bincount(trial, probe.direction**2), 1e-12)
+        best = max(best, (float(np.sum(along**2 / size)) / 2, float(along.sum()) ** 2 / 2))
+    return best
+
+
+def _fitted(court: Court, causes: Causes, effect: type[Effect]) -> tuple[dict[str, float], float]:
+    """The effect's value in each trial [its unit], all else as it is, and the share of the misfit that it explains."""
+    probe, fit = court.probes[causes][effect.name][0], court.tried[causes]
+    alone = replace(probe.theory, causes=(effect,), base=())
+    place, values, left = varied(alone, effect)[0], {}, []
+    for number, case in enumerate(court.evidence.cases):
+        own = fitted(court.evidence.only([number]), [alone], [probe.chi], STEPS)[0]
+        values[case.name] = float(alone.model.parameters[place].value(own.chi[place]))
+        left.append(own.residual)
+    before = systematic(court.evidence, fit.residual)
+    return values, 1 - systematic(court.evidence, np.concatenate(left)) / max(before, 1e-12)
