@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated
 
 import numpy as np
@@ -24,7 +24,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import extended_settings, held_out_table, unseen
 from stages.diagnose.missing import missing, unexplained
-from stages.diagnose.prepare import DOUBTFUL, Ground, finer, prepared
+from stages.diagnose.prepare import DOUBTFUL, Ground, finer, literal, prepared
 from stages.diagnose.separate import Proposal, separated
 from stages.diagnose.verdict import Judgement, judged
 from stages.estimate.matching import Matching
@@ -64,16 +64,44 @@ def diagnose(
         raise DataError("there is no trial that can be used. Look at the reasons given for each.")
     data = _Data(model, observations, rejected, held_out, matching, library())
     ground = prepared(model, observations, data.library, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
-    evidence = ground.evidence.only(data.kept)
-    floor = ground.undoubted.only(data.kept)
-    court = Court(evidence, evidence, floor, finer(evidence), ground.model, data.library, seed)
-    court.hear(ground.base if len(data.kept) == len(observations) else again(evidence, ground.base))
-    court, causes = chosen(court, lambda share: progress((1 + 2 * share) / 3))
+    ground, court, causes = _heard(ground, data, seed, lambda share: progress((1 + 2 * share) / 3))
     judgement = judged(court, causes, coarse(ground))
     if len(data.kept) == 1 and causes:
         judgement = replace(judgement, verdict="insufficient", causes=(), groups=())
     proposal = separated(court, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))
     return _written(court, ground, causes, judgement, data, proposal)
+
+
+def _heard(ground: Ground, data: _Data, seed: int, progress: Progress) -> tuple[Ground, Court, Causes]:
+    """The causes chosen, and what they were chosen from.
+
+    Mass points that do not matter come first. Where the model as it is configured is nearer to the data, they may
+    come from another simulation of its kind: then both are heard, and what leaves less stands.
+    """
+    grounds = [ground]
+    if ground.configured.mean_square < ground.beside_noise:
+        grounds.append(literal(ground, data.library))
+    parts = [partial(_share_of, progress, number, len(grounds)) for number in range(len(grounds))]
+    heard = [(each, *chosen(_court(each, data, seed), part)) for each, part in zip(grounds, parts, strict=True)]
+    return min(heard, key=lambda one: _left(one[1], one[2]))
+
+
+def _share_of(progress: Progress, number: int, count: int, share: float) -> None:
+    """Report the progress of one part of several."""
+    progress((number + share) / count)
+
+
+def _court(ground: Ground, data: _Data, seed: int) -> Court:
+    """With the base model heard."""
+    evidence, floor = ground.evidence.only(data.kept), ground.undoubted.only(data.kept)
+    court = Court(evidence, evidence, floor, finer(evidence), ground.model, data.library, seed)
+    court.hear(again(evidence, ground.base) if data.rest else ground.base)
+    return court
+
+
+def _left(court: Court, causes: Causes) -> float:
+    """Mean square of what causes leave, over the noise alone."""
+    return float(np.mean((court.tried[causes].residual * court.evidence.sigma / court.floor.sigma) ** 2))
 
 
 @dataclass(frozen=True)

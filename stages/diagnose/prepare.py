@@ -58,6 +58,11 @@ class Ground:
         """Noise of each residual [m], (N,)."""
         return self.undoubted.sigma
 
+    @property
+    def beside_noise(self) -> float:
+        """Mean square of what the base model leaves, over the noise alone."""
+        return float(np.mean((self.base.residual * self.evidence.sigma / self.floor) ** 2))
+
 
 def prepared(
     model: Model,
@@ -84,6 +89,15 @@ def prepared(
     base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence)), named)
     undoubted = replace(evidence, segments=doubted.segments)
     return Ground(theory.model, doubted, undoubted, base, configured)
+
+
+def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
+    """The ground with the model exactly as configured, mass points and all: right for data that are made of such."""
+    plain = ground.configured.theory
+    evidence = replace(ground.undoubted, segments=(plain.model.string.points - 1,))
+    theory = whole(plain.model, candidates(plain.model, library, evidence))
+    base = _best(evidence, theory, [plain.named(ground.configured.chi)])
+    return Ground(plain.model, evidence, evidence, base, ground.configured)
 
 
 def plain_theory(model: Model) -> Theory:
@@ -175,7 +189,9 @@ def refined(evidence: Evidence, theory: Theory, chi: np.ndarray) -> Evidence:
 
 
 def finer(evidence: Evidence) -> tuple[int, ...]:
-    """The next numbers of segments."""
+    """The next numbers of segments; a single one stands as it is."""
+    if len(evidence.segments) == 1:
+        return evidence.segments
     following: dict[tuple[int, ...], tuple[int, int]] = dict(pairwise(SEGMENTS))
     return following.get(evidence.segments, SEGMENTS[-1])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +58,9 @@ def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
     probability = _probability(chances, causes, strange)
     if strange > 0.5:
         return Judgement("unknown", (), probability, (), chances, left)
-    groups = _groups(chances, causes)
+    guises = {name: guise for name in sorted(causes) if (guise := _guises(court, fit, name))}
+    groups = _groups(chances, causes, guises)
+    probability = _shared(probability, guises)
     need = {name: _needed(court, causes, name, probability) for name in causes.union(*groups)}
     ordered = tuple(sorted(need, key=lambda name: need[name], reverse=True))
     return Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left)
@@ -73,7 +75,7 @@ def _nothing(seen: float, coarse: float, left: float, chances: Mapping[Causes, f
     probability = {"unknown": strange, RESOLUTION: (1 - strange) * few, "none": (1 - strange) * (1 - few)}
     if few > 0.5:
         return Judgement("effect", (RESOLUTION,), probability, (), chances, 0.0)
-    return Judgement("none", (), probability, (), chances, left)
+    return Judgement("none", (), probability, (), chances, 0.0)
 
 
 def _chances(court: Court, causes: Causes) -> dict[Causes, float]:
@@ -119,12 +121,30 @@ def _probability(chances: Mapping[Causes, float], causes: Causes, strange: float
     return result
 
 
-def _groups(chances: Mapping[Causes, float], causes: Causes) -> tuple[tuple[str, ...], ...]:
+def _guises(court: Court, fit: Fit, name: str) -> tuple[str, ...]:
+    """What else than a cause its values may be."""
+    effect = court.library[name]
+    return effect.guises(fit.theory.of(effect, fit.chi))
+
+
+def _shared(probability: Mapping[str, float], guises: Mapping[str, Sequence[str]]) -> dict[str, float]:
+    """With a cause's probability shared alike among it and what it may be instead."""
+    result = dict(probability)
+    for cause, others in guises.items():
+        part = result[cause] / (1 + len(others))
+        result |= dict.fromkeys((cause, *others), part)
+    return result
+
+
+def _groups(
+    chances: Mapping[Causes, float], causes: Causes, guises: Mapping[str, Sequence[str]]
+) -> tuple[tuple[str, ...], ...]:
     """Effects that could stand in place of one of the causes, with it."""
     groups = []
     for cause in sorted(causes):
         others = [key - (causes - {cause}) for key in chances if causes - {cause} < key and key != causes]
         alike = [next(iter(o)) for o in others if chances[causes - {cause} | o] > ALIKE * chances[causes]]
+        alike += guises.get(cause, ())
         if alike:
             groups.append((cause, *sorted(alike)))
     return tuple(groups)

@@ -91,6 +91,11 @@ class Effect(ABC):
         """Whether such values can be what the words say, and not something else in their guise. By own names."""
         return True
 
+    @staticmethod
+    def guises(values: Mapping[str, float]) -> tuple[str, ...]:
+        """Names of changes of the model's making that look the same at such values. By own names."""
+        return ()
+
     @classmethod
     @abstractmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
