@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -47,7 +49,7 @@ def study(
     draw, diagnose: functions that can be pickled; see `one_bench`. Rows that are in `folder` already are read.
     """
     context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
-    with _environment(ONE_THREAD), ProcessPoolExecutor(processes, mp_context=context) as pool:
+    with _environment(ONE_THREAD), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
         made = {pool.submit(one_bench, seed, folder, draw, diagnose): seed for seed in seeds}
         rows: dict[int, Row] = {}
         for future in as_completed(made):
@@ -84,6 +86,18 @@ def _diagnosed(diagnose: Diagnose, dataset: Path) -> Mapping[str, Any]:
         return diagnose(dataset)
     except Exception as error:
         return {"verdict": FAILED, "error": f"{type(error).__name__}: {error}"}
+
+
+def end_with_parent() -> None:
+    """Have this process end when its parent does, however that was killed; it would go on for hours."""
+    threading.Thread(target=_follow, daemon=True).start()
+
+
+def _follow() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
 
 
 @contextmanager
