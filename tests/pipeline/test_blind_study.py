@@ -1,7 +1,12 @@
 """Scores of a blind study, from rows made by hand, and rows made by a study in miniature."""
 
 import json
+import os
+import subprocess
+import sys
+import time
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -201,3 +206,38 @@ def test_a_bench_of_the_lab_is_one(arm, camera, tmp_path):
 def nothing(folder):
     assert read(folder).trials
     return {"verdict": "none"}
+
+
+KILLED = """
+import multiprocessing, os, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from pipeline.study.benches import end_with_parent
+
+def work(path):
+    open(path, "w").write(str(os.getpid()))
+    time.sleep(60)
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), end_with_parent) as pool:
+        pool.submit(work, sys.argv[1] + ".part").result()
+"""
+
+
+def test_workers_end_when_the_study_is_killed(tmp_path):
+    script, note = tmp_path / "study.py", tmp_path / "worker.part"
+    script.write_text(KILLED)
+    root = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    study_of_one = subprocess.Popen([sys.executable, script, tmp_path / "worker"], env=root, stderr=subprocess.DEVNULL)
+    try:
+        until(lambda: note.exists() and note.read_text())
+    finally:
+        study_of_one.kill()
+    worker = int(note.read_text())
+    until(lambda: not Path(f"/proc/{worker}").exists() or "Z" in Path(f"/proc/{worker}/stat").read_text())
+
+
+def until(come, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not come():
+        assert time.monotonic() < end
+        time.sleep(0.05)

@@ -81,7 +81,10 @@ def held_out():
 
 
 def theories(count=3):
-    rows = [("tip_mass", 9, 0.9, 56716.0, 65432.0, 17.0, 23.8, 0.004, 0.98), ("", 8, 9.0, 0.0, 0.0, np.nan, 0.0, 1.0, 0.0)]
+    rows = [
+        ("tip_mass", 9, 0.9, 56716.0, 65432.0, 17.0, 23.8, 0.004, 0.98),
+        ("", 8, 9.0, 0.0, 0.0, np.nan, 0.0, 1.0, 0.0),
+    ]
     rows += [(f"wind + other{n}", 11, 3.0, 100.0 + n, np.nan, np.nan, 4.0, 0.5, 0.01) for n in range(count - 2)]
     return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["theories"].columns])
 
