@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from stages.diagnose.compare import HeldOut, blocks, held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import CLEAR, mismatch, visible
+from stages.diagnose.resolve import refined
 from stages.diagnose.screen import Probe, screened, spread
 from stages.diagnose.theory import candidates, joined
 from stages.model.effect import Effect, placed
@@ -42,13 +43,11 @@ class Court:
     """What has been tried so far on this evidence: each set of causes is fitted once.
 
     evidence: with the simulation's doubt; first: as it was before there was a cause; floor: with noise alone.
-    finer: numbers of segments by which the simulation's own error is judged.
     """
 
     evidence: Evidence
     first: Evidence
     floor: Evidence
-    finer: tuple[int, ...]
     base: Model
     library: Mapping[str, type[Effect]]
     seed: int
@@ -95,10 +94,11 @@ class Court:
         return (mismatch(self.evidence, fit.residual) + mismatch(self.first, first)) / 2
 
     def renewed(self, causes: Causes) -> Court:
-        """The simulation's doubt found anew where these causes put the string, and all fits made anew."""
+        """Mass points and doubt found anew where these causes put the string, and all fits made anew with them."""
         fit = self.tried[causes]
-        evidence = self.floor.doubted(fit.theory.model, fit.chi, self.finer)
-        court = Court(evidence, self.first, self.floor, self.finer, self.base, self.library, self.seed)
+        evidence = refined(self.floor, fit.theory, fit.chi)
+        floor = replace(self.floor, segments=evidence.segments)
+        court = Court(evidence, self.first, floor, self.base, self.library, self.seed)
         court.probes = dict(self.probes)
         old = list(self.tried.values())
         for made in fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):

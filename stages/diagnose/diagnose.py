@@ -24,7 +24,8 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import extended_settings, held_out_table, unseen
 from stages.diagnose.missing import missing, unexplained
-from stages.diagnose.prepare import DOUBTFUL, Ground, finer, literal, prepared
+from stages.diagnose.prepare import Ground, literal, prepared
+from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
 from stages.diagnose.verdict import Judgement, judged
 from stages.estimate.matching import Matching
@@ -94,7 +95,7 @@ def _share_of(progress: Progress, number: int, count: int, share: float) -> None
 def _court(ground: Ground, data: _Data, seed: int) -> Court:
     """With the base model heard."""
     evidence, floor = ground.evidence.only(data.kept), ground.undoubted.only(data.kept)
-    court = Court(evidence, evidence, floor, finer(evidence), ground.model, data.library, seed)
+    court = Court(evidence, evidence, floor, ground.model, data.library, seed)
     court.hear(again(evidence, ground.base) if data.rest else ground.base)
     return court
 

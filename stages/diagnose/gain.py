@@ -48,14 +48,14 @@ def held_out_table(
     chance = noisiness(court.evidence, court.tried[causes])
     rows = []
     for trial in trials:
-        own = ground.evidence.only([trial.number])
+        own = replace(ground.evidence, segments=court.evidence.segments).only([trial.number])
         case, floor = own.cases[0], ground.floor[ground.evidence.trial == trial.number]
         off = [own.residuals(m, chi[None])[0] for m, chi in zip(models, trial.chi, strict=True)]
         row = {"trial": case.name, "noise_floor": float(np.sqrt(2 * np.mean(floor**2)))}
         row["log_likelihood_difference"] = float(np.sum(off[0] ** 2) - np.sum(off[1] ** 2)) / 2 / chance
         for name, residual, model, chi in zip(("base", "extended"), off, models, trial.chi, strict=True):
             row |= _measures(case, residual, name)
-            finest = model.divided(ground.evidence.segments[-1])
+            finest = model.divided(court.evidence.segments[-1])
             row[f"E_{name}"] = _rate(finest, chi, observations[trial.number], matching)
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from data.artifacts import Observation
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import cleaned, estimated, tracks
+from stages.diagnose.resolve import SEGMENTS, refined
 from stages.diagnose.search import searched
 from stages.diagnose.theory import Theory, candidates, whole
 from stages.estimate.forward import Case, case
@@ -22,11 +22,8 @@ from stages.model.implicit import ImplicitLeapfrog
 from stages.model.model import Model
 from stages.model.parameter import Parameter
 
-SEGMENTS = ((10, 14), (14, 20), (20, 28), (28, 40))
 GUESS = 1e-3  # [m] of noise before anything is known
 TOLD_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
-DOUBTFUL = 1.5  # times the noise: a point whose simulation is as uncertain as that says less
-MANY = 0.35  # share of doubtful points from which more mass points are taken
 STEP = 1e-3  # [s] of the implicit integrator: at 20 points its error is a hundredth of theirs
 STEPS = 20
 WIDENINGS = 6  # of a range, at most
@@ -176,24 +173,6 @@ def resolved(model: Model) -> Model:
     """With half cells at the ends and implicit steps, so that what mass points do is of second order."""
     string = replace(model.string, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=STEP)
     return replace(model, string=string)
-
-
-def refined(evidence: Evidence, theory: Theory, chi: np.ndarray) -> Evidence:
-    """With the fewest mass points whose own error does not matter for most of the data, and their doubt."""
-    for few, more in pairwise(SEGMENTS):
-        fitted_here = fitted(replace(evidence, segments=few), [theory], [chi], STEPS)[0]
-        doubted = replace(evidence, segments=few).doubted(theory.model, fitted_here.chi, more)
-        if np.mean(doubted.sigma > DOUBTFUL * evidence.sigma) < MANY:
-            break
-    return doubted
-
-
-def finer(evidence: Evidence) -> tuple[int, ...]:
-    """The next numbers of segments; a single one stands as it is."""
-    if len(evidence.segments) == 1:
-        return evidence.segments
-    following: dict[tuple[int, ...], tuple[int, int]] = dict(pairwise(SEGMENTS))
-    return following.get(evidence.segments, SEGMENTS[-1])
 
 
 def _best(evidence: Evidence, theory: Theory, named: Sequence[Mapping[str, float]]) -> Fit:

@@ -23,7 +23,7 @@ from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.foretell import DECIDED, Outlook, Prospect, again
 from stages.diagnose.noise import parts
-from stages.diagnose.prepare import SEGMENTS
+from stages.diagnose.resolve import SEGMENTS, finer
 from stages.diagnose.verdict import Judgement
 from stages.estimate.forward import Case
 from stages.generate.curves import Curves
@@ -127,7 +127,7 @@ def separated(
     curves = possible(court.base, obstacles, design, rng)
     if not len(curves.duration):
         return without_motion(None)
-    return proposed(rivals, court.floor, court.finer, curves, obstacles, design, rng)
+    return proposed(rivals, court.floor, curves, obstacles, design, rng)
 
 
 def without_motion(next_experiment: Mapping[str, Any] | None) -> Proposal:
@@ -138,13 +138,12 @@ def without_motion(next_experiment: Mapping[str, Any] | None) -> Proposal:
 def proposed(
     rivals: Contest,
     floor: Evidence,
-    finer: tuple[int, ...],
     curves: Curves,
     obstacles: Sequence[Box],
     design: Design,
     rng: np.random.Generator,
 ) -> Proposal:
-    """The best of some motions. floor: the trials made, with noise alone. finer: see `Court`."""
+    """The best of some motions. floor: the trials made, with noise alone."""
     like = max(floor.cases, key=lambda case: len(case.s))
     model = rivals.likeliest.theory.model
     cases = [imagined(model, curves.only(np.array([i])), like, design) for i in range(len(curves.duration))]
@@ -155,7 +154,7 @@ def proposed(
     pairs = told.max(axis=0) > TELLS
     asked = pairs if pairs.any() else ~np.eye(len(pairs), dtype=bool)
     best = [few[i] for i in np.argsort(-_least(told, asked), kind="stable")[:BEST]]
-    fine = trusted(rivals, [cases[i] for i in best], like, rivals.evidence.segments, finer)
+    fine = trusted(rivals, [cases[i] for i in best], like, rivals.evidence.segments, finer(rivals.evidence.segments))
     prospects = rivals.prospects(fine)
     found = [forecast(rivals, prospect, asked, rng) for prospect in prospects]
     first = max(range(len(best)), key=lambda i: (round(found[i].probability, 2), found[i].odds))

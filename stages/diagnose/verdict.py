@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
@@ -55,15 +55,30 @@ def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
         return _nothing(seen, coarse, left, chances)
     dirty = float(np.clip(seen / CLEAN + 1, 0, 1))
     strange = float(expit(STEEP * (min(seen, CLEAN) + dirty * np.log(max(left, 1e-3) / LEFT))))
-    probability = _probability(chances, causes, strange)
+    probability = _probability(court, chances, strange)
     if strange > 0.5:
         return Judgement("unknown", (), probability, (), chances, left)
-    guises = {name: guise for name in sorted(causes) if (guise := _guises(court, fit, name))}
-    groups = _groups(chances, causes, guises)
-    probability = _shared(probability, guises)
+    groups = _groups(chances, causes)
     need = {name: _needed(court, causes, name, probability) for name in causes.union(*groups)}
     ordered = tuple(sorted(need, key=lambda name: need[name], reverse=True))
-    return Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left)
+    return _told(court, Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left))
+
+
+def _told(court: Court, judgement: Judgement) -> Judgement:
+    """With causes that are of a simulation and not of the string called `resolution`; beside others it is only used."""
+    name = {
+        each: each if each not in court.library or court.library[each].of_string else RESOLUTION
+        for each in (*judgement.probability, *judgement.causes)
+    }
+    groups = tuple(tuple(dict.fromkeys(name[each] for each in group)) for group in judgement.groups)
+    grouped = {each for group in groups for each in group}
+    causes = tuple(dict.fromkeys(name[each] for each in judgement.causes))
+    if len(causes) > 1:
+        causes = tuple(each for each in causes if each != RESOLUTION or each in grouped)
+    probability: dict[str, float] = {}
+    for each, share in judgement.probability.items():
+        probability[name[each]] = probability.get(name[each], 0.0) + share
+    return replace(judgement, causes=causes, groups=groups, probability=probability)
 
 
 def _nothing(seen: float, coarse: float, left: float, chances: Mapping[Causes, float]) -> Judgement:
@@ -110,41 +125,24 @@ def weighed(piece: np.ndarray, explained: np.ndarray | float, chance: float) -> 
     return np.sign(ratio) * np.minimum(np.abs(plain), 2 * ratio**2)
 
 
-def _probability(chances: Mapping[Causes, float], causes: Causes, strange: float) -> dict[str, float]:
-    """Of each effect, shared among those that a set needs together; of none and unknown."""
+def _probability(court: Court, chances: Mapping[Causes, float], strange: float) -> dict[str, float]:
+    """Of each effect, shared among those of the string that a set needs together; of none and unknown."""
     strange = float(np.clip(strange, STUBBORN, 1 - STUBBORN))
     none = STUBBORN * (1 - strange)
     result = {"unknown": strange, "none": none}
     for some, chance in chances.items():
-        for name in some:
-            result[name] = result.get(name, 0.0) + chance * (1 - strange - none) / len(causes)
+        named = [name for name in some if court.library[name].of_string] or list(some)
+        for name in named:
+            result[name] = result.get(name, 0.0) + chance * (1 - strange - none) / len(named)
     return result
 
 
-def _guises(court: Court, fit: Fit, name: str) -> tuple[str, ...]:
-    """What else than a cause its values may be."""
-    effect = court.library[name]
-    return effect.guises(fit.theory.of(effect, fit.chi))
-
-
-def _shared(probability: Mapping[str, float], guises: Mapping[str, Sequence[str]]) -> dict[str, float]:
-    """With a cause's probability shared alike among it and what it may be instead."""
-    result = dict(probability)
-    for cause, others in guises.items():
-        part = result[cause] / (1 + len(others))
-        result |= dict.fromkeys((cause, *others), part)
-    return result
-
-
-def _groups(
-    chances: Mapping[Causes, float], causes: Causes, guises: Mapping[str, Sequence[str]]
-) -> tuple[tuple[str, ...], ...]:
+def _groups(chances: Mapping[Causes, float], causes: Causes) -> tuple[tuple[str, ...], ...]:
     """Effects that could stand in place of one of the causes, with it."""
     groups = []
     for cause in sorted(causes):
         others = [key - (causes - {cause}) for key in chances if causes - {cause} < key and key != causes]
         alike = [next(iter(o)) for o in others if chances[causes - {cause} | o] > ALIKE * chances[causes]]
-        alike += guises.get(cause, ())
         if alike:
             groups.append((cause, *sorted(alike)))
     return tuple(groups)

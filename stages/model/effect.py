@@ -65,6 +65,7 @@ SLOTS: dict[str, Slot] = {
     "rest_curvature": Slot("curvature at rest", "1/m", {"s": "m"}),
     "density": Slot("mass per length over its nominal value, less 1", "1", {"s": "m", "length": "m"}),
     "tip_mass": Slot("mass at the tip over nominal mass per length", "m", {"length": "m"}),
+    "tip_length": Slot("string at the tip beyond its length, of its mass and in its air", "m", {"length": "m"}),
 }
 
 
@@ -72,7 +73,7 @@ class Effect(ABC):
     """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
 
     local: it is in one place only, such as an obstacle: told, and not looked for by a diagnosis, to which anybody's
-    touch would look the same.
+    touch would look the same. of_string: it is of the thing itself, and not of how a simulation divides it.
     """
 
     name: ClassVar[str]
@@ -80,6 +81,7 @@ class Effect(ABC):
     reference: ClassVar[str]
     symmetries: ClassVar[tuple[Symmetry, ...]] = ()
     local: ClassVar[bool] = False
+    of_string: ClassVar[bool] = True
 
     @staticmethod
     @abstractmethod
@@ -90,11 +92,6 @@ class Effect(ABC):
     def plausible(values: Mapping[str, float]) -> bool:
         """Whether such values can be what the words say, and not something else in their guise. By own names."""
         return True
-
-    @staticmethod
-    def guises(values: Mapping[str, float]) -> tuple[str, ...]:
-        """Names of changes of the model's making that look the same at such values. By own names."""
-        return ()
 
     @classmethod
     @abstractmethod

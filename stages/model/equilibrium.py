@@ -126,7 +126,7 @@ def _weight(
     s = string.arc_lengths()[None, 1:]
     pull = load(string, material, {"x": x, "y": y, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": s})
     fall = vector_sum(string, material, "acceleration", {"x": x, "y": y, "t": np.zeros((1, 1))})
-    return pull * cells[None, 1:, None] + fall * masses[:, 1:, None]
+    return pull * cells[:, 1:, None] + fall * masses[:, 1:, None]
 
 
 def _beyond(each: np.ndarray) -> np.ndarray:

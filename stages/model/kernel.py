@@ -86,7 +86,7 @@ def source(
     width = precision.width
     constants = {name: kind * width for name, kind in kinds(integrator, precision).items()}
     constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
-    heavy = any({"density", "tip_mass"} & e.laws().keys() for e in effects)
+    heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
         "moment": _sum(slots, "moment", names),

@@ -194,14 +194,17 @@ class String:
     def masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Masses of the points over nominal mass per length [m], and the length each stands for [m].
 
-        material: (C, P). Returns (C, n) and (n,).
+        material: (C, P). Returns (C, n) each.
         """
-        cells = np.full(self.points, self.segment)
-        cells[-1] *= self.tip_cell
+        cells = np.full((len(material), self.points), self.segment)
+        cells[:, -1] *= self.tip_cell
         s = self.arc_lengths()[None]
         density = np.ones((len(material), self.points))
         tip = np.zeros((len(material), 1))
         for effect in self.effects:
+            if "tip_length" in effect.laws():
+                given = self.arguments_of(effect, "tip_length", material)
+                cells[:, -1:] += effect.laws()["tip_length"](length=self.length, **given)
             if "density" in effect.laws():
                 given = self.arguments_of(effect, "density", material)
                 density = density + effect.laws()["density"](s=s, length=self.length, **given)

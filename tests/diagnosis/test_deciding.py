@@ -96,7 +96,7 @@ def curves(model):
 
 
 def the_proposal(contest, curves, seed=0, obstacles=()):
-    return proposed(contest, contest.evidence, FINER, curves, obstacles, DESIGN, np.random.default_rng(seed))
+    return proposed(contest, contest.evidence, curves, obstacles, DESIGN, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")

@@ -66,8 +66,3 @@ def test_what_is_hidden_in_such_a_chain_has_the_size_it_has_there(arm, eq1):
     found = said.causes[said.causes["parameter"] == "tip_mass.ratio"].iloc[0]
     assert set(said.causes["effect"]) == {"tip_mass"}
     assert found["low"] < 0.1 < found["high"]
-
-
-def test_a_tip_a_little_too_heavy_may_be_the_last_of_other_points():
-    assert TipMass.guises({"ratio": 0.5 / 24}) == ("resolution",)
-    assert TipMass.guises({"ratio": 0.06}) == ()

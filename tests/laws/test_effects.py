@@ -32,6 +32,7 @@ NAMES = [
     "resolution",
     "contact",
     "box_contact",
+    "equal_points",
     "gravity_direction",
     "arm_lag",
     "joint_gain",

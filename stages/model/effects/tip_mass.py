@@ -15,8 +15,6 @@ from stages.model.symmetry import nothing_at_zero
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LUMP = 0.025  # of the string's mass: what the end of a chain of twenty and more equal points has too much
-
 
 class TipMass(StringEffect):
     """A point mass on the last mass point, as a share of the string's own."""
@@ -30,11 +28,6 @@ class TipMass(StringEffect):
     def words(values: Mapping[str, float]) -> str:
         """What is so."""
         return f"a mass of {100 * values['ratio']:.1f} % of the string's sits at the tip"
-
-    @staticmethod
-    def guises(values: Mapping[str, float]) -> tuple[str, ...]:
-        """A little is also what lumping does: the last of equal points stands for half a segment that is not there."""
-        return ("resolution",) if values["ratio"] < LUMP else ()
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:

@@ -1,0 +1,43 @@
+"""Mass points enough: as few as do not matter, for each costs time, and as many as the theory at hand asks for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import fitted
+from stages.diagnose.theory import Theory
+
+SEGMENTS = ((10, 14), (14, 20), (20, 28), (28, 40))  # pairs from which results are extrapolated
+DOUBTFUL = 1.5  # times the noise: a point whose simulation is as uncertain as that says less
+MANY = 0.35  # share of doubtful points from which more mass points are taken
+WORSE = 1.1  # times the mean square that the next more mass points leave
+STEPS = 20
+
+
+def refined(noisy: Evidence, theory: Theory, chi: np.ndarray) -> Evidence:
+    """With the fewest mass points whose own error does not matter for most of the data, and their doubt.
+
+    noisy: with the noise alone as sigma; fewer points than its own are not tried, and one number stands as it is.
+    More points may not fit much better: parameters can make up for too few, and then doubt is small where they are.
+    """
+    if len(noisy.segments) == 1:
+        return noisy
+    here = fitted(noisy, [theory], [chi], STEPS)[0]
+    for few, more in pairwise(SEGMENTS[SEGMENTS.index(noisy.segments) :]):
+        there = fitted(replace(noisy, segments=more), [theory], [here.chi], STEPS)[0]
+        doubted = replace(noisy, segments=few).doubted(theory.model, here.chi, more)
+        doubtful = np.mean(doubted.sigma > DOUBTFUL * noisy.sigma)
+        if doubtful < MANY and here.mean_square < WORSE * there.mean_square:
+            break
+        here = there
+    return doubted
+
+
+def finer(segments: tuple[int, ...]) -> tuple[int, ...]:
+    """The next numbers of segments, by which the error of these is judged; a single one stands as it is."""
+    following: dict[tuple[int, ...], tuple[int, ...]] = dict(pairwise(SEGMENTS))
+    return following.get(segments, segments)

@@ -1,0 +1,45 @@
+"""Trials made by a simulation whose mass points are all alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import line
+from stages.model.symmetry import nothing_at_zero
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class EqualPoints(StringEffect):
+    """The last of n equal points stands for half a segment that is not there: mass and drag at the tip.
+
+    No string of a camera is like that; trials made by another simulation are, as Eq. 1 is with its ten points.
+    """
+
+    name = "equal_points"
+    parameters = (Parameter("excess", "1", "string at the tip beyond its length, as a share of it", 0.0, 0.06, 0.0),)
+    reference = "Tabata et al., IROS 2021, Eq. 1: every mass point has the same mass"
+    symmetries = (nothing_at_zero("tip_length", "excess"),)
+    of_string = False
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        return f"the trials are as if made of about {1 + 0.5 / max(values['excess'], 1e-9):.0f} equal mass points"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """The excess of a chain over its number of points, and the one found."""
+        points = np.arange(9, 101)
+        line(axes, points, 0.5 / (points - 1), "equal mass points", "excess at the tip / length")
+        axes.axhline(values["excess"], linestyle=":", color="0.5")
+
+    @staticmethod
+    def tip_length(length: Quantity, excess: Quantity) -> Quantity:
+        return excess * length
