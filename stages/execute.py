@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -45,8 +46,17 @@ def filmed(commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: fl
             "file": [f"images/{number:06d}.png" for number in range(len(inside))],
         }
     )
+    counts = {name: column.to_numpy()[inside] for name, column in recording.counts.items()}
     images = [recording.images[int(i)] for i in inside]
-    return Trial(performance.arm, performance.ticks, frames, performance.link, images)
+    link = performance.link.assign(**recording.summary)
+    trial = Trial(performance.arm, performance.ticks, frames.assign(**counts), link, images)
+    return distrusted(trial, recording.fault) if recording.fault else trial
+
+
+def distrusted(trial: Trial, reason: str) -> Trial:
+    """The trial marked, so that no later stage learns from it."""
+    reasons = "; ".join(filter(None, (reason, str(trial.link["reason"].iloc[0]))))
+    return replace(trial, link=trial.link.assign(valid=False, reason=reasons))
 
 
 def padded(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:
