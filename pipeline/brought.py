@@ -14,7 +14,7 @@ EXTENDED = "extended.yaml"  # the model that a diagnosis made
 FROM_DATASETS = {
     "string": ("length",),
     "arm": ("links", "base"),
-    "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion"),
+    "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion", "rotation", "tilt", "lens"),
 }
 FROM_TRIALS = (
     "arm",

@@ -23,8 +23,6 @@ def dropped(measured: Measured) -> Iterator[Finding]:
         share = lost / (len(film.t) + lost)
         if lost:
             said = f"{lost} of {len(film.t) + lost} frames are missing ({share:.1%})"
-            remedy = (
-                "Where many are: shorten the exposure, film fewer or smaller frames, or free the computer meanwhile"
-            )
+            remedy = "Where many are: shorten the exposure, film fewer or smaller frames, or free the computer"
             severity = Severity.WARNING if share > MUCH else Severity.NOTE
             yield Finding(severity, measured.file("frames"), "t", said, remedy, (name,))
