@@ -9,11 +9,11 @@ from scipy.interpolate import RectBivariateSpline
 from stages.calibrate import Board
 from stages.calibrate.fit import lens_of
 
-BOARD = Board((8, 11), 0.024, 0.018, "DICT_5X5_100")
+BOARD = Board((8, 11), 0.024, 0.012, "DICT_4X4_50")  # conf/board/a4.yaml
 SIZE = (640, 480)
 LENS = lens_of([720.0, 716.0, 331.0, 233.0, -0.22, 0.09, 0.0012, -0.0008])
 FINER = 2  # rendered so much finer than the picture, then averaged
-SQUARE = 60  # pixels of a square of the texture
+SQUARE = 48  # pixels of a square of the texture
 
 
 def pose(tilt_x, tilt_y, roll, across, down, distance):
