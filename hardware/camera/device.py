@@ -28,7 +28,7 @@ class Device(Source):
     controls: properties by OpenCV's name without CAP_PROP_, in the driver's units, set in this order and read back.
     seconds: how long stills are taken, one every `interval` [s].
 
-    after: what `delay` is, which no driver tells. V4L2 stamps a frame when the
+    delay: no driver tells it. V4L2 stamps a frame when the
     first or the last of it arrives (on this host's clock; uvcvideo: the first); other backends give a time from
     the start of the stream, or none. Stamps therefore serve for the distances of frames, not for their place:
     the quickest frame is taken to have come so long after the middle of its exposure. About half the exposure,
@@ -37,7 +37,7 @@ class Device(Source):
 
     number: Annotated[int, Field(ge=0)]
     backend: str
-    after: Annotated[float, Field(ge=0, le=1)]
+    delay: Annotated[float, Field(ge=0, le=1)]
     controls: Controls
     seconds: Annotated[float, Field(gt=0)]
     interval: Annotated[float, Field(gt=0)]
@@ -46,11 +46,6 @@ class Device(Source):
     def name(self) -> str:
         """With its number."""
         return f"camera {self.number}"
-
-    @property
-    def delay(self) -> float:
-        """As set."""
-        return self.after
 
     def open(self, camera: Camera) -> Stream:
         """Set everything, and see that it obeys and gives what it should; nothing of that is left to the first cast."""

@@ -105,7 +105,8 @@ class Filming:
         self.more.clear()
         for thread in self.threads:
             thread.join(timeout=2.0)
-        return self.frames
+        with self.came:
+            return list(self.frames)
 
     def _take(self) -> None:
         """Take frames from the driver as they come, and nothing else: a frame that must wait there may be lost."""

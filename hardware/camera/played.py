@@ -17,6 +17,8 @@ from stages.roles import HardwareError
 class Played(Source):
     """A source made of images that are there already."""
 
+    delay = 0.0  # they come when they are due
+
     @abstractmethod
     def images(self) -> Sequence[np.ndarray]:
         """All of them, in order; raises DataError where there are none."""

@@ -43,7 +43,9 @@ def recording(film: Film, moved_at: float, delay: float, period: float, most_los
     counts = pd.DataFrame({"number": schedule.numbers, "late": schedule.late, "repeats": _runs(own, len(again))})
     summary = _summary(schedule, film, int(again.sum()))
     summary["remarks"] = "; ".join(film.remarks)
-    return Recording(t, [images[i] for i in own], counts, summary, _fault(film, t, summary, most_lost))
+    early = film.died if t[-1] < film.until - 2 * period else ""
+    fault = _cut(t, early) or _lost(summary, most_lost)
+    return Recording(t, [images[i] for i in own], counts, summary, fault)
 
 
 def repeated(images: Sequence[np.ndarray], resting: int) -> np.ndarray:
@@ -102,10 +104,13 @@ def _summary(schedule: Schedule, film: Film, repeats: int) -> dict[str, float | 
     }
 
 
-def _fault(film: Film, t: np.ndarray, summary: dict[str, float | int | str], most_lost: float) -> str:
-    """Why the film cannot be trusted; empty if it can. A repeated frame left its place on the schedule empty."""
-    if film.died:
-        return f"the camera saw nothing after {t[-1]:.3f} s: {film.died}"
+def _cut(t: np.ndarray, died: str) -> str:
+    """In words, a film that ended too early."""
+    return f"the camera saw nothing after {t[-1]:.3f} s: {died}" if died else ""
+
+
+def _lost(summary: dict[str, float | int | str], most_lost: float) -> str:
+    """In words, too many frames lost; empty if they are not. A repeated frame left its place on the schedule empty."""
     share = int(summary["frames_dropped"]) / int(summary["frames_due"])
     if share <= most_lost:
         return ""

@@ -40,17 +40,14 @@ class Stream(ABC):
 
 
 class Source(ABC):
-    """Settings of a source."""
+    """Settings of a source. delay: from the middle of the exposure to the quickest frames' arrival [s]."""
+
+    delay: float
 
     @property
     @abstractmethod
     def name(self) -> str:
         """What it is called in messages."""
-
-    @property
-    def delay(self) -> float:
-        """From the middle of the exposure to the quickest frames' arrival [s]; a file's images come in time."""
-        return 0.0
 
     @abstractmethod
     def open(self, camera: Camera) -> Stream:

@@ -30,6 +30,11 @@ def pictures():
     return drawn(0)
 
 
+@pytest.fixture(scope="module")
+def clean(pictures):
+    return made(*pictures)
+
+
 def made(pictures, flat, board=BOARD, **changed):
     return calibrate(pictures, [flat], board, NOMINAL, **DEMANDS | changed)
 
@@ -44,8 +49,8 @@ def true_pixels(world):
     return seen[:, 0]
 
 
-def test_a_known_camera_comes_back_within_its_uncertainty(pictures):
-    found = made(*pictures)
+def test_a_known_camera_comes_back_within_its_uncertainty(clean):
+    found = clean
     assert found.reason == ""
     lens = found.measured.iloc[:8]
     z = (lens["value"] - values_of(LENS)) / lens["sigma"]
@@ -58,8 +63,8 @@ def test_a_known_camera_comes_back_within_its_uncertainty(pictures):
     assert (outcome["width"], outcome["height"]) == SIZE
 
 
-def test_the_plane_is_where_the_board_was_held(pictures):
-    found = made(*pictures)
+def test_the_plane_is_where_the_board_was_held(clean):
+    found = clean
     block = found.camera
     camera = Camera(**block | {"lens": lens_of([v for part in block["lens"].values() for v in part])})
     assert (camera.width, camera.height, camera.fps, camera.exposure) == (*SIZE, 200.0, 0.001)
@@ -87,8 +92,8 @@ def _distance():
 
 
 @pytest.mark.parametrize(("blur", "noise"), [(1.4, 3.0), (0.6, 10.0)])
-def test_blur_and_noise_cost_accuracy_and_are_told(pictures, blur, noise):
-    clean, worse = made(*pictures), made(*drawn(1, blur=blur, noise=noise))
+def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
+    worse = made(*drawn(1, blur=blur, noise=noise))
     z = (worse.measured["value"].iloc[:8] - values_of(LENS)) / worse.measured["sigma"].iloc[:8]
     assert np.abs(z).max() < 3.5  # measured: 2.2 and 1.6
     if noise > 3:

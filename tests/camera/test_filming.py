@@ -25,10 +25,10 @@ CONTROLS = {"AUTO_EXPOSURE": 1, "EXPOSURE": 10, "GAIN": 2}
 def plugged(monkeypatch):
     """Plugs a sensor in; gives the camera that films it."""
 
-    def plug(sensor, most_lost=0.02, after=0.0, **device):
+    def plug(sensor, most_lost=0.02, delay=0.0, **device):
         monkeypatch.setattr("hardware.camera.device.cv2.VideoCapture", lambda *_: sensor)
         settings = {"controls": {}, "seconds": 0.2, "interval": 0.04} | device
-        return FilmingCamera(CAMERA, Device(0, "ANY", after, **settings), most_lost)
+        return FilmingCamera(CAMERA, Device(0, "ANY", delay, **settings), most_lost)
 
     return plug
 
@@ -104,7 +104,7 @@ def test_a_camera_that_dies_before_the_first_frame_is_refused_before_anything_mo
 
 def test_frames_exposed_until_the_end_are_waited_for_but_not_for_ever(plugged):
     sensor = Sensor(held=dict.fromkeys(range(1000), 0.06))
-    camera = plugged(sensor, after=0.06)
+    camera = plugged(sensor, delay=0.06)
     with camera:
         sensor.film()
         camera.start()

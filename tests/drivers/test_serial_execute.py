@@ -16,7 +16,7 @@ from hardware.serial.lab import open_lab
 from hardware.serial.wire import SerialWire
 from stages.execute import execute
 from stages.model.camera import Camera
-from stages.roles import Recording
+from stages.roles import HardwareError, Recording
 
 CAMERA = Camera(64, 48, 50.0, (32.0, 24.0), 100.0)
 LINK = {"baud": 1_000_000, "driving": DRIVING, "most_lost": 0.02}
@@ -95,7 +95,8 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
 
     monkeypatch.setattr(SerialWire, "send", watched)
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
-    execute(motion(), lab.arm, Watch(CAMERA, film, 0.0), before=0.1, after=0.1)
+    with pytest.raises(HardwareError, match="no frame came during the movement"):
+        execute(motion(), lab.arm, Watch(CAMERA, film, 0.0), before=0.1, after=0.1)
     assert told[0] == pytest.approx(sent[0], abs=0.004)  # less than a tick, on a machine that may be busy
 
 
