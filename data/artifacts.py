@@ -123,13 +123,16 @@ FRAMES = Table(
         Column("frame", "1", "number of the frame", "int"),
         Column("t", "s", "middle of the exposure, camera clock; 0 is the start of the movement"),
         Column("file", "", "path of the image relative to the folder", "text"),
+        Column("number", "1", "its number on the camera's schedule: what is skipped was dropped", "int", optional=True),
+        Column("late", "s", "by which it was later than the schedule", optional=True),
+        Column("repeats", "1", "how often the camera gave it again, which was left out", "int", optional=True),
     ),
 )
 LINK = Table(
     "link",
     "one row: how the execution went",
     (
-        Column("valid", "", "the trial is within its timing budget", "bool"),
+        Column("valid", "", "arm and camera are within their budgets", "bool"),
         Column("reason", "", "why it is not; empty if it is", "text"),
         Column("ticks", "1", "commands sent", "int"),
         Column("missed", "1", "commands late or lost", "int"),
@@ -139,6 +142,15 @@ LINK = Table(
         Column("trip_p50", "s", "median round trip of the link test", optional=True),
         Column("trip_p99", "s", "99th percentile of the round trips", optional=True),
         Column("trip_max", "s", "longest round trip", optional=True),
+        Column("frames_due", "1", "frames that the camera's schedule has until the end", "int", optional=True),
+        Column("frames_dropped", "1", "of those, the ones that are not there", "int", optional=True),
+        Column("frames_repeated", "1", "frames given again instead of new ones", "int", optional=True),
+        Column("frames_late", "1", "frames later than half a period", "int", optional=True),
+        Column("fps", "1/s", "rate of the schedule", optional=True),
+        Column("frame_jitter_p50", "s", "median lateness of a frame", optional=True),
+        Column("frame_jitter_p99", "s", "99th percentile of lateness", optional=True),
+        Column("frame_jitter_max", "s", "largest lateness", optional=True),
+        Column("remarks", "", "what of the camera could not be made sure of", "text", optional=True),
     ),
 )
 

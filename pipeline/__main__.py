@@ -23,7 +23,7 @@ from rich.markup import escape
 
 from data import store
 from data.schema import DataError
-from pipeline.brought import brought_along, check_bench, extended_model
+from pipeline.brought import brought_along, check_bench, extended_model, measured_camera
 from pipeline.commands import COMMANDS, listed
 from pipeline.keep import forget
 from pipeline.perform import perform
@@ -78,7 +78,9 @@ def with_trials_settings(config: DictConfig) -> Any:
     if config.extended is not None:
         for name, value in extended_model(Path(config.extended)).items():
             OmegaConf.update(whole, name, value, merge=True)
-    if config.trials is not None or config.extended is not None:
+    if config.calibrated is not None:
+        OmegaConf.update(whole, "camera", measured_camera(Path(config.calibrated)), merge=False)
+    if any(folder is not None for folder in (config.trials, config.extended, config.calibrated)):
         for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
             OmegaConf.update(whole, name, OmegaConf.select(config, name))
     return OmegaConf.to_container(whole, resolve=True)

@@ -11,10 +11,11 @@ from data import dataset
 from pipeline.settings import UserError
 
 EXTENDED = "extended.yaml"  # the model that a diagnosis made
+CAMERA = "camera.yaml"  # the camera that a calibration measured
 FROM_DATASETS = {
     "string": ("length",),
     "arm": ("links", "base"),
-    "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion"),
+    "camera": ("fps", "width", "height", "px_per_m", "origin_px", "distortion", "rotation", "tilt", "lens"),
 }
 FROM_TRIALS = (
     "arm",
@@ -42,6 +43,20 @@ def extended_model(folder: Path) -> dict[str, Any]:
         raise UserError(f"extended={folder}: {path} cannot be read ({error}). Name a diagnosis' run folder.") from error
     if not isinstance(made, dict):
         raise UserError(f"extended={folder}: {path} must hold settings. Name a diagnosis' run folder.")
+    return made
+
+
+def measured_camera(folder: Path) -> dict[str, Any]:
+    """The camera that a calibration measured, as settings. folder: the calibration's run, or the file itself."""
+    path = folder / CAMERA if folder.is_dir() else folder
+    try:
+        made = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError) as error:
+        raise UserError(
+            f"calibrated={folder}: {path} cannot be read ({error}). Name the run folder of a good calibration."
+        ) from error
+    if not isinstance(made, dict):
+        raise UserError(f"calibrated={folder}: {path} must hold a camera's settings. Name a calibration's run folder.")
     return made
 
 

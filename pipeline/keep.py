@@ -19,7 +19,7 @@ from typing import Any
 from data import dataset, disk, store
 from data.artifacts import Diagnosis, Points, Trial
 from data.schema import DataError
-from pipeline.brought import EXTENDED
+from pipeline.brought import EXTENDED, FROM_DATASETS
 from pipeline.fresh import Found, look, made_now, performed, place_of
 from pipeline.origin import origin
 from pipeline.run import Iteration, Result, in_numbers
@@ -146,7 +146,7 @@ def forget(folder: Path) -> None:
 def publish(world: World, made_of: Mapping[str, str], to: Path, iterations: list[Iteration]) -> None:
     """Write the trials of a run as a dataset to a folder. made_of: `trial_hashes`."""
     trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
-    camera = {k: world.config["camera"][k] for k in ("fps", "width", "height", "px_per_m", "origin_px", "distortion")}
+    camera = {k: v for k, v in world.config["camera"].items() if k in FROM_DATASETS["camera"]}
     about = {
         "name": world.config["name"],
         "string": {"length": world.string.length},

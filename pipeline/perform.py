@@ -7,8 +7,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from pipeline import keep, report
+from pipeline import calibrate, keep, report
 from pipeline.run import Result, work
+from pipeline.settings import UserError
 from pipeline.show import bars, summary
 from pipeline.study import command as study
 from pipeline.world import World
@@ -21,6 +22,8 @@ def perform(here: World, folder: Path, console: Console) -> Result:
         with keep.failing(folder):
             if here.config["steps"] == ["study"]:
                 return blind_study(here, folder, console)
+            if here.config["steps"] == ["calibrate"]:
+                return calibration(here, folder, console)
             return cast_or_look_again(here, folder, console)
 
 
@@ -33,6 +36,25 @@ def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
         keep.end(result)
     console.print(summary(result))
     return result
+
+
+def calibration(here: World, folder: Path, console: Console) -> Result:
+    """The camera on the terminal and as camera.yaml in the folder, with the page; raises UserError for a bad one."""
+    looked = calibrate.taken(here, lambda words: asked(words, console))
+    with bars(console) as bar, bar("calibrate") as progress:
+        made = calibrate.run(here, folder, looked, progress)
+    calibrate.refuse(made, folder)
+    console.print(calibrate.summary(made, folder), soft_wrap=True)
+    return Result(folder, (), calibrate.sentence(made))
+
+
+def asked(words: str, console: Console) -> None:
+    """Tell a person what to do before a live camera, and wait until it can film."""
+    try:
+        console.input(f"{escape(words)} Press Enter. ")
+    except EOFError as error:
+        raise UserError("a calibration from a device needs a person at the terminal. Use images or a video.") from error
+    console.print("Filming, for as many seconds as the settings say ...")
 
 
 def blind_study(here: World, folder: Path, console: Console) -> Result:

@@ -79,8 +79,15 @@ def _check_names(given: Mapping[str, Any], wanted: Mapping[str, Any], place: str
             raise UserError(f"{place}.{name} ({where}): the setting is missing. Give it a value.")
 
 
+def chosen(block: Mapping[str, Any], place: str, where: str) -> Any:
+    """The object of a class that a block names, one of several that fill the same role."""
+    return build(get_object(block["_target_"]), {k: v for k, v in block.items() if k != "_target_"}, place, where)
+
+
 def _checked(kind: Any, value: Any, place: str, where: str) -> Any:
     """`value` as `kind`, or an error that names the field, the file and the remedy."""
+    if isinstance(value, Mapping) and "_target_" in value:
+        value = chosen(value, place, where)
     if is_dataclass(kind) and isinstance(value, Mapping):
         _check_names(value, {f.name: None for f in fields(kind) if f.name in value or _has_no_default(f)}, place, where)
     try:

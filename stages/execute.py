@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -9,7 +10,7 @@ import pandas as pd
 from pydantic import Field
 
 from data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stages.roles import ArmDevice, CameraDevice
+from stages.roles import ArmDevice, CameraDevice, HardwareError, Recording
 
 
 def execute(
@@ -37,16 +38,28 @@ def filmed(commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: fl
     camera.start()
     performance = arm.perform(commands)
     recording = camera.stop(performance.begun - begin)
+    frames, images = within(recording, begin, end)
+    link = performance.link.assign(**recording.summary)
+    trial = Trial(performance.arm, performance.ticks, frames, link, images)
+    return distrusted(trial, recording.fault) if recording.fault else trial
+
+
+def within(recording: Recording, begin: float, end: float) -> tuple[pd.DataFrame, list[np.ndarray]]:
+    """Frames of a stretch of time [s], as table FRAMES and images; raises HardwareError where there are none."""
     inside = np.flatnonzero((recording.t >= begin - 1e-9) & (recording.t <= end + 1e-9))
-    frames = pd.DataFrame(
-        {
-            "frame": np.arange(len(inside)),
-            "t": recording.t[inside],
-            "file": [f"images/{number:06d}.png" for number in range(len(inside))],
-        }
-    )
-    images = [recording.images[int(i)] for i in inside]
-    return Trial(performance.arm, performance.ticks, frames, performance.link, images)
+    if not len(inside):
+        why = recording.fault or "its clock or delay is wrong"
+        raise HardwareError(f"camera: no frame came during the movement ({why}). Check the device and source.delay.")
+    files = [f"images/{number:06d}.png" for number in range(len(inside))]
+    frames = pd.DataFrame({"frame": np.arange(len(inside)), "t": recording.t[inside], "file": files})
+    counts = {name: column.to_numpy()[inside] for name, column in recording.counts.items()}
+    return frames.assign(**counts), [recording.images[int(i)] for i in inside]
+
+
+def distrusted(trial: Trial, reason: str) -> Trial:
+    """The trial marked, so that no later stage learns from it."""
+    reasons = "; ".join(filter(None, (reason, str(trial.link["reason"].iloc[0]))))
+    return replace(trial, link=trial.link.assign(valid=False, reason=reasons))
 
 
 def padded(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:

@@ -10,7 +10,7 @@ import pandas as pd
 from pydantic import Field
 
 from data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stages.execute import execute, filmed, padded
+from stages.execute import distrusted, execute, filmed, padded
 from stages.roles import ArmDevice, CameraDevice
 
 
@@ -31,7 +31,7 @@ def dry(
         arm.check(commands)
         here = arm.angles()
         trial = filmed(still(commands, here), arm, camera, end=motion.duration + after)
-    return rehearsed(trial, "rehearsal with the arm disabled")
+    return distrusted(trial, "rehearsal with the arm disabled")
 
 
 def slow(
@@ -47,7 +47,7 @@ def slow(
     outcome = motion.outcome.assign(duration=motion.duration / share)
     slower = replace(motion, commands=slowed(motion.commands, share), outcome=outcome)
     trial = execute(slower, arm, camera, before=before, after=after)
-    return rehearsed(trial, f"rehearsal at {share:g} of the speed")
+    return distrusted(trial, f"rehearsal at {share:g} of the speed")
 
 
 def still(commands: pd.DataFrame, angles: np.ndarray) -> pd.DataFrame:
@@ -65,10 +65,3 @@ def slowed(commands: pd.DataFrame, share: float) -> pd.DataFrame:
     w = np.concatenate([np.diff(q, axis=0) / tick, np.zeros((1, q.shape[1]))])
     columns = {"t": t[0] + tick * np.arange(count)}
     return pd.DataFrame(columns | dict(zip(JOINTS, q.T, strict=True)) | dict(zip(SPEEDS, w.T, strict=True)))
-
-
-def rehearsed(trial: Trial, reason: str) -> Trial:
-    """The trial marked, so that no later stage learns from it."""
-    before = str(trial.link["reason"].iloc[0])
-    reasons = "; ".join(filter(None, (reason, before)))
-    return replace(trial, link=trial.link.assign(valid=False, reason=reasons))

@@ -7,10 +7,10 @@ raises it before anything moves wherever it can be known before.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 import pandas as pd
@@ -36,10 +36,17 @@ class Performance:
 @dataclass(frozen=True)
 class Recording:
     """What a camera saw: `t` (F,) mid-exposure times [s] on the camera's clock, 0 at the start of the
-    movement, and `images`, F uint8 arrays (height, width) or (height, width, 3)."""
+    movement, and `images`, F uint8 arrays (height, width).
+
+    A camera that can be late or lose frames says so: `counts` has a row a frame, `summary` is about them all: the
+    optional columns of tables FRAMES and LINK (data.artifacts). fault: why it cannot be trusted; empty if it can.
+    """
 
     t: np.ndarray
     images: Sequence[np.ndarray] = field(repr=False)
+    counts: pd.DataFrame = field(default_factory=pd.DataFrame)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    fault: str = ""
 
 
 class ArmDevice(Protocol):
@@ -74,10 +81,11 @@ class CameraDevice(Protocol):
     ) -> None: ...
 
     def start(self) -> None:
-        """Begin filming."""
+        """Begin filming; raises HardwareError where no frame comes."""
 
     def stop(self, moved_at: float) -> Recording:
-        """End filming. `moved_at`: host time (time.monotonic) of the start of the movement."""
+        """End filming, once the last frames are there. `moved_at`: host time (time.monotonic) of the start of the
+        movement."""
 
 
 @dataclass(frozen=True)

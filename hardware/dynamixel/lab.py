@@ -1,4 +1,4 @@
-"""An arm of Dynamixel servos, watched by a camera that OpenCV can open."""
+"""An arm of Dynamixel servos, watched by a camera."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field
 
 from hardware.arm import Driving, VelocityArm
+from hardware.camera import FilmingCamera, Source
 from hardware.dynamixel.bus import DynamixelBus, Servo
-from hardware.opencv_camera import OpenCvCamera
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.roles import HardwareError, Lab
@@ -26,12 +26,12 @@ def open_lab(
     reply: Annotated[float, Field(gt=0)],
     patience: Annotated[int, Field(ge=1, le=127)],
     driving: Driving,
-    source: int | str,
-    delay: float,
+    source: Source,
+    most_lost: Annotated[float, Field(ge=0, le=1)],
 ) -> Lab:
-    """The servos on `port` and the camera `source`; see `DynamixelBus`, `VelocityArm` and `OpenCvCamera`. Nothing is
+    """The servos on `port` and the camera `source`; see `DynamixelBus`, `VelocityArm` and `FilmingCamera`. Nothing is
     left to chance here: seed and trial play no part."""
     if len(servos) != len(arm.links):
         raise HardwareError(f"hardware.servos names {len(servos)} servos, arm.links has {len(arm.links)}. Match them.")
     bus = DynamixelBus(port, baud, servos, arm.speed, reply, patience)
-    return Lab(VelocityArm(arm, bus, driving), OpenCvCamera(camera, source, delay))
+    return Lab(VelocityArm(arm, bus, driving), FilmingCamera(camera, source, most_lost))

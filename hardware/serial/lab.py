@@ -1,4 +1,4 @@
-"""A real arm over a serial port, watched by a camera that OpenCV can open."""
+"""A real arm over a serial port, watched by a camera."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from hardware.arm import Driving, VelocityArm
-from hardware.opencv_camera import OpenCvCamera
+from hardware.camera import FilmingCamera, Source
 from hardware.serial.wire import SerialWire
 from stages.model.arm import Arm
 from stages.model.camera import Camera
@@ -23,9 +23,9 @@ def open_lab(
     port: str,
     baud: Annotated[int, Field(gt=0)],
     driving: Driving,
-    source: int | str,
-    delay: float,
+    source: Source,
+    most_lost: Annotated[float, Field(ge=0, le=1)],
 ) -> Lab:
-    """The arm on `port` and the camera `source`; see `VelocityArm` and `OpenCvCamera`. Nothing is left to chance
-    here: seed and trial play no part."""
-    return Lab(VelocityArm(arm, SerialWire(port, baud), driving), OpenCvCamera(camera, source, delay))
+    """The arm on `port` and the camera `source`; see `VelocityArm` and `FilmingCamera`. Nothing is left to
+    chance here: seed and trial play no part."""
+    return Lab(VelocityArm(arm, SerialWire(port, baud), driving), FilmingCamera(camera, source, most_lost))

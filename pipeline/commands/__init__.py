@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from pipeline.commands import check, diff, draw, index, lineage, resume, verify, why
+from pipeline.commands import board, check, diff, draw, index, lineage, resume, verify, why
 
 COMMANDS: dict[str, ModuleType] = {
     "check": check,
+    "board": board,
     "draw": draw,
     "resume": resume,
     "index": index,

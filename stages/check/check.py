@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from data.schema import DataError
-from stages.check import clocks, contents, mistakes, motion
+from stages.check import clocks, contents, frames, mistakes, motion
 from stages.check.finding import Finding, Severity
 from stages.check.measured import Measured
 
@@ -33,6 +33,7 @@ CHECKS: tuple[Check, ...] = (
     motion.still,
     contents.rows,
     clocks.gaps,
+    frames.dropped,
 )
 
 

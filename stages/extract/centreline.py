@@ -36,11 +36,6 @@ class Line:
     points: np.ndarray
     sigma: np.ndarray
 
-    @property
-    def depth(self) -> np.ndarray:
-        """(K,) length along the line from its start [px]."""
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
-
 
 def trace(
     difference: np.ndarray, mask: np.ndarray, limb: np.ndarray, grasp: np.ndarray, start_radius: float

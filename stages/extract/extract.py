@@ -106,19 +106,20 @@ def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, fl
 
 def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorter: float, longer: float) -> Reading:
     """Points at equal arc lengths; refuses a line that is not as long as the string."""
-    depth = line.depth
-    length = float(depth[-1] / camera.px_per_m)
+    world = camera.world(line.points)
+    depth = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(world, axis=0), axis=1))])
+    length = float(depth[-1])
     if not s[-1] * (1 - shorter) <= length <= s[-1] * (1 + longer):
         raise UnreadableError(f"the line is {'shorter' if length < s[-1] else 'longer'} than the string")
     end = line.points[-1]
     if not (1 <= end[0] <= camera.width - 2 and 1 <= end[1] <= camera.height - 2):
         raise UnreadableError("the string leaves the picture")
     wanted = depth[-1] * s / s[-1]
-    at = np.stack([np.interp(wanted, depth, line.points[:, i]) for i in (0, 1)], axis=-1)
+    at = np.stack([np.interp(wanted, depth, world[:, i]) for i in (0, 1)], axis=-1)
     good, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
     assert good
     sigma = np.interp(wanted, depth, line.sigma) / camera.px_per_m
-    return Reading(camera.world(at), sigma, png.tobytes(), length)
+    return Reading(at, sigma, png.tobytes(), length)
 
 
 def _tables(t: np.ndarray, readings: list[Reading | str], s: np.ndarray) -> Points:

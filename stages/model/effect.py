@@ -183,7 +183,12 @@ class ClockEffect(Effect):
 
 
 class CameraEffect(Effect):
-    """An effect between where points are and where the camera reports them. Subclasses are final."""
+    """An effect between where points are and where the camera reports them. Subclasses are final.
+
+    of_lens: a calibrated lens leaves nothing of it, so that a diagnosis does not look for it.
+    """
+
+    of_lens: ClassVar[bool] = False
 
     @staticmethod
     @abstractmethod

@@ -1,6 +1,5 @@
 """The execute stage on the real driver and the OpenCV camera: an emulated arm, and a film played to it."""
 
-import threading
 import time
 from types import SimpleNamespace
 
@@ -11,15 +10,16 @@ import pytest
 from rig import ARM, DRIVING, emulator, events, standstill
 
 from data.artifacts import JOINTS, SPEEDS
-from hardware.opencv_camera import OpenCvCamera
+from hardware.camera import FilmingCamera, VideoFile
+from hardware.camera.played import Played
 from hardware.serial.lab import open_lab
 from hardware.serial.wire import SerialWire
 from stages.execute import execute
 from stages.model.camera import Camera
-from stages.roles import HardwareError
+from stages.roles import HardwareError, Recording
 
 CAMERA = Camera(64, 48, 50.0, (32.0, 24.0), 100.0)
-LINK = {"baud": 1_000_000, "driving": DRIVING, "delay": 0.0}
+LINK = {"baud": 1_000_000, "driving": DRIVING, "most_lost": 0.02}
 
 
 @pytest.fixture
@@ -30,13 +30,20 @@ def port(tmp_path):
 
 @pytest.fixture
 def film(tmp_path):
-    """Eight seconds at 100 frames a second, each as bright as its number says."""
+    """Eight seconds at 100 frames a second, each with its number in bits."""
     path = tmp_path / "film.avi"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
     for number in range(800):
-        video.write(np.full((48, 64, 3), 20 + number // 4, np.uint8))
+        bits = np.array([number >> bit & 1 for bit in range(12)], np.uint8).reshape(3, 4) * 200
+        video.write(np.kron(bits, np.ones((16, 16), np.uint8))[..., None].repeat(3, axis=2))
     video.release()
-    return str(path)
+    return VideoFile(path, every=1)
+
+
+def number_in(image):
+    """The number that a frame of `film` has in bits."""
+    cells = image.reshape(3, 16, 4, 16).mean(axis=(1, 3)).ravel() > 100
+    return int((cells * 2 ** np.arange(12)).sum())
 
 
 def motion(duration=0.3):
@@ -58,9 +65,14 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
     assert trial.ticks["t_due"].iloc[20] == pytest.approx(0.0, abs=1e-9)
     turned = trial.arm.iloc[-1][list(JOINTS)] - trial.arm.iloc[0][list(JOINTS)]
     np.testing.assert_allclose(turned, [0.5, -0.4, 0.6], atol=0.03)
+    shown = np.array([number_in(image) for image in trial.images])
+    np.testing.assert_array_equal(shown - shown[0], trial.frames["number"] - trial.frames["number"].iloc[0])
+    np.testing.assert_allclose(np.diff(t), np.diff(shown) * 0.01, atol=1e-9)  # late as frames may come
+    assert trial.link["frames_dropped"].iloc[0] == 0
+    assert trial.link["valid"].iloc[0]
 
 
-def test_the_camera_is_told_when_the_arm_began_to_move(port, monkeypatch):
+def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
     """Not when it was asked to: pings and checks lie between, and differ from cast to cast."""
     sent, told = [], []
     send = SerialWire.send
@@ -70,7 +82,7 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, monkeypatch):
             sent.append(time.monotonic())
         return send(self, speeds)
 
-    class Watch(OpenCvCamera):
+    class Watch(FilmingCamera):
         def __enter__(self):
             return self
 
@@ -79,32 +91,33 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, monkeypatch):
 
         def stop(self, moved_at):
             told.append(moved_at)
-            return SimpleNamespace(t=np.zeros(0), images=[])
+            return Recording(np.zeros(0), [])
 
     monkeypatch.setattr(SerialWire, "send", watched)
-    lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=0, **LINK)
-    execute(motion(), lab.arm, Watch(CAMERA, 0, 0.0), before=0.1, after=0.1)
+    lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
+    with pytest.raises(HardwareError, match="no frame came during the movement"):
+        execute(motion(), lab.arm, Watch(CAMERA, film, 0.0), before=0.1, after=0.1)
     assert told[0] == pytest.approx(sent[0], abs=0.004)  # less than a tick, on a machine that may be busy
 
 
-def test_a_camera_that_fails_on_the_way_leaves_the_arm_at_rest(tmp_path):
-    class Broken(OpenCvCamera):
-        def __enter__(self):
-            return self
+def test_a_camera_that_dies_on_the_way_leaves_the_arm_at_rest_and_an_invalid_trial(tmp_path, film):
+    """The film ends before the movement does, as when a cable is pulled."""
+    images = film.images()[:30]
 
-        def start(self):
-            self.filming.set()
-            self.thread = threading.Thread(target=self._film, daemon=True)
-            self.thread.start()
+    class Short(Played):
+        name = "short film"
 
-        def _film(self):
-            """It dies at once, as a camera whose cable is pulled."""
+        def images(self):
+            return images
 
     log = tmp_path / "events.jsonl"
     with emulator(log) as port:
-        lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=0, **LINK)
-        with pytest.raises(HardwareError, match="no frame came"):
-            execute(motion(), lab.arm, Broken(CAMERA, 0, 0.0), before=0.1, after=0.1)
+        lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=Short(), **LINK)
+        trial = execute(motion(), lab.arm, lab.camera, before=0.1, after=0.1)
         assert standstill(log, "moves") is not None
         assert events(log)[-1]["state"] == "idle"
         assert lab.arm.wire.link is None
+    assert not trial.link["valid"].iloc[0]
+    assert "the camera saw nothing after 0.1" in trial.link["reason"].iloc[0]
+    assert 15 <= len(trial.images) <= 30
+    assert lab.camera.film is None

@@ -1,0 +1,57 @@
+"""What a camera is told, and whether it obeys: exposure, gain, white balance and focus that stay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+import cv2
+from pydantic import AfterValidator
+
+from stages.roles import HardwareError
+
+NEAR = 0.01  # by which a value read back may differ from the one asked
+UNKNOWN = (0.0, -1.0)  # what OpenCV gives for a property that a backend cannot report
+
+
+def _known(controls: Mapping[str, float]) -> Mapping[str, float]:
+    unknown = [name for name in controls if not hasattr(cv2, f"CAP_PROP_{name}")]
+    if unknown:
+        raise ValueError(
+            f"OpenCV has no property CAP_PROP_{unknown[0]}; such are AUTO_EXPOSURE, EXPOSURE, GAIN, AUTO_WB"
+        )
+    return controls
+
+
+Controls = Annotated[Mapping[str, float], AfterValidator(_known)]
+
+
+def obeyed(
+    capture: cv2.VideoCapture, name: str, form: Mapping[str, float], controls: Mapping[str, float]
+) -> tuple[str, ...]:
+    """Set a form (size and rate) and controls, each by OpenCV's name, and read the controls back once all are set.
+
+    Raises HardwareError for a control that is reported as something else. Returns what could not be made sure of.
+    Size and rate are measured instead: drivers report what they were asked.
+    """
+    accepted = {key: capture.set(_property(key), value) for key, value in {**form, **controls}.items()}
+    remarks = (_remark(capture, name, key, asked, accepted[key]) for key, asked in controls.items())
+    return tuple(remark for remark in remarks if remark)
+
+
+def _remark(capture: cv2.VideoCapture, name: str, key: str, asked: float, accepted: bool) -> str:
+    """Empty where the driver reports what was asked, words where it can report nothing."""
+    reported = float(capture.get(_property(key)))
+    if abs(reported - asked) <= NEAR * max(abs(asked), NEAR):
+        return ""
+    if not accepted and reported in UNKNOWN:
+        return f"the driver can neither set nor report {key}"
+    raise HardwareError(
+        f"{name}: source.controls.{key} is {asked:g}, the driver reports {reported:g}. Set it to what the driver "
+        "can do (v4l2-ctl --list-ctrls says what), choose another source.backend, or take it out of source.controls "
+        "if it does not matter."
+    )
+
+
+def _property(key: str) -> int:
+    return int(getattr(cv2, f"CAP_PROP_{key}"))

@@ -1,0 +1,124 @@
+"""A camera that OpenCV can open: set, asked whether it obeyed, and watched for a moment before it is trusted."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from hardware.camera.controls import Controls, obeyed
+from hardware.camera.source import Frame, Source, Stream
+from hardware.camera.warm_up import warmed
+from stages.model.camera import Camera
+from stages.roles import HardwareError
+
+BUFFERED = 8  # frames that a driver may hold from before; V4L2 has 4
+WAITED = 0.001  # [s] that a read takes at least if its frame was not there before
+
+
+@dataclass(frozen=True)
+class Device(Source):
+    """number: of the camera. backend: OpenCV's name of the driver's interface, such as V4L2, DSHOW, AVFOUNDATION; ANY.
+
+    controls: properties by OpenCV's name without CAP_PROP_, in the driver's units, set in this order and read back.
+    seconds: how long stills are taken, one every `interval` [s].
+
+    delay: no driver tells it. V4L2 stamps a frame when the
+    first or the last of it arrives (on this host's clock; uvcvideo: the first); other backends give a time from
+    the start of the stream, or none. Stamps therefore serve for the distances of frames, not for their place:
+    the quickest frame is taken to have come so long after the middle of its exposure. About half the exposure,
+    the readout and the transfer; measure it once, by a calibration motion or a flashing lamp.
+    """
+
+    number: Annotated[int, Field(ge=0)]
+    backend: str
+    delay: Annotated[float, Field(ge=0, le=1)]
+    controls: Controls
+    seconds: Annotated[float, Field(gt=0)]
+    interval: Annotated[float, Field(gt=0)]
+
+    @property
+    def name(self) -> str:
+        """With its number."""
+        return f"camera {self.number}"
+
+    def open(self, camera: Camera) -> Stream:
+        """Set everything, and see that it obeys and gives what it should; nothing of that is left to the first cast."""
+        capture = self._capture()
+        try:
+            remarks = obeyed(capture, self.name, format_of(camera), self.controls)
+            stream = DeviceStream(capture, self.name)
+            stream.remarks = (*remarks, *warmed(stream, self.name, camera))
+        except BaseException:
+            capture.release()
+            raise
+        return stream
+
+    def stills(self, camera: Camera, ready: Callable[[], object]) -> Iterator[np.ndarray]:
+        """One every `interval`, for `seconds`, once a person is ready."""
+        stream = self.open(camera)
+        try:
+            ready()
+            stream.begin()
+            yield from self._spaced(stream)
+        finally:
+            stream.close()
+
+    def _spaced(self, stream: Stream) -> Iterator[np.ndarray]:
+        begun, taken = time.monotonic(), 0
+        while (frame := stream.read()) is not None and frame.arrived < begun + self.seconds:
+            if frame.arrived >= begun + taken * self.interval:
+                taken += 1
+                yield frame.image
+
+    def _capture(self) -> cv2.VideoCapture:
+        interface = getattr(cv2, f"CAP_{self.backend}", None)
+        if interface is None:
+            raise HardwareError(
+                f"{self.name}: OpenCV has no backend '{self.backend}'. Set source.backend to ANY, V4L2, DSHOW, MSMF or "
+                "AVFOUNDATION."
+            )
+        capture = cv2.VideoCapture(self.number, interface)
+        if not capture.isOpened():
+            raise HardwareError(
+                f"{self.name}: it cannot be opened. Check source.number, the cable, and that no other program uses it."
+            )
+        return capture
+
+
+def format_of(camera: Camera) -> Mapping[str, float]:
+    """What the device is asked for."""
+    return {"FRAME_WIDTH": camera.width, "FRAME_HEIGHT": camera.height, "FPS": camera.fps}
+
+
+class DeviceStream(Stream):
+    """A device that is open."""
+
+    def __init__(self, capture: cv2.VideoCapture, name: str) -> None:
+        """capture: set already. name: for messages."""
+        self.capture, self.name = capture, name
+
+    def begin(self) -> None:
+        """Let go of what the driver held: a frame that waited comes at once, one that is exposed now does not."""
+        for _ in range(BUFFERED):
+            begun = time.monotonic()
+            if self.read() is None or time.monotonic() - begun > WAITED:
+                return
+
+    def read(self) -> Frame | None:
+        """The next frame, each in memory of its own."""
+        good, image = self.capture.read()
+        arrived = time.monotonic()
+        if not good:
+            return None
+        stamp = self.capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        return Frame(arrived, stamp if stamp > 0 else float("nan"), image)
+
+    def close(self) -> None:
+        """Release the device."""
+        self.capture.release()

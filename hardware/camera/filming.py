@@ -1,0 +1,144 @@
+"""Filming in the background: one thread takes frames from the driver at once, another makes them grey."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+
+from data.schema import DataError
+from hardware.camera.record import Film, recording
+from hardware.camera.source import Frame, Source, Stream
+from stages.model.camera import Camera
+from stages.roles import HardwareError, Recording
+
+ROOM = 64  # frames that wait to be made grey; then one is lost, and counted, rather than all memory
+FIRST = 5.0  # [s] in which the first frame must come
+TAIL = 0.5  # [s] beyond the delay for which the last frames are waited for
+
+
+@dataclass
+class FilmingCamera:
+    """Fills `stages.roles.CameraDevice` with any source.
+
+    most_lost: share of frames dropped or repeated above which a trial is invalid.
+    """
+
+    camera: Camera
+    source: Source
+    most_lost: float
+    stream: Stream | None = None
+    film: Filming | None = None
+
+    def __enter__(self) -> Self:
+        """Open the source and see that it gives what the settings promise."""
+        self.stream = self.source.open(self.camera)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End filming and let go of the source."""
+        hangs = self.film is not None and not self.film.ended
+        if self.stream is not None and not hangs:  # to let go of a device that is being read can end the program
+            self.stream.close()
+        self.film = self.stream = None
+
+    def start(self) -> None:
+        """Film until `stop`; the first frame is there when this returns."""
+        assert self.stream is not None
+        self.film = Filming(self.stream)
+        if not self.film.wait_for(-np.inf, FIRST):
+            raise HardwareError(f"{self.source.name}: no frame came in {FIRST:g} s. Check the device and its cable.")
+
+    def stop(self, moved_at: float) -> Recording:
+        """The frames, timed from the start of the movement, with those that were exposed until now."""
+        assert self.film is not None
+        assert self.stream is not None
+        until = time.monotonic()
+        self.film.wait_for(until + self.source.delay, self.source.delay + TAIL)
+        frames, died, overrun = self.film.end(), self.film.died, self.film.overrun
+        if not frames:
+            raise HardwareError(f"{self.source.name}: no frame came during the movement. Check the device.")
+        remarks = (*self.stream.remarks, *([f"the host was too slow for {overrun} frame(s)"] if overrun else []))
+        film = Film(frames, until - moved_at, died, remarks)
+        return recording(film, moved_at, self.source.delay, 1 / self.camera.fps, self.most_lost)
+
+
+class Filming:
+    """One film in the making. died: why no more frames come; empty if they do. overrun: frames for which there was no
+    room."""
+
+    def __init__(self, stream: Stream) -> None:
+        """It begins at once."""
+        self.stream = stream
+        self.died, self.overrun = "", 0
+        self.frames: list[Frame] = []
+        self.more = threading.Event()
+        self.more.set()
+        self.waiting: queue.Queue[Frame | None] = queue.Queue(ROOM)
+        self.came = threading.Condition()
+        self.threads = [threading.Thread(target=work, daemon=True) for work in (self._take, self._keep)]
+        for thread in self.threads:
+            thread.start()
+
+    def wait_for(self, arrival: float, most: float) -> bool:
+        """Whether a frame has come that arrived at `arrival` (time.monotonic) or later, after waiting `most` [s]."""
+        with self.came:
+            self.came.wait_for(lambda: self.died or (self.frames and self.frames[-1].arrived >= arrival), most)
+            return bool(self.frames) and self.frames[-1].arrived >= arrival
+
+    @property
+    def ended(self) -> bool:
+        """Whether nobody reads any more, after asking for it."""
+        self.end()
+        return not any(thread.is_alive() for thread in self.threads)
+
+    def end(self) -> list[Frame]:
+        """Film no more; what there is."""
+        self.more.clear()
+        for thread in self.threads:
+            thread.join(timeout=2.0)
+        with self.came:
+            return list(self.frames)
+
+    def _take(self) -> None:
+        """Take frames from the driver as they come, and nothing else: a frame that must wait there may be lost."""
+        try:
+            self.stream.begin()
+            while self.more.is_set():
+                frame = self.stream.read()
+                if frame is None:
+                    self.died = "it gives no more frames"
+                    break
+                self._hand_over(frame)
+        except (cv2.error, OSError, DataError, HardwareError) as error:
+            self.died = str(error)
+        self.waiting.put(None)
+
+    def _hand_over(self, frame: Frame) -> None:
+        try:
+            self.waiting.put_nowait(frame)
+        except queue.Full:
+            self.overrun += 1
+
+    def _keep(self) -> None:
+        """Make frames grey and keep them, until there are no more."""
+        while (frame := self.waiting.get()) is not None:
+            kept = replace(frame, image=grey(frame.image))
+            with self.came:
+                self.frames.append(kept)
+                self.came.notify_all()
+        with self.came:
+            self.came.notify_all()
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """(height, width) uint8 of an image as it came."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

@@ -1,0 +1,66 @@
+"""Files that stand in for a camera: they are played at its rate."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from data.schema import DataError
+from hardware.camera.source import Frame, Source, Stream
+from stages.model.camera import Camera
+from stages.roles import HardwareError
+
+
+class Played(Source):
+    """A source made of images that are there already."""
+
+    delay = 0.0  # they come when they are due
+
+    @abstractmethod
+    def images(self) -> Sequence[np.ndarray]:
+        """All of them, in order; raises DataError where there are none."""
+
+    def open(self, camera: Camera) -> Stream:
+        """Play them, one every 1/fps."""
+        try:
+            images = self.images()
+            rows, columns = images[0].shape[:2]
+        except DataError as error:
+            raise HardwareError(f"{self.name}: {error}") from error
+        if (columns, rows) != (camera.width, camera.height):
+            raise HardwareError(
+                f"{self.name}: images are {columns}x{rows}. Set camera.width and camera.height to that."
+            )
+        return Playing(images, camera.fps)
+
+    def stills(self, camera: Camera, ready: Callable[[], object]) -> Iterator[np.ndarray]:
+        """Every image; nobody has to wait."""
+        yield from self.images()
+
+
+class Playing(Stream):
+    """Images played; the source's clock is that of the film."""
+
+    def __init__(self, images: Sequence[np.ndarray], fps: float) -> None:
+        """From the first one."""
+        self.images, self.fps = images, fps
+        self.begin()
+
+    def begin(self) -> None:
+        """From the first one, now."""
+        self.number, self.begun = 0, time.monotonic()
+
+    def read(self) -> Frame | None:
+        """The next one, at its time."""
+        if self.number == len(self.images):
+            return None
+        image, stamp = self.images[self.number], self.number / self.fps
+        self.number += 1
+        time.sleep(max(self.begun + stamp - time.monotonic(), 0.0))
+        return Frame(time.monotonic(), stamp, image)
+
+    def close(self) -> None:
+        """Nothing to let go."""

@@ -1,0 +1,118 @@
+"""From what was taken to a recording: when each frame was exposed, what was lost, and whether it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from hardware.camera.schedule import Schedule, fitted
+from hardware.camera.source import Frame
+from stages.roles import Recording
+
+DRAWN = 0.75  # share of equal neighbours at rest from which images are drawn or compressed: then equality says nothing
+LATE = 0.5  # periods after its moment at which a frame counts as late
+
+
+@dataclass(frozen=True)
+class Film:
+    """frames: grey, in the order of arrival. until: when filming could end, in the movement's time [s]. died: why it
+    ended before; empty if it did not. remarks: what could not be made sure of."""
+
+    frames: Sequence[Frame]
+    until: float
+    died: str
+    remarks: tuple[str, ...]
+
+
+def recording(film: Film, moved_at: float, delay: float, period: float, most_lost: float) -> Recording:
+    """A film in the movement's time.
+
+    moved_at: host time of the movement's start [s]. delay: from mid-exposure to the quickest arrival [s]. period: of
+    the frames, about [s]. most_lost: share dropped or repeated above which the film cannot be trusted.
+    """
+    arrived = np.array([frame.arrived for frame in film.frames]) - moved_at - delay
+    images = [frame.image for frame in film.frames]
+    again = repeated(images, int((arrived < 0).sum()))
+    own = np.flatnonzero(~again)
+    stamps = np.array([frame.stamp for frame in film.frames])
+    t, schedule = exposed(arrived[own], stamps[own], period)
+    counts = pd.DataFrame({"number": schedule.numbers, "late": schedule.late, "repeats": _runs(own, len(again))})
+    summary = _summary(schedule, film, int(again.sum()))
+    summary["remarks"] = "; ".join(film.remarks)
+    early = film.died if t[-1] < film.until - 2 * period else ""
+    fault = _cut(t, early) or _lost(summary, most_lost)
+    return Recording(t, [images[i] for i in own], counts, summary, fault)
+
+
+def repeated(images: Sequence[np.ndarray], resting: int) -> np.ndarray:
+    """(F,) bool: the image is the one before, to the bit, which no sensor's noise allows.
+
+    resting: how many come before the movement. Where nearly all of those are equal there is no noise to judge by.
+    """
+    again = np.array([False, *(np.array_equal(a, b) for a, b in pairwise(images))])
+    still = again[1:resting]
+    drawn = still.size > 0 and still.mean() > DRAWN
+    return np.zeros_like(again) if drawn else again
+
+
+def exposed(arrived: np.ndarray, stamps: np.ndarray, period: float) -> tuple[np.ndarray, Schedule]:
+    """When each frame was exposed, (F,) [s], and the schedule behind it.
+
+    arrived: (F,), taken back by the delay. A source's own stamps are times of exposure but for a constant, which the
+    quickest arrival fixes. Arrivals are late by chance, exposures are not: without stamps they are on schedule.
+    """
+    if len(arrived) < 3:
+        return arrived, Schedule(period, np.arange(len(arrived)), arrived, np.zeros(len(arrived)))
+    if _clock(stamps, arrived, period):
+        t = stamps + (arrived - stamps).min()
+        return t, fitted(t, period)
+    schedule = fitted(arrived, period)
+    return schedule.due, schedule
+
+
+def _clock(stamps: np.ndarray, arrived: np.ndarray, period: float) -> bool:
+    """Whether stamps are a clock's, and not the number of the frame times a nominal period, or nothing."""
+    if not np.isfinite(stamps).all() or (np.diff(stamps) <= 0).any():
+        return False
+    late = arrived - stamps
+    return bool(np.abs(np.median(late[: len(late) // 2]) - np.median(late[len(late) // 2 :])) < period)
+
+
+def _runs(own: np.ndarray, count: int) -> np.ndarray:
+    """How often each own image came again, (len(own),). own: places among `count` frames."""
+    return np.diff(np.append(own, count)) - 1
+
+
+def _summary(schedule: Schedule, film: Film, repeats: int) -> dict[str, float | int | str]:
+    """Optional columns of table LINK: frames due until filming could end, what became of them, and how late."""
+    numbers, until = schedule.numbers, film.until
+    due = max(schedule.number(until), int(numbers[-1])) + 1
+    p50, p99, most = map(float, np.percentile(schedule.late, [50, 99, 100]))
+    return {
+        "frames_due": due,
+        "frames_dropped": due - len(numbers),
+        "frames_repeated": repeats,
+        "frames_late": int((schedule.late > LATE * schedule.period).sum()),
+        "fps": 1 / schedule.period,
+        "frame_jitter_p50": p50,
+        "frame_jitter_p99": p99,
+        "frame_jitter_max": most,
+    }
+
+
+def _cut(t: np.ndarray, died: str) -> str:
+    """In words, a film that ended too early."""
+    return f"the camera saw nothing after {t[-1]:.3f} s: {died}" if died else ""
+
+
+def _lost(summary: dict[str, float | int | str], most_lost: float) -> str:
+    """In words, too many frames lost; empty if they are not. A repeated frame left its place on the schedule empty."""
+    share = int(summary["frames_dropped"]) / int(summary["frames_due"])
+    if share <= most_lost:
+        return ""
+    again = f" ({summary['frames_repeated']} came twice instead)" if summary["frames_repeated"] else ""
+    return f"{share:.1%} of the frames were dropped{again}, allowed are {most_lost:.1%}"

@@ -1,0 +1,66 @@
+"""The schedule behind the times of frames: which frame of a steady camera each one is, and how late it came.
+
+A camera exposes at a steady rate; what is noted of it is late, now a little, now a lot, never early, and some frames
+are missing. The rate at which the times are most in step (the highest peak of their periodogram, Bartlett 1963) is
+found whatever the lateness of single frames, and however many are missing. The quickest frames then show the moments;
+a frame belongs to the last one before it, and no two to the same: of two, the earlier was late.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+RANGE = 0.05  # by which the true period may differ from the expected one
+QUICK = 10  # percentile of the lateness that counts as in time
+EARLY = 0.25  # periods by which a frame may come before the quickest ones show that it is due
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """period [s]. numbers: (F,) int, from 0. due: (F,) times of the quickest frames [s]. late: (F,) [s]."""
+
+    period: float
+    numbers: np.ndarray
+    due: np.ndarray
+    late: np.ndarray
+
+    def number(self, t: float) -> int:
+        """Number of the last frame due at a time [s]."""
+        return int(np.floor((t - self.due[0]) / self.period + 1e-6)) + int(self.numbers[0])
+
+
+def fitted(t: np.ndarray, period: float) -> Schedule:
+    """The schedule of frames noted at times t (F,) [s], sorted, with about this period [s]."""
+    turns = _in_step(t - t[0], period)
+    late = turns - np.rint(turns)
+    numbers = _one_each(np.floor(turns - np.percentile(late, QUICK) + EARLY).astype(int))
+    numbers -= numbers[0]
+    slope = _slope(numbers, t) if numbers[-1] > 1 else period
+    late = t - slope * numbers
+    quickest = np.percentile(late, QUICK)
+    return Schedule(slope, numbers, quickest + slope * numbers, late - quickest)
+
+
+def _in_step(t: np.ndarray, period: float) -> np.ndarray:
+    """Times (F,) [s] in turns of the rate near 1 / period with which they are most in step, about whole numbers."""
+    steps = int(np.ceil(16 * RANGE * (t[-1] / period + 1)))  # eight to the width of a peak
+    rates = np.linspace(1 - RANGE, 1 + RANGE, 2 * steps + 1) / period
+    waves = np.array([np.exp(2j * np.pi * rate * t).sum() for rate in rates])
+    best = int(np.argmax(np.abs(waves)))
+    return np.asarray(t * rates[best] - np.angle(waves[best]) / (2 * np.pi))
+
+
+def _one_each(numbers: np.ndarray) -> np.ndarray:
+    """No number twice: of two frames on one moment the earlier was late, and so are those that it pushes."""
+    places = np.arange(len(numbers))
+    return np.minimum.accumulate((numbers - places)[::-1])[::-1] + places
+
+
+def _slope(numbers: np.ndarray, t: np.ndarray) -> float:
+    """Seconds a number, from those in time: twice a line, the second time without the half that is latest."""
+    slope, start = np.polyfit(numbers, t, 1)
+    late = t - slope * numbers - start
+    kept = late <= np.median(late)
+    return float(np.polyfit(numbers[kept], t[kept], 1)[0]) if len(np.unique(numbers[kept])) > 2 else float(slope)

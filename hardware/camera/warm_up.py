@@ -1,0 +1,78 @@
+"""A moment's look at what a device gives, before anything moves by it: size, rate, life and steady brightness."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from hardware.camera.source import Frame, Stream
+from stages.model.camera import Camera
+from stages.roles import HardwareError
+
+LOOK = 0.5  # [s] that it takes
+FEWEST = 10  # frames of it
+PATIENCE = 5.0  # [s] until that many must have come
+RATE = 0.05  # by which frames may come at another rate than they should
+DRIFT = 0.03  # by which a still scene may change in brightness: a lamp's flicker is less over a quarter of the time
+
+
+def warmed(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
+    """Refuse a stream that is not what `camera` says; returns what seems doubtful. name: for messages."""
+    stream.begin()
+    frames = _looked(stream)
+    if len(frames) < FEWEST:
+        raise HardwareError(
+            f"{name}: {len(frames)} frame(s) came in {PATIENCE:g} s. Check the cable and the light, and that no other "
+            "program uses it."
+        )
+    _check_size(frames[0], name, camera)
+    _check_rate(frames, name, camera)
+    if all(np.array_equal(frame.image, frames[0].image) for frame in frames[1:]):
+        raise HardwareError(
+            f"{name}: its images are all the same to the bit, as no sensor's are. Take the lid off the lens, give "
+            "it light, and plug it in anew."
+        )
+    return tuple(_drift(frames))
+
+
+def _looked(stream: Stream) -> Sequence[Frame]:
+    """The frames of a moment."""
+    begun = time.monotonic()
+    frames: list[Frame] = []
+    while time.monotonic() - begun < (LOOK if len(frames) >= FEWEST else PATIENCE):
+        frame = stream.read()
+        if frame is None:
+            break
+        frames.append(frame)
+    return frames
+
+
+def _check_size(frame: Frame, name: str, camera: Camera) -> None:
+    rows, columns = frame.image.shape[:2]
+    if (columns, rows) != (camera.width, camera.height):
+        raise HardwareError(
+            f"{name}: it was asked for {camera.width}x{camera.height} and gives {columns}x{rows}. Set camera.width and "
+            "camera.height to what it can do, and calibrate at that size."
+        )
+
+
+def _check_rate(frames: Sequence[Frame], name: str, camera: Camera) -> None:
+    rate = (len(frames) - 1) / max(frames[-1].arrived - frames[0].arrived, 1e-9)
+    if abs(rate / camera.fps - 1) > RATE:
+        raise HardwareError(
+            f"{name}: {rate:.1f} frames come in a second, camera.fps is {camera.fps:g}. Shorten the exposure, choose a "
+            "quicker format (source.controls.FOURCC) or a smaller size, or set camera.fps to what comes."
+        )
+
+
+def _drift(frames: Sequence[Frame]) -> Sequence[str]:
+    """In words, a brightness that changes."""
+    quarter = len(frames) // 4
+    first, last = (np.mean([frame.image.mean() for frame in part]) for part in (frames[:quarter], frames[-quarter:]))
+    if abs(last - first) <= DRIFT * max(first, last):
+        return ()
+    return (
+        f"brightness changed by {abs(last - first) / max(first, last):.0%} while nothing moved: is exposure locked?",
+    )

@@ -1,0 +1,100 @@
+"""Calibrate: the lens from many tilted views of a board, the plane of motion from one view of it in that plane."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from data.calibration import Calibration
+from data.schema import DataError
+from stages.calibrate.board import Board
+from stages.calibrate.fit import fitted, held_out
+from stages.calibrate.judge import Demands, Evidence, reason
+from stages.calibrate.plane import Place, in_plane
+from stages.calibrate.tables import tables
+from stages.calibrate.views import View, look
+from stages.model.camera import Camera
+
+SOLVABLE = 4  # views below which there is nothing to judge
+FOLDS = 4
+
+
+def calibrate(
+    pictures: Sequence[np.ndarray],
+    flat: Sequence[np.ndarray],
+    board: Board,
+    camera: Camera,
+    *,
+    place: Place,
+    views: Annotated[int, Field(ge=SOLVABLE)],
+    spread: Annotated[float, Field(gt=0)],
+    coverage: Annotated[float, Field(gt=0, le=1)],
+    rms: Annotated[float, Field(gt=0)],
+    astray: Annotated[float, Field(gt=1)],
+    progress: Callable[[float], object] = lambda share: None,
+) -> Calibration:
+    """What `camera` really is; its rate and exposure are kept.
+
+    pictures: of the board tilted in all directions. flat: of the board held in the plane of motion, of which the one
+    with most corners is used. Both uint8 (height, width) or (height, width, 3).
+
+    place: of the board in that plane. views: fewest that must be usable. spread: least angle between two of them
+    [rad]. coverage: least share of the picture where corners were seen. rms: largest reprojection error [px]. astray:
+    times the usual error that no view's may be. What misses one of these is in the artifact, with the reason. Raises
+    DataError where there is too little to work out anything.
+    """
+    seen = _looked(pictures, board, progress)
+    used = [view for view in seen if not view.reason]
+    if len(used) < SOLVABLE:
+        raise DataError(_too_few(seen, used))
+    held = _held(flat, board)
+    size = _size([*seen, held])
+    lens = fitted(used, board, size)
+    alone = held_out(used, board, size, FOLDS)
+    plane = in_plane(held, board, place, lens, replace(camera, width=size[0], height=size[1]))
+    evidence = Evidence(used, lens, alone, held, plane, size)
+    return tables(evidence, seen, reason(evidence, Demands(views, spread, coverage, rms, astray)))
+
+
+def _looked(pictures: Sequence[np.ndarray], board: Board, progress: Callable[[float], object]) -> list[View]:
+    """Every picture, most of whose time goes into finding the markers."""
+    seen = []
+    for number, picture in enumerate(pictures):
+        seen.append(look(number, picture, board))
+        progress(0.9 * (number + 1) / len(pictures))
+    return seen
+
+
+def _held(flat: Sequence[np.ndarray], board: Board) -> View:
+    """The view in the plane of motion."""
+    seen = [look(number, picture, board) for number, picture in enumerate(flat)]
+    if not seen:
+        raise DataError("the board in the plane of motion: there is no picture of it. Take one.")
+    best = max(seen, key=lambda view: len(view.corners))
+    if best.reason:
+        raise DataError(f"the board in the plane of motion: {best.reason}. Hold it in view, lit and still.")
+    return best
+
+
+def _size(views: Sequence[View]) -> tuple[int, int]:
+    """Width and height of all pictures [px]."""
+    sizes = sorted({view.image.shape[::-1] for view in views})
+    if len(sizes) > 1:
+        several = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
+        raise DataError(f"pictures are {several} px. Take all with the camera set as for the experiment.")
+    return (int(sizes[0][0]), int(sizes[0][1]))
+
+
+def _too_few(seen: Sequence[View], used: Sequence[View]) -> str:
+    """In words, with the reason that most pictures give."""
+    reasons = Counter(view.reason for view in seen if view.reason)
+    why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
+    return (
+        f"the board can be read in {len(used)} of {len(seen)} pictures{why}. Take ten and more of the board in the "
+        "settings (board=...), sharp, lit evenly, tilted in all directions and all over the picture."
+    )

@@ -1,0 +1,137 @@
+"""Whether a calibration can be used, and if not, why and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.calibrate.fit import Fitted, rms
+from stages.calibrate.plane import Plane
+from stages.calibrate.views import View
+
+CELLS = 6  # of the picture across and down, in which corners are looked for
+SIDES = ("left", "right", "top", "bottom")
+
+
+@dataclass(frozen=True)
+class Demands:
+    """As the settings of `calibrate`."""
+
+    views: int
+    spread: float
+    coverage: float
+    rms: float
+    astray: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """used: views of the board. lens: of them all; alone: RMS of each with the lens of the others (V,) [px]. held: the
+    view in the plane of motion; plane: what follows. size: of the pictures [px]."""
+
+    used: Sequence[View]
+    lens: Fitted
+    alone: np.ndarray
+    held: View
+    plane: Plane
+    size: tuple[int, int]
+
+    @property
+    def filled(self) -> np.ndarray:
+        """(CELLS, CELLS) bool, rows first: a corner was seen there."""
+        every = np.concatenate([view.pixels for view in self.used])
+        columns, rows = np.clip(every * CELLS // np.array(self.size), 0, CELLS - 1).astype(int).T
+        filled = np.zeros((CELLS, CELLS), bool)
+        filled[rows, columns] = True
+        return filled
+
+    @property
+    def spread(self) -> float:
+        """Largest angle between two views of the board [rad]."""
+        cosines = self.lens.normals @ self.lens.normals.T
+        return float(np.arccos(np.clip(cosines.min(), -1, 1)))
+
+    @property
+    def errors(self) -> np.ndarray:
+        """RMS of each view (V,) [px]."""
+        return np.array([rms(each) for each in self.lens.errors])
+
+    @property
+    def plane_rms(self) -> float:
+        """RMS in the plane of motion [px]."""
+        return rms(self.held.pixels - self.plane.fit)
+
+
+def reason(evidence: Evidence, demands: Demands) -> str:
+    """Why it cannot be used, with the remedy; empty if it can. The first that is wrong explains those after it."""
+    return next(filter(None, (check(evidence, demands) for check in CHECKS)), "")
+
+
+def _few(evidence: Evidence, demands: Demands) -> str:
+    if len(evidence.used) >= demands.views:
+        return ""
+    return f"{len(evidence.used)} views can be used, {demands.views} are needed. Take more."
+
+
+def _one_bad(evidence: Evidence, demands: Demands) -> str:
+    errors = evidence.alone
+    worst, usual = int(np.argmax(errors)), float(np.median(errors))
+    if errors[worst] <= demands.astray * usual or errors[worst] <= demands.rms:
+        return ""
+    return (
+        f"view {evidence.used[worst].number} does not fit the others: {errors[worst]:.2f} px, usual are {usual:.2f}. "
+        "Leave it out, or take it again with board and camera still."
+    )
+
+
+def _parallel(evidence: Evidence, demands: Demands) -> str:
+    if evidence.spread >= demands.spread:
+        return ""
+    there, needed = np.degrees([evidence.spread, demands.spread])
+    return (
+        f"the views differ in tilt by {there:.0f} degrees at most, {needed:.0f} are needed to tell focal length "
+        "from distance. Tilt the board to the left, right, front and back."
+    )
+
+
+def _inaccurate(evidence: Evidence, demands: Demands) -> str:
+    if evidence.lens.rms <= demands.rms:
+        return ""
+    return (
+        f"the reprojection error is {evidence.lens.rms:.2f} px, allowed are {demands.rms:g}. See that the board is the "
+        "one of the settings, flat, sharp and still, and that focus and zoom do not change."
+    )
+
+
+def _uncovered(evidence: Evidence, demands: Demands) -> str:
+    filled = evidence.filled
+    if filled.mean() >= demands.coverage:
+        return ""
+    half = CELLS // 2
+    parts = (filled[:, :half], filled[:, half:], filled[:half], filled[half:])
+    emptiest = SIDES[int(np.argmin([part.mean() for part in parts]))]
+    return (
+        f"corners were seen in {filled.mean():.0%} of the picture, {demands.coverage:.0%} are needed, and fewest in "
+        f"its {emptiest} half: the lens is not known there. Bring the board there too."
+    )
+
+
+def _plane_off(evidence: Evidence, demands: Demands) -> str:
+    if evidence.plane_rms <= demands.rms:
+        return ""
+    return (
+        f"the view in the plane of motion is off by {evidence.plane_rms:.2f} px, allowed are {demands.rms:g}. Hold the "
+        "board flat and still, and leave focus and zoom as they were."
+    )
+
+
+CHECKS: tuple[Callable[[Evidence, Demands], str], ...] = (
+    _few,
+    _parallel,
+    _one_bad,
+    _inaccurate,
+    _uncovered,
+    _plane_off,
+)

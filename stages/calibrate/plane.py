@@ -1,0 +1,86 @@
+"""Where a camera with a known lens sees the plane of motion, from one view of the board held in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from stages.calibrate.board import Board
+from stages.calibrate.fit import Fitted, lens_of, pose, rms, values_of
+from stages.calibrate.views import View
+from stages.model.camera import FACING, Camera
+from stages.model.lens import Lens
+
+NAMES = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the lower left corner of the board's pattern lies in the world [m], and by how much its lower edge is
+    turned from the world's x, counter-clockwise [rad]."""
+
+    corner: tuple[float, float]
+    turn: float
+
+    def world(self, board: np.ndarray) -> np.ndarray:
+        """World points (N, 2) [m] of points on the board (N, 2) [m]."""
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        return board @ np.array([[c, s], [-s, c]]) + np.array(self.corner)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """camera: with lens and plane. sigma: (6,) of NAMES, that of the lens included. fit: (N, 2) corners as the camera
+    has them [px]."""
+
+    camera: Camera
+    sigma: np.ndarray
+    fit: np.ndarray
+
+
+def in_plane(view: View, board: Board, place: Place, lens: Fitted, camera: Camera) -> Plane:
+    """The camera that sees the view's corners where they are. camera: its size, rate and exposure are kept."""
+    world = place.world(board.corners[view.corners])
+    plain = replace(camera, distortion=0.0, lens=lens.lens)
+    start = _start(lens.lens, board, view, place)
+    values, slopes = _fitted(plain, world, view.pixels, start)
+    error = rms(view.pixels - _camera(plain, values).pixels(world))
+    covariance = np.linalg.inv(slopes.T @ slopes) * error**2 / 2 * view.pixels.size / (view.pixels.size - len(values))
+    for step in np.linalg.cholesky(lens.covariance).T:
+        other = replace(plain, lens=lens_of(values_of(lens.lens) + step))
+        change = _fitted(other, world, view.pixels, values)[0] - values
+        covariance += np.outer(change, change)
+    found = _camera(plain, values)
+    return Plane(found, np.sqrt(np.diag(covariance)), found.pixels(world))
+
+
+def _fitted(camera: Camera, world: np.ndarray, pixels: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """NAMES (6,) and the slopes of the pixels by them, (2 N, 6)."""
+    found = least_squares(
+        lambda values: (_camera(camera, values).pixels(world) - pixels).ravel(), start, x_scale="jac", xtol=1e-12
+    )
+    return found.x, found.jac
+
+
+def _camera(camera: Camera, values: np.ndarray) -> Camera:
+    """The camera with these NAMES."""
+    scale, u, v, rotation, tilt_x, tilt_y = map(float, values)
+    return replace(camera, px_per_m=scale, origin_px=(u, v), rotation=rotation, tilt=(tilt_x, tilt_y))
+
+
+def _start(lens: Lens, board: Board, view: View, place: Place) -> np.ndarray:
+    """NAMES (6,) from OpenCV's pose of the board, whose y is down and whose z goes into it."""
+    turn, at = pose(lens, board, view)
+    rotation = cv2.Rodrigues(turn)[0] @ FACING
+    spin = Rotation.from_euler("z", -place.turn).as_matrix()
+    world = rotation @ spin
+    lower_left = at + cv2.Rodrigues(turn)[0] @ np.array([0, board.size[1], 0])
+    origin = lower_left - world @ np.array([*place.corner, 0.0])
+    tilt_x, tilt_y, roll = Rotation.from_matrix(world @ FACING).as_euler("XYZ")
+    depth = world[:, 2] @ origin / world[2, 2]
+    u, v, w = lens.matrix @ origin
+    return np.array([lens.mean_focal / depth, u / w, v / w, -roll, tilt_x, tilt_y])

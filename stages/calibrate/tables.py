@@ -1,0 +1,124 @@
+"""A calibration as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+import cv2
+import numpy as np
+import pandas as pd
+import yaml
+
+from data.calibration import CORNERS, MEASURED, OUTCOME, VIEWS, Calibration
+from stages.calibrate.fit import values_of
+from stages.calibrate.judge import Evidence
+from stages.calibrate.views import View
+from stages.model.camera import Camera
+
+LENS = (
+    ("lens.focal[0]", "px", "focal length across"),
+    ("lens.focal[1]", "px", "focal length down"),
+    ("lens.centre[0]", "px", "principal point, to the right"),
+    ("lens.centre[1]", "px", "principal point, down"),
+    ("lens.distortion[0]", "1", "k1, radial"),
+    ("lens.distortion[1]", "1", "k2, radial"),
+    ("lens.distortion[2]", "1", "p1, tangential"),
+    ("lens.distortion[3]", "1", "p2, tangential"),
+)
+PLANE = (
+    ("px_per_m", "px/m", "scale where the axis meets the plane of motion"),
+    ("origin_px[0]", "px", "the world's origin, to the right"),
+    ("origin_px[1]", "px", "the world's origin, down"),
+    ("rotation", "rad", "by which the world is seen turned, counter-clockwise"),
+    ("tilt[0]", "rad", "of the plane about the camera's x"),
+    ("tilt[1]", "rad", "of the plane about the camera's y"),
+)
+
+
+def tables(evidence: Evidence, seen: Sequence[View], reason: str) -> Calibration:
+    """All of it. seen: every picture of the tilted board, used or not. reason: why it cannot be used, or empty."""
+    return Calibration(
+        VIEWS.check(pd.DataFrame([*_views(evidence, seen), _flat(evidence)])),
+        CORNERS.check(pd.concat(_corners(evidence), ignore_index=True)),
+        MEASURED.check(_measured(evidence)),
+        OUTCOME.check(pd.DataFrame([_outcome(evidence, reason)])),
+    )
+
+
+def _views(evidence: Evidence, seen: Sequence[View]) -> list[dict[str, object]]:
+    lens = evidence.lens
+    tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
+    columns = zip(evidence.used, evidence.errors, evidence.alone, tilts, lens.poses, strict=True)
+    known = {
+        view.number: {"rms": error, "held_out_rms": alone, "tilt": tilt, "distance": float(np.linalg.norm(place))}
+        for view, error, alone, tilt, (_, place) in columns
+    }
+    nothing = dict.fromkeys(("rms", "held_out_rms", "tilt", "distance"), np.nan)
+    return [_view(view, plane=False) | known.get(view.number, nothing) for view in seen]
+
+
+def _flat(evidence: Evidence) -> dict[str, object]:
+    """The row of the view in the plane of motion."""
+    camera = evidence.plane.camera
+    assert camera.lens is not None
+    tilt = float(np.arccos(np.cos(camera.tilt[0]) * np.cos(camera.tilt[1])))
+    distance = camera.lens.mean_focal / camera.px_per_m
+    row = {"rms": evidence.plane_rms, "held_out_rms": np.nan, "tilt": tilt, "distance": distance}
+    return _view(evidence.held, plane=True) | row
+
+
+def _view(view: View, plane: bool) -> dict[str, object]:
+    good, jpeg = cv2.imencode(".jpg", view.image, [cv2.IMWRITE_JPEG_QUALITY, 80])
+    assert good
+    about = {"view": view.number, "plane": plane, "corners": len(view.corners), "reason": view.reason}
+    return about | {"picture": jpeg.tobytes()}
+
+
+def _corners(evidence: Evidence) -> list[pd.DataFrame]:
+    errors = evidence.lens.errors
+    parts = [_seen(view, view.pixels - error, False) for view, error in zip(evidence.used, errors, strict=True)]
+    return [*parts, _seen(evidence.held, evidence.plane.fit, True)]
+
+
+def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
+    seen = dict(zip(("u", "v", "fit_u", "fit_v"), [*view.pixels.T, *fit.T], strict=True))
+    return pd.DataFrame({"view": view.number, "plane": plane, "corner": view.corners} | seen)
+
+
+def _measured(evidence: Evidence) -> pd.DataFrame:
+    camera = evidence.plane.camera
+    assert camera.lens is not None
+    plane = [camera.px_per_m, *camera.origin_px, camera.rotation, *camera.tilt]
+    sigma = [*np.sqrt(np.diag(evidence.lens.covariance)), *evidence.plane.sigma]
+    rows = pd.DataFrame([*LENS, *PLANE], columns=["name", "unit", "meaning"])
+    return rows.assign(value=[*values_of(camera.lens), *plane], sigma=sigma)
+
+
+def _outcome(evidence: Evidence, reason: str) -> dict[str, object]:
+    return {
+        "valid": not reason,
+        "reason": reason,
+        "width": evidence.size[0],
+        "height": evidence.size[1],
+        "rms": evidence.lens.rms,
+        "held_out_rms": float(np.sqrt(np.mean(evidence.alone**2))),
+        "plane_rms": evidence.plane_rms,
+        "coverage": float(evidence.filled.mean()),
+        "spread": evidence.spread,
+        "camera": settings(evidence.plane.camera),
+    }
+
+
+def settings(camera: Camera) -> str:
+    """A camera as its block of settings, YAML."""
+    return yaml.safe_dump(_plain(asdict(camera)), sort_keys=False, default_flow_style=None)
+
+
+def _plain(value: object) -> object:
+    """Without tuples and numpy's numbers, which YAML does not know."""
+    if isinstance(value, dict):
+        return {name: _plain(inside) for name, inside in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inside) for inside in value]
+    return float(f"{value:.10g}") if isinstance(value, float) else value

@@ -1,0 +1,62 @@
+"""What is seen of the board in a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from stages.calibrate.board import Board
+
+FEWEST = 8  # corners that fix a board's place with something to spare
+PRECISE = 1e-3  # [px] of a step towards a corner that is small enough
+ASTRAY = 0.25  # marker sides by which markers may be off a board seen without distortion
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture. number: among those given. corners: (N,) names, and pixels (N, 2) where they are. reason: why it
+    cannot be used; empty if it can."""
+
+    number: int
+    image: np.ndarray = field(repr=False)
+    corners: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    pixels: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    reason: str = ""
+
+
+def look(number: int, image: np.ndarray, board: Board) -> View:
+    """Find the board's corners in a picture, grey or BGR."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    pixels, corners, at, ids = _detector(board).detectBoard(grey)
+    if ids is None or not len(ids):
+        return View(number, grey, reason="no marker of the dictionary is seen")
+    reason = _another(board, np.array(at).reshape(-1, 4, 2), ids.ravel())
+    if reason or corners is None or len(corners) < FEWEST:
+        few = f"{0 if corners is None else len(corners)} corners are seen, {FEWEST} are needed"
+        return View(number, grey, reason=reason or few)
+    return View(number, grey, corners.ravel(), pixels.reshape(-1, 2).astype(float))
+
+
+def _detector(board: Board) -> cv2.aruco.CharucoDetector:
+    """OpenCV's, which by itself stops a tenth of a pixel from the corner."""
+    how = cv2.aruco.DetectorParameters()
+    how.cornerRefinementMinAccuracy = PRECISE
+    return cv2.aruco.CharucoDetector(board.pattern, cv2.aruco.CharucoParameters(), how)
+
+
+def _another(board: Board, at: np.ndarray, ids: np.ndarray) -> str:
+    """Why it must be another board; empty if it need not be. at: corners (M, 4, 2) of the markers seen [px]."""
+    if ids.max() >= board.markers:
+        there = f"the board of the settings has 0 to {board.markers - 1}"
+        return f"marker {ids.max()} is seen, {there}: it is another board"
+    if len(ids) < 3:
+        return ""
+    flat, seen = board.marks[ids].reshape(-1, 2), at.reshape(-1, 2)
+    to_picture, _ = cv2.findHomography(flat, seen)
+    off = cv2.perspectiveTransform(flat[None], to_picture)[0] - seen
+    side = np.median(np.linalg.norm(at[:, 0] - at[:, 1], axis=-1))
+    if np.sqrt(np.mean(off**2)) > ASTRAY * side:
+        return "its markers are not where the board of the settings has them: it is another board"
+    return ""

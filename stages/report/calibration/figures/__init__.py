@@ -1,0 +1,1 @@
+"""Figures of a calibration's page: each file draws one."""

@@ -1,0 +1,68 @@
+"""Pictures of a board by a camera that is known: a pinhole, a lens, light, blur and noise."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from stages.calibrate import Board
+from stages.calibrate.fit import lens_of
+
+BOARD = Board((8, 11), 0.024, 0.012, "DICT_4X4_50")  # conf/board/a4.yaml
+SIZE = (640, 480)
+LENS = lens_of([720.0, 716.0, 331.0, 233.0, -0.22, 0.09, 0.0012, -0.0008])
+FINER = 2  # rendered so much finer than the picture, then averaged
+SQUARE = 48  # pixels of a square of the texture
+
+
+def pose(tilt_x, tilt_y, roll, across, down, distance):
+    """Turn and place of a board [rad], [m]: its middle at (across, down) of the picture, -1 to 1, so far away."""
+    turn = cv2.Rodrigues(np.array([tilt_x, 0, 0]))[0] @ cv2.Rodrigues(np.array([0, tilt_y, 0]))[0]
+    turn = turn @ cv2.Rodrigues(np.array([0, 0, roll]))[0]
+    ray = LENS.rays(np.array([(1 + across) * SIZE[0] / 2, (1 + down) * SIZE[1] / 2]))
+    middle = np.array([*(ray * distance), distance])
+    return turn, middle - turn @ np.array([*BOARD.size / 2, 0])
+
+
+@cache
+def looking(lens):
+    """Directions (rows, columns, 3) of all fine pixels; every eighth is worked out, between them it is smooth."""
+    fine = [(np.arange(side * FINER) + 0.5) / FINER - 0.5 for side in SIZE]
+    coarse = [np.append(every[::8], every[-1]) for every in fine]
+    rays = np.moveaxis(lens.rays(np.stack(np.meshgrid(*coarse), axis=-1)), -1, 0)
+    whole = [RectBivariateSpline(coarse[1], coarse[0], part)(fine[1], fine[0]) for part in rays]
+    return np.stack([*whole, np.ones_like(whole[0])], axis=-1)
+
+
+def picture(turn, place, rng, lens=LENS, board=BOARD, blur=0.6, noise=3.0):
+    """What the camera sees. blur: of the optics [px]; noise: of the sensor [grey levels]."""
+    flat = np.column_stack([turn[:, :2], place])  # from the board (x, y, 1) to directions
+    there = looking(lens) @ np.linalg.inv(flat).T
+    on_board = there[..., :2] / there[..., 2:] / board.square * SQUARE - 0.5
+    texture = cv2.copyMakeBorder(board.drawn(SQUARE), SQUARE, SQUARE, SQUARE, SQUARE, cv2.BORDER_CONSTANT, value=255)
+    maps = (on_board + SQUARE).astype(np.float32)
+    seen = cv2.remap(texture, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=90)
+    seen = cv2.resize(cv2.GaussianBlur(seen, (0, 0), blur * FINER), SIZE, interpolation=cv2.INTER_AREA)
+    lit = 20 + 0.8 * seen.astype(float) * np.linspace(0.8, 1.1, SIZE[0])
+    return np.clip(lit + rng.normal(0, noise, lit.shape), 0, 255).astype(np.uint8)
+
+
+TILTED = [
+    (0.5, 0.0, 0.0, -0.45, -0.3, 0.42),
+    (-0.5, 0.1, 0.1, 0.45, 0.3, 0.42),
+    (0.0, 0.55, -0.1, -0.45, 0.3, 0.42),
+    (0.1, -0.55, 1.5, 0.4, -0.25, 0.45),
+    (0.4, 0.4, 1.6, 0.0, 0.0, 0.5),
+    (-0.4, -0.4, 0.2, -0.35, 0.0, 0.4),
+    (0.35, -0.3, 3.0, 0.4, 0.0, 0.4),
+    (-0.45, 0.3, -1.5, 0.0, -0.35, 0.45),
+    (0.2, 0.6, 0.05, 0.0, 0.35, 0.45),
+    (-0.6, -0.1, 1.55, -0.4, -0.2, 0.5),
+    (0.0, 0.0, 0.0, 0.1, 0.0, 0.32),
+    (0.3, -0.5, -0.2, 0.5, 0.35, 0.42),
+]
+
+
+def tilted(rng, poses=TILTED, **how):
+    return [picture(*pose(*each), rng, **how) for each in poses]

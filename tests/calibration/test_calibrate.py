@@ -1,0 +1,232 @@
+"""Boards rendered by a known camera: it comes back within the stated uncertainty, or the set is refused, with why."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from studio import BOARD, LENS, SIZE, TILTED, picture, pose, tilted
+
+from data.schema import DataError
+from stages.calibrate import Board, calibrate
+from stages.calibrate.fit import FLAGS, fitted, lens_of, projected, values_of
+from stages.calibrate.plane import Place
+from stages.calibrate.views import View, look
+from stages.model.camera import FACING, Camera
+
+NOMINAL = Camera(320, 320, 340.0, (1.0, 1.0), 200.0, exposure=0.001)
+PLACE = Place((0.3, 0.1), 0.2)
+DEMANDS = {"place": PLACE, "views": 10, "spread": 0.5, "coverage": 0.6, "rms": 0.5, "astray": 3.0}
+FLAT = pose(0.03, -0.05, 0.04, 0.0, 0.05, 0.42)
+
+
+def drawn(seed, **how):
+    rng = np.random.default_rng(seed)
+    return tilted(rng, **how), picture(*FLAT, rng, **how)
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return drawn(0)
+
+
+@pytest.fixture(scope="module")
+def clean(pictures):
+    return made(*pictures)
+
+
+def made(pictures, flat, board=BOARD, **changed):
+    return calibrate(pictures, [flat], board, NOMINAL, **DEMANDS | changed)
+
+
+def true_pixels(world):
+    """Where the true lens sees points of the world (N, 2), by way of the board and OpenCV."""
+    turn, place = FLAT
+    c, s = np.cos(PLACE.turn), np.sin(PLACE.turn)
+    board = (world - PLACE.corner) @ np.array([[c, -s], [s, c]])
+    solid = np.column_stack([board[:, 0], BOARD.size[1] - board[:, 1], np.zeros(len(world))])
+    seen, _ = cv2.projectPoints(solid, cv2.Rodrigues(turn)[0], place, LENS.matrix, np.array(LENS.distortion))
+    return seen[:, 0]
+
+
+def test_a_known_camera_comes_back_within_its_uncertainty(clean):
+    found = clean
+    assert found.reason == ""
+    lens = found.measured.iloc[:8]
+    z = (lens["value"] - values_of(LENS)) / lens["sigma"]
+    assert np.abs(z).max() < 3  # measured: 1.5
+    outcome = found.outcome.iloc[0]
+    assert 0.03 < outcome["rms"] < 0.1  # measured: 0.065
+    assert outcome["rms"] < outcome["held_out_rms"] < 1.1 * outcome["rms"]
+    assert lens["sigma"].iloc[0] < 0.5  # px of 720; measured: 0.23
+    assert outcome["spread"] > 1.0
+    assert (outcome["width"], outcome["height"]) == SIZE
+
+
+def test_the_plane_is_where_the_board_was_held(clean):
+    found = clean
+    block = found.camera
+    camera = Camera(**block | {"lens": lens_of([v for part in block["lens"].values() for v in part])})
+    assert (camera.width, camera.height, camera.fps, camera.exposure) == (*SIZE, 200.0, 0.001)
+    world = PLACE.world(np.random.default_rng(0).uniform(0, 1, (200, 2)) * BOARD.size)
+    pixels = true_pixels(world)
+    off = np.linalg.norm(camera.world(pixels) - world, axis=1)
+    assert off.max() < 1e-4  # measured: 0.023 mm; a pixel is 0.6 mm
+    np.testing.assert_allclose(camera.pixels(camera.world(pixels)), pixels, atol=1e-6)
+    truth = {
+        "px_per_m": LENS.mean_focal / _distance(),
+        "rotation": -0.04 - PLACE.turn,
+        "tilt[0]": 0.03,
+        "tilt[1]": -0.05,
+    }
+    rows = found.measured.set_index("name")
+    for name, value in truth.items():  # measured: 1.4, 0.1, 0.8 and 1.1 deviations
+        assert abs(rows.loc[name, "value"] - value) < 3 * rows.loc[name, "sigma"], name
+    assert rows.loc["px_per_m", "sigma"] < 0.5  # of 1710; measured: 0.09
+
+
+def _distance():
+    """From the lens along its axis to the board."""
+    turn, place = FLAT
+    return turn[:, 2] @ place / turn[2, 2]
+
+
+@pytest.mark.parametrize(("blur", "noise"), [(1.4, 3.0), (0.6, 10.0)])
+def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
+    worse = made(*drawn(1, blur=blur, noise=noise))
+    z = (worse.measured["value"].iloc[:8] - values_of(LENS)) / worse.measured["sigma"].iloc[:8]
+    assert np.abs(z).max() < 3.5  # measured: 2.2 and 1.6
+    if noise > 3:
+        assert worse.outcome["rms"].iloc[0] > 1.3 * clean.outcome["rms"].iloc[0]
+
+
+def seen_exactly(rng, sigma, lens=LENS, poses=TILTED):
+    """Views without pictures: all corners, with noise [px]."""
+    views = []
+    for number, each in enumerate(poses):
+        turn, place = pose(*each)
+        view = View(
+            number, np.zeros(SIZE[::-1], np.uint8), np.arange(len(BOARD.points)), np.zeros((len(BOARD.points), 2))
+        )
+        pixels = projected(lens, BOARD, view, cv2.Rodrigues(turn)[0], place)
+        views.append(replace(view, pixels=pixels + rng.normal(0, sigma, pixels.shape)))
+    return views
+
+
+def test_the_uncertainty_is_the_spread_of_repeated_calibrations():
+    rng = np.random.default_rng(3)
+    fits = [fitted(seen_exactly(rng, 0.3), BOARD, SIZE) for _ in range(12)]
+    z = np.array([(values_of(fit.lens) - values_of(LENS)) / np.sqrt(np.diag(fit.covariance)) for fit in fits])
+    assert 0.75 < np.sqrt(np.mean(z**2)) < 1.25  # 96 values; measured: 0.95
+    assert np.abs(z).max() < 4
+
+
+def test_the_covariance_has_the_deviations_that_opencv_gives():
+    views = seen_exactly(np.random.default_rng(4), 0.3)
+    ours = np.sqrt(np.diag(fitted(views, BOARD, SIZE).covariance))
+    solid = [BOARD.points.astype(np.float32)] * len(views)
+    theirs = cv2.calibrateCameraExtended(
+        solid, [view.pixels.astype(np.float32) for view in views], SIZE, None, None, flags=FLAGS
+    )[5].ravel()[:8]
+    np.testing.assert_allclose(ours, theirs, rtol=0.02)
+
+
+# --- refused ----------------------------------------------------------------------------------------------------------
+
+
+def test_views_that_are_parallel_cannot_tell_the_focal_length():
+    rng = np.random.default_rng(5)
+    parallel = [(0.02 * (k % 2), 0.02 * (k % 3), 0.1 * k, 0.4 * (k % 3 - 1), 0.3 * (k % 2), 0.4) for k in range(10)]
+    found = made(tilted(rng, parallel), picture(*FLAT, rng))
+    assert not found.outcome["valid"].iloc[0]
+    assert "are needed to tell focal length from distance. Tilt the board" in found.reason
+
+
+def test_a_half_of_the_picture_that_no_corner_covers_is_named(pictures):
+    rng = np.random.default_rng(6)
+    left = [(x, y, roll, -0.75, down, 0.6) for x, y, roll, _, down, _ in TILTED]
+    found = made(tilted(rng, left), pictures[1])
+    assert "fewest in its right half: the lens is not known there" in found.reason
+
+
+def test_one_view_that_does_not_fit_is_named(pictures):
+    """The board was bent, or shaken while the rows were read: no pinhole sees that."""
+    tilts, flat = pictures
+    across, down = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
+    bent = cv2.remap(tilts[4], across + 3 * np.sin(down / 40, dtype=np.float32), down, cv2.INTER_LINEAR)
+    found = made([*tilts[:4], bent, *tilts[5:]], flat)
+    assert found.reason.startswith("view 4 does not fit the others:")
+    assert "Leave it out" in found.reason
+    assert not found.outcome["valid"].iloc[0]
+
+
+def test_too_few_views_are_refused(pictures):
+    tilts, flat = pictures
+    assert made(tilts[:6], flat, coverage=0.1).reason == "6 views can be used, 10 are needed. Take more."
+    with pytest.raises(
+        DataError, match=r"read in 2 of 4 pictures; of most, no marker of the dictionary is seen\. Take"
+    ):
+        made([*tilts[:2], np.zeros_like(flat), np.zeros_like(flat)], flat)
+    with pytest.raises(DataError, match="board in the plane of motion: no marker"):
+        made(tilts, np.zeros_like(flat))
+
+
+OTHERS = {
+    "fewer squares": Board((7, 10), 0.024, 0.012, "DICT_4X4_50"),
+    "as many squares, turned": Board((11, 8), 0.024, 0.012, "DICT_4X4_50"),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
+    assert "it is another board" in look(0, pictures[0][4], OTHERS[kind]).reason
+    with pytest.raises(DataError, match="it is another board"):
+        made(*pictures, board=OTHERS[kind])
+
+
+def test_pictures_of_two_sizes_are_refused(pictures):
+    with pytest.raises(DataError, match="pictures are 320x240 and 640x480 px"):
+        made(pictures[0], cv2.resize(pictures[1], (320, 240)))
+
+
+def test_a_board_that_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="smaller than the square"):
+        Board((8, 11), 0.02, 0.02, "DICT_5X5_100")
+    with pytest.raises(ValueError, match="has 50 markers, the board needs 60"):
+        Board((10, 12), 0.02, 0.015, "DICT_4X4_50")
+    with pytest.raises(ValueError, match="no dictionary DICT_9X9"):
+        Board((8, 11), 0.02, 0.015, "DICT_9X9")
+
+
+# --- the camera that comes of it --------------------------------------------------------------------------------------
+
+
+def test_a_lens_without_distortion_squarely_before_the_plane_is_the_plain_camera():
+    plain = Camera(*SIZE, 340.0, (251.5, 387.5), 200.0, rotation=0.1)
+    through = replace(plain, lens=lens_of([900, 900, 330, 250, 0, 0, 0, 0]))
+    world = np.random.default_rng(0).uniform(-0.5, 0.8, (3, 7, 2))
+    np.testing.assert_allclose(through.pixels(world), plain.pixels(world), atol=1e-9)
+    np.testing.assert_allclose(through.world(plain.pixels(world)), world, atol=1e-12)
+    turned = plain.world(np.array([[251.5, 387.5], [251.5 + 34 * np.cos(0.1), 387.5 - 34 * np.sin(0.1)]]))
+    np.testing.assert_allclose(turned, [[0, 0], [0.1, 0]], atol=1e-12)
+
+
+def test_a_tilted_plane_is_seen_as_by_a_pinhole():
+    camera = Camera(*SIZE, 500.0, (300.0, 260.0), 200.0, rotation=0.3, tilt=(0.2, -0.1), lens=LENS)
+    world = np.random.default_rng(1).uniform(-0.4, 0.4, (50, 2))
+    x, y, z = (cv2.Rodrigues(np.array(v))[0] for v in ([0.2, 0, 0], [0, -0.1, 0], [0, 0, -0.3]))
+    turn = x @ y @ z @ FACING
+    straight = np.linalg.inv(LENS.matrix) @ [300.0, 260.0, 1.0]
+    origin = straight * (LENS.mean_focal / 500.0) * turn[2, 2] / (turn[:, 2] @ straight)
+    seen, _ = cv2.projectPoints(
+        np.column_stack([world, 0 * world[:, 0]]), turn, origin, LENS.matrix, np.array(LENS.distortion)
+    )
+    np.testing.assert_allclose(camera.pixels(world), seen[:, 0], atol=1e-9)
+    np.testing.assert_allclose(camera.world(seen[:, 0]), world, atol=1e-9)
+
+
+def test_a_camera_that_says_two_things_is_refused():
+    with pytest.raises(ValueError, match=r"set camera\.distortion to 0"):
+        Camera(*SIZE, 340.0, (1.0, 1.0), 200.0, distortion=0.1, lens=LENS)
+    with pytest.raises(ValueError, match=r"needs camera\.lens"):
+        Camera(*SIZE, 340.0, (1.0, 1.0), 200.0, tilt=(0.1, 0.0))

@@ -1,0 +1,90 @@
+"""The experiment from its settings to camera.yaml and the page, and what another experiment makes of it."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from omegaconf import OmegaConf
+from studio import BOARD, SIZE, TILTED, picture, pose, tilted
+
+from data import store
+from data.calibration import Calibration
+from pipeline import calibrate
+from pipeline.brought import measured_camera
+from pipeline.commands import board
+from pipeline.settings import UserError, build, composed
+from pipeline.world import world
+from stages.calibrate.views import look
+from stages.model.camera import Camera
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Pictures of the tilted board, and of the board in the plane of motion."""
+    rng, top = np.random.default_rng(0), tmp_path_factory.mktemp("pictures")
+    for name, pictures in {
+        "tilted": tilted(rng),
+        "flat": [picture(*pose(0.0, 0.0, 0.0, 0.0, 0.05, 0.42), rng)],
+    }.items():
+        (top / name).mkdir()
+        for number, image in enumerate(pictures):
+            cv2.imwrite(str(top / name / f"{number:02d}.png"), image)
+    return top
+
+
+def settled(folders, *more):
+    given = [f"source.folder={folders / 'tilted'}", f"plane.folder={folders / 'flat'}", *more]
+    config = OmegaConf.create(composed(["+experiment=calibrate", "source=images", *given]))
+    return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+
+
+def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):
+    here = settled(folders, "calibrate.place.corner=[0.1,0.2]")
+    asked, shares = [], []
+    looked = calibrate.taken(here, asked.append)
+    made = calibrate.run(here, tmp_path, looked, shares.append)
+    assert asked == []  # nobody need do anything for images
+    assert shares == sorted(shares)
+    calibrate.refuse(made, tmp_path)
+    camera = build(Camera, measured_camera(tmp_path), "camera", "camera.yaml")
+    assert (camera.width, camera.height) == SIZE
+    corner = look(0, looked.flat[0], BOARD)
+    np.testing.assert_allclose(camera.world(corner.pixels), BOARD.corners[corner.corners] + [0.1, 0.2], atol=4e-4)
+    stored = store.load(Calibration, tmp_path / "calibration")
+    assert stored.camera == yaml.safe_load((tmp_path / "camera.yaml").read_text())
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("<img") == len(TILTED) + 3
+    assert "camera.lens.focal[0]" in page
+    assert not re.search(r'(src|href)="http', page)
+
+
+def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
+    here = settled(folders, "calibrate.views=20")
+    made = calibrate.run(here, tmp_path, calibrate.taken(here, print), lambda share: None)
+    with pytest.raises(UserError, match=r"12 views can be used, 20 are needed\. Take more\. See .*report\.html"):
+        calibrate.refuse(made, tmp_path)
+    assert not (tmp_path / "camera.yaml").exists()
+    assert "No <code>camera.yaml</code> was written" in (tmp_path / "report.html").read_text()
+    with pytest.raises(UserError, match=r"camera\.yaml cannot be read .* Name the run folder of a good calibration"):
+        measured_camera(tmp_path)
+
+
+def test_settings_are_refused_by_name(folders):
+    with pytest.raises(UserError, match=r"source\.folder = None"):
+        calibrate.taken(settled(folders, "source.folder=null"), print)
+    with pytest.raises(UserError, match=r"board.*smaller than the square"):
+        calibrate.taken(settled(folders, "board.marker=0.03"), print)
+
+
+def test_the_board_is_drawn_in_its_true_size(tmp_path):
+    assert board.main([str(tmp_path / "board.pdf")]) == 0
+    content = (tmp_path / "board.pdf").read_bytes()
+    box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", content)
+    width, height = (float(side) / 72 * 0.0254 for side in box.groups())
+    assert width == pytest.approx(8 * 0.024 + 0.016, abs=1e-5)
+    assert height < 0.297  # it fits on A4
+    assert (
+        look(0, cv2.copyMakeBorder(BOARD.drawn(40), 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255), BOARD).reason == ""
+    )

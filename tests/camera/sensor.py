@@ -1,0 +1,80 @@
+"""A capture device that films its own clock, and can drop, repeat, delay, die, or do as it likes with settings."""
+
+import time
+
+import cv2
+import numpy as np
+
+
+class Sensor:
+    """Takes the place of cv2.VideoCapture. Frame k is exposed at `begun` + k / fps, whoever looks.
+
+    lost: numbers never delivered. again: numbers in whose place the frame before comes again. held: how late a number
+    is delivered [s]. dies: the first number that does not come. stamps: whether it tells when a frame was exposed.
+    obeys: what becomes of a property that is set. size: (width, height), whatever it is asked. quiet: without noise.
+    """
+
+    def __init__(self, fps=50.0, size=(32, 24), lost=(), again=(), held=None, dies=None, stamps=False, quiet=False):
+        self.fps, self.size, self.lost, self.again = fps, size, set(lost), set(again)
+        self.held, self.dies, self.stamps, self.quiet = held or {}, dies, stamps, quiet
+        self.properties, self.ignored, self.dumb = {}, set(), set()
+        self.rng = np.random.default_rng(0)
+        self.begun, self.next, self.seen, self.released = time.monotonic(), 0, None, False
+        self.counting_from = None  # of the film, as tests number frames
+
+    def isOpened(self):  # noqa: N802
+        return True
+
+    def release(self):
+        self.released = True
+
+    def set(self, key, value):
+        if key in self.dumb:
+            return False
+        self.properties.setdefault(key, 0.0)
+        if key not in self.ignored:
+            self.properties[key] = value
+        return True
+
+    def get(self, key):
+        if key == cv2.CAP_PROP_POS_MSEC:
+            return self.exposed_at(self.last) * 1e3 if self.stamps else 0.0
+        return 0.0 if key in self.dumb else self.properties.get(key, 0.0)
+
+    def film(self):
+        """Numbers in `lost`, `again`, `held` and `dies` count from the next frame on."""
+        self.next = int((time.monotonic() - self.begun) * self.fps) + 1
+        self.counting_from = self.next
+
+    def exposed_at(self, number):
+        return self.begun + number / self.fps
+
+    def read(self):
+        now = int((time.monotonic() - self.begun) * self.fps)
+        self.next = max(self.next, now - 3)  # a driver holds four frames
+        number = self.next
+        of_film = None if self.counting_from is None else number - self.counting_from
+        while of_film in self.lost:
+            number, of_film = number + 1, of_film + 1
+        if self.dies is not None and of_film is not None and of_film >= self.dies:
+            return False, None
+        due = self.exposed_at(number) + self.held.get(of_film, 0.0)
+        time.sleep(max(due - time.monotonic(), 0.0))
+        self.last, self.next = number, number + 1
+        if of_film not in self.again or self.seen is None:
+            self.seen = self.picture(number)
+        return True, self.seen.copy()
+
+    def picture(self, number):
+        """Noise, and in the first eight pixels of two rows the number."""
+        image = np.full((*self.size[::-1], 3), 100, np.uint8)
+        if not self.quiet:
+            image += self.rng.integers(0, 20, image.shape, dtype=np.uint8)
+        for row in (0, 1):
+            image[row, :8] = [[255 * (number >> (8 * row + bit) & 1)] * 3 for bit in range(8)]
+        return image
+
+
+def number_in(image):
+    bits = (image[:2, :8] > 127).astype(int)
+    return int((bits * 2 ** np.arange(16).reshape(2, 8)).sum())
