@@ -97,8 +97,9 @@ def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, fl
     """The arm's joints (K, J + 1, 2) [px] at moments of an exposure, and how far the fastest moves in it [px]."""
     if footage.body is None:
         return np.zeros((0, 0, 2)), 0.0
-    near = camera.pixels(footage.body[max(number - 1, 0) : number + 2])
-    moved = (near[-1] - near[0]) / max(len(near) - 1, 1) * camera.fps * camera.exposure
+    around = slice(max(number - 1, 0), number + 2)
+    near = camera.pixels(footage.body[around])
+    moved = (near[-1] - near[0]) / max(float(np.ptp(footage.t[around])), 1e-9) * camera.exposure
     blur = float(np.linalg.norm(moved, axis=-1).max())
     share = (np.arange(n := int(np.ceil(blur)) + 1) + 0.5) / n - 0.5
     return camera.pixels(footage.body[number]) + share[:, None, None] * moved, blur
