@@ -125,7 +125,6 @@ def _share(some: pd.DataFrame) -> dict[str, object]:
     middle = {name: good[name].median() for name in ("line_px", "line_mm", "tip_px")}
     high = {f"{name}_95": good[name].quantile(0.95) for name in ("line_px", "tip_px")}
     stated = {name: np.sqrt((good[name] ** 2).mean()) for name in ("line_sigmas", "tip_sigmas")}
-    why = some.loc[~some["read"], "reason"].value_counts()
     return {
         "frames": len(some),
         "read": some["read"].mean(),
@@ -134,5 +133,11 @@ def _share(some: pd.DataFrame) -> dict[str, object]:
         **middle,
         **high,
         **stated,
-        "reasons": "; ".join(f"{reason} ({count})" for reason, count in why.items()),
+        "reasons": why(some),
     }
+
+
+def why(some: pd.DataFrame) -> str:
+    """Reasons of refusals and how often. some: with a column `reason`, empty where the frame was read."""
+    counts = some.loc[some["reason"] != "", "reason"].value_counts()
+    return "; ".join(f"{reason} ({count})" for reason, count in counts.items())

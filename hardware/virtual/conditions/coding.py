@@ -22,7 +22,7 @@ class Jpeg(Condition):
     def stored(self, images: Sequence[np.ndarray], fps: float) -> Sequence[np.ndarray]:
         """Each for itself."""
         packed = (cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1] for image in images)
-        return [cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) for content in packed]
+        return [np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)) for content in packed]
 
 
 @dataclass(frozen=True)
