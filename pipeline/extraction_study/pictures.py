@@ -21,7 +21,7 @@ def overview(shares: pd.DataFrame, path: Path) -> None:
         left.barh(rows, refused, left=1 - refused, color=LIGHT["grid"], label="refused")
         left.barh(rows, shares["wrong"], left=shares["read"] - shares["wrong"], color=LIGHT["before"], label="wrong")
         left.set_yticks(rows, shares["condition"] + " " + shares["severity"].astype(str))
-        left.set(xlabel="share of frames", xlim=(0, 1))
+        left.set(xlabel="share of frames", xlim=(0, 1), ylim=(-0.7, len(shares) - 0.3))
         left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         for name, label, colour in (("line_px", "line", "after"), ("tip_px", "tip", "target")):
             right.plot(shares[name], rows, "o", ms=4, color=LIGHT[colour], label=f"{label}, median")
@@ -29,5 +29,5 @@ def overview(shares: pd.DataFrame, path: Path) -> None:
         right.axvline(3, color=LIGHT["wall"], ls="--", lw=1)
         right.set(xlabel="error of what was read / px; beyond the dashed line it is wrong", xscale="log")
         right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
-        figure.savefig(path, dpi=110, facecolor="white")
+        figure.savefig(path, dpi=90, facecolor="white")
         plt.close(figure)
