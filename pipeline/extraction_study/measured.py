@@ -27,8 +27,8 @@ from stages.model.camera import Camera
 PX_PER_M = 2350.0  # of the strips' camera, as assumed by who measured them
 EVERY = 4  # frames
 SETTINGS: Mapping[str, Any] = {"points": 31, "sigmas": 6.0, "arm_width": 0.0, "hidden": 0.006}
-STRIP = {"shorter": 0.15, "longer": 0.15}  # 3 to 5 mm are hidden in the clamp
-CABLE = {"shorter": 0.08, "longer": 0.1}
+STRIP: Mapping[str, Any] = {"shorter": 0.15, "longer": 0.15}  # 3 to 5 mm are hidden in the clamp
+CABLE: Mapping[str, Any] = {"shorter": 0.08, "longer": 0.1}
 MEASURED = Table(
     "measured",
     "a row a film or photograph",

@@ -14,11 +14,9 @@ from stages.extract.centreline import Line, UnreadableError
 from stages.extract.score import rasterise
 
 DIM, BRIGHT = 0.35, 1.8  # of the line's typical light
-GAP, HEAP = 6.0, 9.0  # [px] along the line for which it may be dimmer, or brighter; of a wide string
-WIDTHS = 1.0, 1.5  # ... so many times its width
+GAP, HEAP = 6.0, 9.0  # [px] along the line for which it may be dimmer, or brighter
+WIDTHS = 1.0, 1.5  # ... or so many times its width, if that is more
 BESIDE = 0.06  # of the line's length: what may be beside it
-AROUND = 2  # frames before and after, with which a length is compared
-JUMP = 0.04  # of the length, by which it may be more or less than all of those
 
 
 def check(line: Line, mask: np.ndarray, half: float) -> None:
@@ -49,15 +47,3 @@ def beside(line: Line, mask: np.ndarray, half: float) -> float:
     on = np.bincount(patch[near & (mask > 0)], minlength=patch.max() + 1)
     whole = np.bincount(patch[mask > 0], minlength=patch.max() + 1)
     return float(((whole - on)[on > 0]).sum() / max(on.sum(), 1) * line.depth[-1])
-
-
-def jumps(lengths: np.ndarray) -> np.ndarray:
-    """Which lengths are not like those around them, (F,) bool. lengths: (F,) [m], NaN where nothing was read."""
-    known = np.flatnonzero(np.isfinite(lengths))
-    odd = np.zeros(len(lengths), bool)
-    for place, frame in enumerate(known):
-        near = np.delete(known[max(place - AROUND, 0) : place + AROUND + 1], min(place, AROUND))
-        if len(near):
-            low, high = lengths[near].min(), lengths[near].max()
-            odd[frame] = not low * (1 - JUMP) <= lengths[frame] <= high * (1 + JUMP)
-    return odd

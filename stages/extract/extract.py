@@ -14,7 +14,7 @@ from pydantic import Field
 from data.artifacts import MASKS, POINTS, READINGS, Points
 from data.schema import DataError
 from stages.extract.centreline import HALF, Line, UnreadableError, refine, trace
-from stages.extract.doubt import check, jumps
+from stages.extract.doubt import check
 from stages.extract.footage import Footage
 from stages.extract.isolate import (
     Backdrop,
@@ -80,14 +80,7 @@ def extract(
         except UnreadableError as reason:
             readings.append(str(reason))
         progress((number + 1) / len(footage.t))
-    return _tables(footage.t, _sifted(readings), np.linspace(0, string_length, points))
-
-
-def _sifted(readings: list[Reading | str]) -> list[Reading | str]:
-    """Readings without those whose length is not like that in the frames around them."""
-    lengths = np.array([reading.length if isinstance(reading, Reading) else np.nan for reading in readings])
-    odd = jumps(lengths)
-    return ["the line is not as long as in the frames around" if o else r for o, r in zip(odd, readings, strict=True)]
+    return _tables(footage.t, readings, np.linspace(0, string_length, points))
 
 
 def _backdrop(footage: Footage, camera: Camera, string_length: float, arm_width: float, sway: float) -> Backdrop:
@@ -137,8 +130,8 @@ def _line(
     way = trace(ridge, seen.mask, seen.arm, grasp - window.corner, start_radius=hidden * camera.px_per_m + 8)
     line = refine(seen.light, seen.outline, way, seen.noise, half)
     check(line, seen.mask, half)
-    whole = replace(line, points=np.concatenate([grasp[None], line.points[1:] + window.corner]))
-    whole = replace(whole, sigma=np.hypot(whole.sigma, backdrop.sway))
+    points = np.concatenate([grasp[None], line.points[1:] + window.corner])
+    whole = replace(line, points=points, sigma=np.hypot(line.sigma, backdrop.sway))
     near = rasterise(whole.points - window.corner, seen.mask.shape, 9 + 2 * half)
     return whole, window.paste(seen.mask & (near > 0), image.shape)
 
@@ -147,9 +140,9 @@ def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, fl
     """The arm's joints (K, J + 1, 2) [px] at moments of an exposure, and how far the fastest moves in it [px]."""
     if footage.body is None:
         return np.zeros((0, 0, 2)), 0.0
-    around = slice(max(number - 1, 0), number + 2)
-    near = camera.pixels(footage.body[around])
-    moved = (near[-1] - near[0]) / max(float(np.ptp(footage.t[around])), 1e-9) * camera.exposure
+    beside = slice(max(number - 1, 0), number + 2)
+    near = camera.pixels(footage.body[beside])
+    moved = (near[-1] - near[0]) / max(float(np.ptp(footage.t[beside])), 1e-9) * camera.exposure
     blur = float(np.linalg.norm(moved, axis=-1).max())
     share = (np.arange(n := int(np.ceil(blur)) + 1) + 0.5) / n - 0.5
     return camera.pixels(footage.body[number]) + share[:, None, None] * moved, blur

@@ -22,7 +22,7 @@ from pipeline.extraction_study import Cell, compared, read, shares, take
 from pipeline.extraction_study.pictures import overview
 from stages.extract import extract
 from stages.extract.centreline import Line
-from stages.extract.doubt import beside, jumps, longest
+from stages.extract.doubt import beside, longest
 from stages.extract.isolate import background, darkest
 from stages.extract.score import rasterise
 from stages.extract.steady import steadied
@@ -60,7 +60,7 @@ def scored(cast, condition, severity, **changed):
 
 @pytest.mark.parametrize("condition", MUST)
 def test_what_can_be_read_is_read_and_right(cast, condition):
-    """At least 10 of 12 frames, none wrong, and half of them within a fifth of a pixel (a third with a camera that shakes)."""
+    """At least 10 of 12 frames, none wrong, half of them within 0.4 px: measured 0.06 to 0.15, with a camera that shakes 0.3."""
     frames = scored(cast, condition, MUST[condition])
     assert frames["read"].sum() >= 10
     assert not frames["wrong"].any()
@@ -88,9 +88,7 @@ def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_doubts(cast, 
     them; with them one tip is 3.6 px off, where wall that was in shadow lies beyond it."""
     films = [("cluttered wall", 3), ("arm's shadow", 2), ("drifting dust", 2)]
     doubted = pd.concat([scored(cast, *one) for one in films])
-    believing = import_module("stages.extract.extract")
-    monkeypatch.setattr(believing, "check", lambda *_: None)
-    monkeypatch.setattr(believing, "jumps", lambda lengths: np.zeros(len(lengths), bool))
+    monkeypatch.setattr(import_module("stages.extract.extract"), "check", lambda *_: None)
     believed = pd.concat([scored(cast, *one) for one in films])
     assert doubted["read"].sum() >= 24
     assert doubted["wrong"].sum() <= 1
@@ -143,8 +141,6 @@ def test_doubts_measure_what_they_say():
     assert beside(line, mask, 1.0) == pytest.approx(0, abs=1)
     assert beside(line, mask | branch, 1.0) == pytest.approx(24, abs=3)
     assert longest(np.array([1, 1, 0, 1, 1, 1], bool), np.full(6, 2.0)) == 6
-    lengths = np.array([0.30, 0.30, np.nan, 0.27, 0.30, 0.302, 0.301])
-    assert jumps(lengths).tolist() == [False] * 3 + [True] + [False] * 3
 
 
 def test_conditions_move_the_truth_along(cast):
