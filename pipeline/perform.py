@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 
 from pipeline import calibrate, keep, report
+from pipeline.extraction_study import command as extraction_study
 from pipeline.run import Result, work
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
-from pipeline.study import command as study
+from pipeline.study import command as blind_study
 from pipeline.world import World
+
+STUDIES = {"study": blind_study.run, "extraction_study": extraction_study.run}
+Study = Callable[[World, Path, Callable[[float], object]], str]
 
 
 def perform(here: World, folder: Path, console: Console) -> Result:
@@ -20,10 +25,11 @@ def perform(here: World, folder: Path, console: Console) -> Result:
     with keep.alone(folder):
         keep.begin(here, folder)
         with keep.failing(folder):
-            if here.config["steps"] == ["study"]:
-                return blind_study(here, folder, console)
             if here.config["steps"] == ["calibrate"]:
                 return calibration(here, folder, console)
+            for name, study in STUDIES.items():
+                if here.config["steps"] == [name]:
+                    return studied(study, here, folder, console)
             return cast_or_look_again(here, folder, console)
 
 
@@ -57,9 +63,9 @@ def asked(words: str, console: Console) -> None:
     console.print("Filming, for as many seconds as the settings say ...")
 
 
-def blind_study(here: World, folder: Path, console: Console) -> Result:
+def studied(study: Study, here: World, folder: Path, console: Console) -> Result:
     """Its scores on the terminal, its tables and pictures in the folder."""
-    with bars(console) as bar, bar("blind study") as progress:
-        sentence = study.run(here, folder, progress)
+    with bars(console) as bar, bar(here.config["name"]) as progress:
+        sentence = study(here, folder, progress)
     console.print(sentence, soft_wrap=True)
     return Result(folder, (), sentence)

@@ -78,6 +78,7 @@ def world(config: Mapping[str, Any], where: Where) -> World:
 
 STAGES = ("generate", "execute", "extract", "estimate", "diagnose", "calibrate", "hardware")
 CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
+STUDIES = (["study"], ["extraction_study"])
 AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"])
 DECIDE = ["diagnose", "execute", "extract", "diagnose"]
 
@@ -89,7 +90,7 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
             raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
     if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
-    allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, ["study"], ["calibrate"])
+    allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, *STUDIES, ["calibrate"])
     if config["steps"] not in allowed:
         rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"
         choices = " or ".join(f"[{', '.join(steps)}]" for steps in allowed)

@@ -46,8 +46,8 @@ def render(camera: Camera, look: Look, joints: np.ndarray, strings: np.ndarray, 
     joints: (K, J + 1, 2) and strings: (K, n, 2), arm and string [m] at K moments of the
     exposure, whose mean is what the shutter sees. wall: `scenery`.
     """
-    arms = np.mean([_cover(camera, j, look.arm_width) for j in joints], axis=0)
-    cords = np.mean([_cover(camera, s, look.string_width) for s in strings], axis=0)
+    arms = np.mean([cover(camera, j, look.arm_width) for j in joints], axis=0)
+    cords = np.mean([cover(camera, s, look.string_width) for s in strings], axis=0)
     frame = wall + arms * (look.arm - wall)
     return frame + cords * (look.string - frame)
 
@@ -58,7 +58,7 @@ def noisy(frame: np.ndarray, look: Look, rng: np.random.Generator) -> np.ndarray
     return np.clip(np.rint(frame + look.noise * noise), 0, 255).astype(np.uint8)
 
 
-def _cover(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:
+def cover(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:
     """Share of each pixel covered by a polyline of a width [m], (height, width) float32 in [0, 1]."""
     pixels = np.rint(camera.pixels(line) * FINER).astype(np.int32)
     canvas = np.zeros((camera.height, camera.width), np.uint8)

@@ -31,10 +31,17 @@ class UnreadableError(Exception):
 
 @dataclass(frozen=True)
 class Line:
-    """points: (K, 2) [px], from the grasp to the tip. sigma: (K,) across the line [px]."""
+    """points: (K, 2) [px], from the grasp to the tip. sigma: (K,) across the line [px]. light: (K,) in all across the
+    line, which blur does not change [grey levels half pixels]; NaN where an outline may add to it."""
 
     points: np.ndarray
     sigma: np.ndarray
+    light: np.ndarray
+
+    @property
+    def depth(self) -> np.ndarray:
+        """(K,) length along the line from its start [px]."""
+        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
 
 
 def trace(
@@ -55,14 +62,9 @@ def trace(
     depth, before = dijkstra(
         _graph(difference, mask, allowed), indices=int(np.argmin(distance)), return_predecessors=True
     )
-    reached = np.where(np.isfinite(depth) & inside, depth, -1.0)
-    return _way(before, int(np.argmax(reached)), np.stack([columns, rows], axis=-1).astype(float))
-
-
-def half_width(mask: np.ndarray) -> float:
-    """Half the width of what is in the mask [px]: a typical distance of its inside from its edge."""
-    distance = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
-    return float(np.percentile(distance[mask > 0], 90)) if mask.any() else 1.0
+    ends = _ends(np.where(np.isfinite(depth) & inside, depth, -1.0), mask, rows, columns)
+    way = max((_way(before, end) for end in ends), key=lambda way: np.sum(np.where(inside[way], 1, -1)))
+    return np.stack([columns, rows], axis=-1).astype(float)[way]
 
 
 def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float, half: float) -> Line:
@@ -84,7 +86,8 @@ def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float
     shift = np.pad(shift, (0, whole - firm), mode="edge")
     tip = smooth[whole - 1] + (end % 1) * tangent[whole - 1] + shift[-1] * normal[whole - 1]
     points = np.concatenate([smooth[:whole] + shift[:, None] * normal[:whole], tip[None]])
-    return Line(points, np.append(np.hypot(sigma[:whole], 0.2), np.hypot(unsure, 0.5)))
+    lit = np.where(blind, np.nan, total)[:whole]
+    return Line(points, np.append(np.hypot(sigma[:whole], 0.2), np.hypot(unsure, 0.5)), np.append(lit, lit[-1]))
 
 
 def _across(
@@ -152,9 +155,17 @@ def _graph(difference: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo
     return coo_array(both, shape=(count, count)).tocsr()
 
 
-def _way(before: np.ndarray, end: int, places: np.ndarray) -> np.ndarray:
+def _ends(depth: np.ndarray, mask: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> list[int]:
+    """Where the string may end: the deepest pixel of each patch. depth: (P,), below 0 where it cannot."""
+    patch = cv2.connectedComponents(mask, connectivity=8)[1][rows, columns]
+    order = np.argsort(depth, kind="stable")[::-1]
+    first = order[np.unique(patch[order], return_index=True)[1]]
+    return [int(one) for one in first if depth[one] >= 0]
+
+
+def _way(before: np.ndarray, end: int) -> list[int]:
     """From the start of the search to `end`."""
     way = [end]
     while before[way[-1]] >= 0:
         way.append(int(before[way[-1]]))
-    return places[way[::-1]]
+    return way[::-1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import cv2
@@ -13,12 +13,27 @@ from pydantic import Field
 
 from data.artifacts import MASKS, POINTS, READINGS, Points
 from data.schema import DataError
-from stages.extract.centreline import Line, UnreadableError, half_width, refine, trace
+from stages.extract.centreline import HALF, Line, UnreadableError, refine, trace
+from stages.extract.doubt import check
 from stages.extract.footage import Footage
-from stages.extract.isolate import Backdrop, background, brightest, isolate, uncovered
+from stages.extract.isolate import (
+    Backdrop,
+    background,
+    brightest,
+    darkest,
+    half_width,
+    half_widths,
+    isolate,
+    silhouette,
+    uncovered,
+)
 from stages.extract.score import rasterise
+from stages.extract.steady import samples, steadied
+from stages.extract.window import around
 from stages.model.camera import Camera
 
+MARGIN = 12.0  # [px] around what the string can reach
+BLURRED = 2.0  # [px] by how much half the string's width may be more than in the other frames
 WIDE = 3.0  # [px] half width from which brightness alone does not show where the middle is
 
 
@@ -53,18 +68,32 @@ def extract(
     line may differ before the frame is refused (a swung string stretches).
     """
     _check_size(footage, camera)
-    grasps = camera.pixels(footage.grasp[:, :2])
-    scene = uncovered(background(footage.images), grasps, string_length * camera.px_per_m)
-    backdrop = Backdrop(scene, brightest(footage.images, scene))
+    images, sway = steadied(footage.images)
+    footage = replace(footage, images=images)
+    reach = string_length * (1 + longer) * camera.px_per_m + MARGIN
+    backdrop = _backdrop(footage, camera, string_length, arm_width, sway)
     readings: list[Reading | str] = []
     for number in range(len(footage.t)):
         try:
-            line, mask = _line(footage, number, backdrop, camera, sigmas, arm_width, hidden)
+            line, mask = _line(footage, number, backdrop, camera, reach, sigmas, arm_width, hidden)
             readings.append(_reading(line, mask, camera, np.linspace(0, string_length, points), shorter, longer))
         except UnreadableError as reason:
             readings.append(str(reason))
         progress((number + 1) / len(footage.t))
     return _tables(footage.t, readings, np.linspace(0, string_length, points))
+
+
+def _backdrop(footage: Footage, camera: Camera, string_length: float, arm_width: float, sway: float) -> Backdrop:
+    """What all frames share, learnt from some of them."""
+    images, chosen = footage.images, samples(len(footage.images))
+    stack = np.stack([cv2.convertScaleAbs(images[i]) for i in chosen])
+    bodies = np.zeros((len(footage.t), 0, 2)) if footage.body is None else camera.pixels(footage.body)
+    arms = [silhouette(stack.shape[1:], bodies[i][None], arm_width * camera.px_per_m) for i in chosen]
+    low = darkest(stack)
+    half = half_widths(stack, low, arms)
+    scene = background(stack, arms, low, half)
+    scene = uncovered(scene, camera.pixels(footage.grasp[:, :2]), string_length * camera.px_per_m)
+    return Backdrop(scene, brightest(footage.images, scene), half, sway)
 
 
 def _check_size(footage: Footage, camera: Camera) -> None:
@@ -78,27 +107,42 @@ def _check_size(footage: Footage, camera: Camera) -> None:
 
 
 def _line(
-    footage: Footage, number: int, backdrop: Backdrop, camera: Camera, sigmas: float, arm_width: float, hidden: float
+    footage: Footage,
+    number: int,
+    backdrop: Backdrop,
+    camera: Camera,
+    reach: float,
+    sigmas: float,
+    arm_width: float,
+    hidden: float,
 ) -> tuple[Line, np.ndarray]:
-    """The centre-line [px] in one frame, beginning at the grasp, and its binary image."""
-    moments, blur = _body(footage, number, camera)
-    seen = isolate(footage.images[number], backdrop, moments, arm_width * camera.px_per_m, blur, sigmas)
-    half = half_width(seen.mask)
-    ridge = cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half) if half > WIDE else seen.light
+    """The centre-line [px] in one frame, beginning at the grasp, and its binary image. reach: of the string [px]."""
     grasp = camera.pixels(footage.grasp[number, :2])
-    way = trace(ridge, seen.mask, seen.arm, grasp, start_radius=hidden * camera.px_per_m + 8)
+    image = footage.images[number]
+    window = around(grasp, reach, image.shape)
+    if min(window.shape) < 2 * HALF:
+        raise UnreadableError("the grasp is out of view")
+    moments, blur = _body(footage, number, camera)
+    part = replace(backdrop, scene=window.cut(backdrop.scene))
+    seen = isolate(window.cut(image), part, moments - window.corner, arm_width * camera.px_per_m, blur, sigmas)
+    half = min(half_width(seen.mask), backdrop.half + BLURRED)
+    ridge = cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half) if half > WIDE else seen.light
+    way = trace(ridge, seen.mask, seen.arm, grasp - window.corner, start_radius=hidden * camera.px_per_m + 8)
     line = refine(seen.light, seen.outline, way, seen.noise, half)
-    whole = Line(np.concatenate([grasp[None], line.points[1:]]), line.sigma)
-    near = rasterise(whole.points, seen.mask.shape, 9 + 2 * half)
-    return whole, seen.mask & (near > 0)
+    check(line, seen.mask, half)
+    points = np.concatenate([grasp[None], line.points[1:] + window.corner])
+    whole = replace(line, points=points, sigma=np.hypot(line.sigma, backdrop.sway))
+    near = rasterise(whole.points - window.corner, seen.mask.shape, 9 + 2 * half)
+    return whole, window.paste(seen.mask & (near > 0), image.shape)
 
 
 def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, float]:
     """The arm's joints (K, J + 1, 2) [px] at moments of an exposure, and how far the fastest moves in it [px]."""
     if footage.body is None:
         return np.zeros((0, 0, 2)), 0.0
-    near = camera.pixels(footage.body[max(number - 1, 0) : number + 2])
-    moved = (near[-1] - near[0]) / max(len(near) - 1, 1) * camera.fps * camera.exposure
+    beside = slice(max(number - 1, 0), number + 2)
+    near = camera.pixels(footage.body[beside])
+    moved = (near[-1] - near[0]) / max(float(np.ptp(footage.t[beside])), 1e-9) * camera.exposure
     blur = float(np.linalg.norm(moved, axis=-1).max())
     share = (np.arange(n := int(np.ceil(blur)) + 1) + 0.5) / n - 0.5
     return camera.pixels(footage.body[number]) + share[:, None, None] * moved, blur

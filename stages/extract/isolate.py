@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 
 SAMPLES = 120  # frames from which the background is learnt
+LIT = 0.75  # of the frames without the arm: where in their order of brightness the wall is not in shadow
+SHADE = 4.0  # [grey levels] by how much a shadow at least darkens the wall
 LEVEL = 3  # percentile over time: a pixel shows the background when the string has left it at least this often
 STATIC = 0.35  # of the string's length: how far from a resting grasp the string may never leave its pixels
 STILL = 5.0  # [px] a resting grasp moves less
@@ -22,10 +24,16 @@ GREY = 0.3  # [grey levels] noise of rounding to whole levels
 
 @dataclass(frozen=True)
 class Backdrop:
-    """What all frames share: the scene without string and arm (height, width), and the string's brightness."""
+    """What all frames share.
+
+    scene: (height, width) without string and arm. string: its brightness. half: half its width, blurred [px]. sway:
+    one sigma of where the camera looks [px].
+    """
 
     scene: np.ndarray
     string: float
+    half: float
+    sway: float
 
 
 @dataclass(frozen=True)
@@ -62,12 +70,62 @@ def isolate(
     return Isolated(alike(above, seen, backdrop.string), mask, arm, outline, grain)
 
 
-def background(images: Sequence[np.ndarray]) -> np.ndarray:
-    """The scene without moving bright things, (height, width) float32."""
-    chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES).astype(int))
-    stack = np.stack([images[int(i)] for i in chosen])
-    low, middle = (np.percentile(stack, level, axis=0).astype(np.float32) for level in (LEVEL, 50))
-    return low + np.median(middle - low)  # noise alone makes a low percentile darker than the scene
+def background(stack: np.ndarray, arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
+    """The scene without string and arm, (height, width) float32.
+
+    stack: (F, height, width) uint8, some frames. arm: of each the pixels where the arm is, bool. low: `darkest` of
+    them. half: half the string's width [px]. What is bright in a few frames is string or arm; but where a shadow
+    passes, the wall is what is bright in some, over more than the string's width.
+    """
+    wall = np.maximum(_bare(stack, np.stack(arm)) - low, 0)
+    across = 2 * int(np.ceil(2 * half)) + 5
+    wide = cv2.morphologyEx(wall, cv2.MORPH_OPEN, np.ones((across, across), np.uint8))
+    return low + np.where(wide > SHADE, wide, 0)
+
+
+def darkest(stack: np.ndarray) -> np.ndarray:
+    """What each pixel shows when nothing bright covers it, (height, width) float32."""
+    ordered = _ordered(stack)
+    low, middle = _level(ordered, LEVEL), _level(ordered, 50)
+    return np.asarray(low + np.median(middle - low))  # noise alone makes a low percentile darker than the scene
+
+
+def _bare(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """How bright a pixel is in a few of the frames in which the arm does not cover it, (height, width) float32."""
+    ordered = _ordered(np.where(arm, 0, stack))
+    covered = arm.sum(axis=0)
+    place = covered + LIT * (len(stack) - 1 - covered)
+    chosen = np.take_along_axis(ordered, place.astype(int).clip(0, len(stack) - 1)[..., None], axis=-1)
+    return chosen[..., 0].astype(np.float32)
+
+
+def half_widths(stack: np.ndarray, scene: np.ndarray, arm: Sequence[np.ndarray]) -> float:
+    """Half the width of what outshines the scene most [px], blurred as it may be in some frames: the string's."""
+    widths = []
+    for number in np.unique(np.linspace(0, len(stack) - 1, SAMPLES // 8).astype(int)):
+        above = np.where(cv2.dilate(arm[number].astype(np.uint8), np.ones((5, 5))) > 0, 0, stack[number] - scene)
+        widths.append(half_width(without_specks((above > above.max() / 2).astype(np.uint8))))
+    return float(np.percentile(widths, 90))
+
+
+def half_width(mask: np.ndarray) -> float:
+    """Half the width of what is in the mask [px]: a typical distance of its inside from its edge."""
+    distance = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
+    return float(np.percentile(distance[mask > 0], 90)) if mask.any() else 1.0
+
+
+def _ordered(stack: np.ndarray) -> np.ndarray:
+    """Each pixel's values from dark to bright, (height, width, F)."""
+    return np.sort(np.ascontiguousarray(np.moveaxis(stack, 0, -1)), axis=-1, kind="stable")  # by radix: quick
+
+
+def _level(ordered: np.ndarray, percent: float) -> np.ndarray:
+    """A percentile of ordered values, (height, width) float32."""
+    place = percent / 100 * (ordered.shape[-1] - 1)
+    before = min(int(place), ordered.shape[-1] - 1)
+    after = min(before + 1, ordered.shape[-1] - 1)
+    low, high = ordered[..., before].astype(np.float32), ordered[..., after].astype(np.float32)
+    return low + np.float32(place - before) * (high - low)
 
 
 def uncovered(scene: np.ndarray, grasp: np.ndarray, length: float) -> np.ndarray:

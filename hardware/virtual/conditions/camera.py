@@ -1,0 +1,74 @@
+"""Camera: how it stands, how long it looks, and what its sensor adds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from hardware.virtual.conditions.condition import Condition, Moment, Shot
+
+
+@dataclass(frozen=True)
+class Exposure(Condition):
+    """The shutter is open for `share` of the time from frame to frame."""
+
+    share: float
+
+    def stage(self, shot: Shot) -> Shot:
+        """The camera knows it."""
+        return replace(shot, camera=replace(shot.camera, exposure=self.share / shot.camera.fps))
+
+
+@dataclass(frozen=True)
+class Closer(Condition):
+    """The picture ends where the tip is for `share` of the film: it shows no more than that of the room's height."""
+
+    share: float
+
+    def stage(self, shot: Shot) -> Shot:
+        """Fewer rows; the world stays where it is."""
+        tips = shot.camera.pixels(shot.truth[:, -1])[:, 1]
+        rows = int(np.clip(np.quantile(tips, 1 - self.share), 64, shot.camera.height))
+        return replace(shot, camera=replace(shot.camera, height=rows), wall=shot.wall[:rows])
+
+
+@dataclass(frozen=True)
+class Noise(Condition):
+    """A sensor with this noise, one sigma [grey levels]."""
+
+    sigma: float
+
+    def stage(self, shot: Shot) -> Shot:
+        """Another sensor."""
+        return replace(shot, look=replace(shot.look, noise=self.sigma))
+
+
+@dataclass(frozen=True)
+class Shake(Condition):
+    """The camera trembles: the picture is shifted by chance in each frame, one sigma in u and in v [px]."""
+
+    sigma: float
+
+    def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
+        """The whole picture elsewhere. The truth stays: nobody measured where the camera was."""
+        across, down = moment.rng.normal(0, self.sigma, 2)
+        shift = np.array([[1, 0, across], [0, 1, down]])
+        return cv2.warpAffine(frame, shift, frame.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+@dataclass(frozen=True)
+class HotPixels(Condition):
+    """`count` pixels of the sensor that are bright now and then, in half of all frames."""
+
+    count: int
+    seed: int = 3
+
+    def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
+        """The same pixels, of any brightness."""
+        place = np.random.default_rng(self.seed).integers(0, frame.size, self.count)
+        lit = place[moment.rng.uniform(size=self.count) < 0.5]
+        hot = frame.copy()
+        hot.flat[lit] = np.maximum(hot.flat[lit], moment.rng.uniform(60, 255, len(lit)))
+        return hot

@@ -1,0 +1,122 @@
+"""What a condition may change, and how a shot is filmed under any number of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hardware.virtual.bench import EXPOSURES, Bench
+from hardware.virtual.render import Look, noisy, render, scenery
+from stages.model.camera import Camera
+
+FINE = 2.5e-4  # [s] between the moments a shot is kept at
+MOST = 32  # moments drawn in one exposure at most
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What the camera is about to film.
+
+    wall: (height, width) float32, the background. t: (F,) times of the frames [s]. times: (M,) at which arm and
+    string are known [s], joints: (M, J + 1, 2) and strings: (M, n, 2) where they are then [m].
+    """
+
+    camera: Camera
+    look: Look
+    wall: np.ndarray
+    t: np.ndarray
+    times: np.ndarray
+    joints: np.ndarray
+    strings: np.ndarray
+
+    @property
+    def truth(self) -> np.ndarray:
+        """The string in the middle of each exposure, (F, n, 2) [m]."""
+        return at(self.t, self.times, self.strings)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One exposure. joints: (K, J + 1, 2), strings: (K, n, 2) while the shutter is open [m]; rng: its chance."""
+
+    shot: Shot
+    number: int
+    t: float
+    joints: np.ndarray
+    strings: np.ndarray
+    rng: np.random.Generator
+
+
+class Condition:
+    """One thing that makes a film harder to read. Each member is frozen data and changes what it needs to."""
+
+    def stage(self, shot: Shot) -> Shot:
+        """Change what is filmed, before anything is drawn."""
+        return shot
+
+    def behind(self, wall: np.ndarray, moment: Moment) -> np.ndarray:
+        """Change the background of one frame. wall: (height, width) float32."""
+        return wall
+
+    def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
+        """Change the light that falls on the sensor. frame: (height, width) float32."""
+        return frame
+
+    def stored(self, images: Sequence[np.ndarray], fps: float) -> Sequence[np.ndarray]:
+        """Change what is left of the film when it is read again. images: F of (height, width) uint8."""
+        return images
+
+
+def shot_of(bench: Bench, t: np.ndarray) -> Shot:
+    """What was performed on a bench, to be filmed at times t (F,) [s]."""
+    margin = 0.6 / bench.camera.fps
+    times = np.arange(t[0] - margin, t[-1] + margin, FINE)
+    wall = scenery(bench.camera, bench.look, bench.seed)
+    return Shot(bench.camera, bench.look, wall, t, times, bench.joints_at(times), bench.string_at(times))
+
+
+def staged(shot: Shot, conditions: Sequence[Condition]) -> Shot:
+    """The shot as all conditions leave it."""
+    for condition in conditions:
+        shot = condition.stage(shot)
+    return shot
+
+
+def film(shot: Shot, conditions: Sequence[Condition], seed: int) -> Sequence[np.ndarray]:
+    """Frames of a staged shot, F uint8 images (height, width). seed: of all chance in them."""
+    images = [frame(shot, conditions, number, seed) for number in range(len(shot.t))]
+    for condition in conditions:
+        images = list(condition.stored(images, shot.camera.fps))
+    return images
+
+
+def frame(shot: Shot, conditions: Sequence[Condition], number: int, seed: int) -> np.ndarray:
+    """One frame of a staged shot, as the sensor reports it, uint8."""
+    moment = exposed(shot, number, seed)
+    wall = shot.wall
+    for condition in conditions:
+        wall = condition.behind(wall, moment)
+    light = render(shot.camera, shot.look, moment.joints, moment.strings, wall)
+    for condition in conditions:
+        light = condition.seen(light, moment)
+    return noisy(light, shot.look, moment.rng)
+
+
+def exposed(shot: Shot, number: int, seed: int) -> Moment:
+    """Arm and string while the shutter is open, at moments about a pixel apart."""
+    t, half = shot.t[number], shot.camera.exposure / 2
+    ends = at(np.array([t - half, t + half]), shot.times, shot.strings)
+    blur = np.linalg.norm(ends[1] - ends[0], axis=-1).max() * shot.camera.px_per_m
+    open_shutter = np.linspace(t - half, t + half, int(np.clip(blur, EXPOSURES, MOST)))
+    joints, strings = (at(open_shutter, shot.times, which) for which in (shot.joints, shot.strings))
+    return Moment(shot, number, float(t), joints, strings, np.random.default_rng([seed, number]))
+
+
+def at(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values at other times, linear between. t: (F,), times: (M,), values: (M, ...). Returns (F, ...)."""
+    after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
+    share = np.clip((t - times[after - 1]) / (times[after] - times[after - 1]), 0, 1)
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return (1 - share) * values[after - 1] + share * values[after]

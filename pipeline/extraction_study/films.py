@@ -1,0 +1,64 @@
+"""Films of the study: a random cast of a string, filmed under conditions and read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import JOINTS, Film, Points
+from hardware.virtual import Bench, Specimen
+from hardware.virtual.blind.casts import random_cast
+from hardware.virtual.conditions import Condition, Shot, film, shot_of, staged
+from stages.extract import Footage, footage_of
+from stages.model.arm import Arm
+from stages.model.camera import Camera
+
+SPEEDS = (1.5, 4.0)  # of the hand [m/s]: tips reach about three times that
+Extract = Callable[[Footage, Camera], Points]
+
+
+@dataclass(frozen=True)
+class Take:
+    """One cast of one string, to be filmed. told: what the arm reports, table ARM."""
+
+    string: str
+    seed: int
+    shot: Shot
+    told: pd.DataFrame
+    arm: Arm
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A condition at one of its severities, counted from 1."""
+
+    condition: str
+    severity: int
+    parts: tuple[Condition, ...]
+
+
+def take(string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int, seed: int) -> Take:
+    """A random cast, performed; `frames` of it spread evenly."""
+    cast = random_cast(arm, np.random.default_rng([seed, 7]), camera.fps, SPEEDS)
+    happened = cast.happened
+    times = happened.start + happened.tick * np.arange(happened.angles.shape[1])
+    bench = Bench(arm, camera, specimen, seed, performed=(times, happened.angles[0]))
+    chosen = np.unique(np.linspace(0, len(cast.frames) - 1, frames).astype(int))
+    told = pd.DataFrame({"t": cast.t} | dict(zip(JOINTS, cast.told.T, strict=True)))
+    return Take(string, seed, shot_of(bench, cast.frames[chosen]), told, arm)
+
+
+def filmed(one: Take, cell: Cell) -> tuple[Footage, Shot]:
+    """What the camera brings back under a condition, and what was really so."""
+    shot = staged(one.shot, cell.parts)
+    images = film(shot, cell.parts, one.seed)
+    return footage_of(Film(shot.t, images, arm=one.told), one.arm), shot
+
+
+def read(one: Take, cell: Cell, extract: Extract) -> tuple[Points, Shot]:
+    """What is read in a take filmed under a condition, and what was really so."""
+    footage, shot = filmed(one, cell)
+    return extract(footage, shot.camera), shot

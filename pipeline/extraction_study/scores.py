@@ -1,0 +1,143 @@
+"""How far what was read is from what was so: a row a frame, and shares by condition.
+
+A frame is wrong when it was accepted and its line, a place on it or its tip is off by more than WRONG_PX, or its line
+or tip by more than WRONG_SIGMAS of what was stated. A wrong frame does harm; a refused one only costs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest
+
+from data.artifacts import Points
+from data.schema import Column, Table
+from hardware.virtual.conditions import Shot
+from pipeline.extraction_study.films import Cell, Take
+
+WRONG_PX = 3.0
+WRONG_SIGMAS = 5.0
+FRAMES = Table(
+    "frames",
+    "a row a frame: what was read and how far off it is; NaN where nothing was",
+    (
+        Column("condition", "", "under which it was filmed", "text"),
+        Column("severity", "1", "of the condition, from 1", "int"),
+        Column("string", "", "which was cast", "text"),
+        Column("cast", "1", "seed of the cast", "int"),
+        Column("frame", "1", "number of the frame", "int"),
+        Column("read", "", "the frame was accepted", "bool"),
+        Column("reason", "", "why it was not", "text"),
+        Column("line_px", "px", "RMS distance of the points from the true curve"),
+        Column("line_mm", "mm", "the same"),
+        Column("place_px", "px", "RMS distance of the points from where they are on the true string"),
+        Column("tip_px", "px", "distance of the tips"),
+        Column("line_stated_px", "px", "RMS sigma stated for the points"),
+        Column("tip_stated_px", "px", "sigma stated for the tip"),
+        Column("line_sigmas", "1", "RMS over the points of distance over sigma stated"),
+        Column("tip_sigmas", "1", "distance of the tips over sigma stated"),
+        Column("wrong", "", "accepted, and off by more than the limits", "bool"),
+    ),
+)
+SHARES = Table(
+    "shares",
+    "a row a condition and severity: all strings and casts together",
+    (
+        Column("condition", "", "under which it was filmed", "text"),
+        Column("severity", "1", "of the condition, from 1", "int"),
+        Column("frames", "1", "how many", "int"),
+        Column("read", "1", "share that was accepted"),
+        Column("wrong", "1", "share of all that was accepted and is wrong"),
+        Column("wrong_high", "1", "upper end of its 95 % interval (Clopper and Pearson)"),
+        Column("line_px", "px", "median of what was accepted"),
+        Column("line_mm", "mm", "the same"),
+        Column("line_px_95", "px", "95 % of what was accepted is below"),
+        Column("tip_px", "px", "median of what was accepted"),
+        Column("tip_px_95", "px", "95 % of what was accepted is below"),
+        Column("line_sigmas", "1", "RMS of what was accepted: 1 if the sigma stated is right"),
+        Column("tip_sigmas", "1", "the same; 1.4 if u and v are each off by a sigma"),
+        Column("reasons", "", "of refusals, the most frequent first", "text"),
+    ),
+)
+
+
+def compared(one: Take, cell: Cell, points: Points, shot: Shot) -> pd.DataFrame:
+    """Table FRAMES of one film."""
+    seen = points.points.groupby("t")
+    truth = dict(zip(np.round(shot.t, 6), shot.truth, strict=True))
+    scale = shot.camera.px_per_m
+    off = {round(float(t), 6): _off(rows, truth[round(float(t), 6)], scale) for t, rows in seen}
+    readings = points.readings
+    named = {"condition": cell.condition, "severity": cell.severity, "string": one.string, "cast": one.seed}
+    found = pd.DataFrame([off.get(round(float(t), 6), {}) for t in readings["t"]], columns=list(_MEASURES))
+    frame = readings[["frame", "reason"]].assign(**named, read=readings["valid"]).join(found)
+    return FRAMES.check(frame.assign(wrong=frame["read"] & _beyond(frame)))
+
+
+_MEASURES = tuple(c.name for c in FRAMES.columns if "_" in c.name)
+
+
+def _off(rows: pd.DataFrame, true: np.ndarray, px_per_m: float) -> dict[str, float]:
+    """How far one line is off. true: (n, 2) [m]."""
+    points, sigma = rows[["x", "y"]].to_numpy(), rows["sigma"].to_numpy() * px_per_m
+    share = rows["s"].to_numpy() / rows["s"].iloc[-1]
+    known, fine = _lengths(true), np.linspace(0, 1, 801)
+    curve, places = (np.stack([np.interp(s, known, true[:, i]) for i in (0, 1)], axis=-1) for s in (fine, share))
+    line = np.linalg.norm(points[:, None] - curve[None], axis=-1).min(axis=1) * px_per_m
+    place = np.linalg.norm(points - places, axis=-1) * px_per_m
+    return {
+        "line_px": _rms(line),
+        "line_mm": _rms(line) / px_per_m * 1e3,
+        "place_px": _rms(place),
+        "tip_px": place[-1],
+        "line_stated_px": _rms(sigma),
+        "tip_stated_px": sigma[-1],
+        "line_sigmas": _rms(line / sigma),
+        "tip_sigmas": place[-1] / sigma[-1],
+    }
+
+
+def _lengths(line: np.ndarray) -> np.ndarray:
+    """Arc length along a line over its whole length, (n,)."""
+    s = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=-1).cumsum()])
+    return np.asarray(s / s[-1])
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def _beyond(frame: pd.DataFrame) -> pd.Series:
+    """Off by more than the limits."""
+    far = (frame[["line_px", "place_px", "tip_px"]] > WRONG_PX).any(axis=1)
+    return far | (frame[["line_sigmas", "tip_sigmas"]] > WRONG_SIGMAS).any(axis=1)
+
+
+def shares(frames: pd.DataFrame) -> pd.DataFrame:
+    """Table SHARES of table FRAMES."""
+    groups = frames.groupby(["condition", "severity"], sort=False)
+    return SHARES.check(pd.DataFrame([{"condition": c, "severity": s, **_share(some)} for (c, s), some in groups]))
+
+
+def _share(some: pd.DataFrame) -> dict[str, object]:
+    """A row of SHARES."""
+    good, wrong = some[some["read"]], int(some["wrong"].sum())
+    middle = {name: good[name].median() for name in ("line_px", "line_mm", "tip_px")}
+    high = {f"{name}_95": good[name].quantile(0.95) for name in ("line_px", "tip_px")}
+    stated = {name: np.sqrt((good[name] ** 2).mean()) for name in ("line_sigmas", "tip_sigmas")}
+    return {
+        "frames": len(some),
+        "read": some["read"].mean(),
+        "wrong": wrong / len(some),
+        "wrong_high": binomtest(wrong, len(some)).proportion_ci(0.95, method="exact").high,
+        **middle,
+        **high,
+        **stated,
+        "reasons": why(some),
+    }
+
+
+def why(some: pd.DataFrame) -> str:
+    """Reasons of refusals and how often. some: with a column `reason`, empty where the frame was read."""
+    counts = some.loc[some["reason"] != "", "reason"].value_counts()
+    return "; ".join(f"{reason} ({count})" for reason, count in counts.items())

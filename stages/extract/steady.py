@@ -1,0 +1,97 @@
+"""Steady: frames as a lamp that does not flicker and a camera that does not tremble would show them.
+
+Each frame is compared with the median of the film: frame = gain * median, shifted (d_u, d_v), by least squares on the
+picture's own texture (Lucas and Kanade, IJCAI 1981), where what moves has no weight. What cannot be told, for want
+of texture, is left as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+SAMPLES = 120  # frames whose median stands for the film
+PYRAMID = (8, 3, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
+MOVES = 3.0  # sigmas from which a pixel shows something that moves
+TREMBLE = 0.1  # [px] RMS shift below which a camera stands still
+FLICKER = 0.01  # RMS relative brightness below which a lamp burns steadily
+SURE = 0.05  # [px] one sigma of a shift, above which there is too little texture to know it
+
+
+def samples(count: int) -> list[int]:
+    """SAMPLES of so many frames at most, evenly."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, SAMPLES).astype(int))]
+
+
+def steadied(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
+    """The film without flicker and tremble, itself where it has none; and one sigma of where it looks then [px]."""
+    several = [_pyramid(images[i]) for i in samples(len(images))]
+    template = {by: np.median([one[by] for one in several], axis=0) for by in PYRAMID}
+    found = np.array([_against(_pyramid(image), template) for image in images])
+    gain, shift = found[:, 0] / np.median(found[:, 0]), found[:, 1:] - np.median(found[:, 1:], axis=0)
+    shift = shift if np.sqrt(np.mean(shift**2)) > TREMBLE else np.zeros_like(shift)
+    gain = gain if np.sqrt(np.mean((gain - 1) ** 2)) > FLICKER else np.ones_like(gain)
+    if not shift.any() and (gain == 1).all():
+        return images, 0.0
+    middle = np.sqrt(np.pi / 2 / len(shift))  # of a median, in sigmas of its values
+    return Steadied(images, gain, shift), float(middle * np.sqrt(np.mean(shift**2)))
+
+
+@dataclass(frozen=True)
+class Steadied(Sequence[np.ndarray]):
+    """Images divided by gain (F,) and shifted back by shift (F, 2) [px], float32."""
+
+    images: Sequence[np.ndarray] = field(repr=False)
+    gain: np.ndarray
+    shift: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self.images)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        """One image."""
+        image = self.images[index].astype(np.float32) / np.float32(self.gain[index])
+        return _moved(image, -self.shift[index]) if self.shift[index].any() else image
+
+
+def _pyramid(image: np.ndarray) -> dict[int, np.ndarray]:
+    """The image so many times smaller, float32."""
+    return {by: _smaller(image.astype(np.float32), by) for by in PYRAMID}
+
+
+def _smaller(image: np.ndarray, by: int) -> np.ndarray:
+    small = cv2.resize(image, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA)
+    return cv2.GaussianBlur(small, (0, 0), 1.0)
+
+
+def _against(image: dict[int, np.ndarray], template: dict[int, np.ndarray]) -> np.ndarray:
+    """Gain and shift (d_u, d_v) [px] of an image against the template, (3,); no shift where it is not sure."""
+    found = np.array([1.0, 0.0, 0.0])
+    for by in PYRAMID:
+        found, sigma = _closer(image[by], template[by], found, by)
+    return found if sigma < SURE else np.array([found[0], 0.0, 0.0])
+
+
+def _closer(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int) -> tuple[np.ndarray, float]:
+    """One step of Gauss and Newton, and one sigma of the shift [px]."""
+    like = _moved(template, found[1:] / by)
+    across, down = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
+    inside = (slice(2, -2), slice(2, -2))
+    columns = np.stack([part[inside].ravel() for part in (like, -found[0] * across / by, -found[0] * down / by)])
+    rest = (image - found[0] * like)[inside].ravel()
+    spread = 1.4826 * float(np.median(np.abs(rest[::7]))) + 1e-3
+    still = np.abs(rest) < MOVES * spread
+    weighted = columns * still
+    normal = weighted @ columns.T + 1e-6 * np.eye(3)
+    step = np.linalg.solve(normal, weighted @ rest)
+    return found + step, spread * float(np.sqrt(np.linalg.inv(normal)[1:, 1:].trace()))
+
+
+def _moved(image: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """The image shifted by (d_u, d_v) [px]."""
+    to = np.array([[1, 0, shift[0]], [0, 1, shift[1]]])
+    return cv2.warpAffine(image, to, image.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)

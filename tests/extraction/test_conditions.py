@@ -1,0 +1,169 @@
+"""The string read under real conditions: what must be read is, and what is wrong is refused with the reason.
+
+Measured with 12 frames a film of string A, alone: about 25 s in all.
+"""
+
+from functools import partial
+from importlib import import_module
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from conftest import ROOT, specimen
+
+from data.artifacts import POINTS
+from hardware.virtual.conditions import CONDITIONS
+from hardware.virtual.conditions.camera import Shake
+from hardware.virtual.conditions.condition import exposed, film
+from hardware.virtual.conditions.light import Flicker
+from hardware.virtual.conditions.pose import Across, Loop
+from pipeline.extraction_study import Cell, compared, read, shares, take
+from pipeline.extraction_study.pictures import overview
+from stages.extract import extract
+from stages.extract.centreline import Line
+from stages.extract.doubt import beside, longest
+from stages.extract.isolate import background, darkest
+from stages.extract.score import rasterise
+from stages.extract.steady import steadied
+
+SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text()) | {"string_length": 0.3}
+SETTINGS.pop("_target_")
+MUST = {  # severities that must be read, as counted from 1
+    "plain": 1,
+    "lamp at one side": 2,
+    "flicker": 2,
+    "cluttered wall": 2,
+    "moving cable": 2,
+    "drifting dust": 1,
+    "before the arm": 1,
+    "motion blur": 3,
+    "sensor noise": 2,
+    "camera shake": 1,
+    "hot pixels": 1,
+    "JPEG": 2,
+    "video": 1,
+}
+
+
+@pytest.fixture(scope="module")
+def cast(arm, camera):
+    """A cast of string A, 12 frames of it."""
+    return take("A", specimen("A"), arm, camera, frames=12, seed=0)
+
+
+def scored(cast, condition, severity, **changed):
+    """Table FRAMES of the cast filmed under a condition and read."""
+    cell = Cell(condition, severity, CONDITIONS[condition][severity - 1])
+    return compared(cast, cell, *read(cast, cell, partial(extract, **SETTINGS | changed)))
+
+
+@pytest.mark.parametrize("condition", MUST)
+def test_what_can_be_read_is_read_and_right(cast, condition):
+    """At least 10 of 12 frames, none wrong, half of them within 0.4 px (0.06 to 0.2 in the recorded study, of 24 frames a film)."""
+    frames = scored(cast, condition, MUST[condition])
+    assert frames["read"].sum() >= 10
+    assert not frames["wrong"].any()
+    assert frames["line_px"].median() < 0.4
+
+
+@pytest.mark.parametrize(
+    ("condition", "severity", "reason"),
+    [
+        ("loop", 2, "shorter|hangs together|lies on itself"),
+        ("behind the arm", 2, "no string|shorter|interrupted"),
+        ("tip out of view", 2, "leaves the picture|shorter|no string"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_the_reason(cast, condition, severity, reason):
+    frames = scored(cast, condition, severity)
+    refused = frames[~frames["read"]]
+    assert not frames["wrong"].any()
+    assert len(refused) >= 6
+    assert refused["reason"].str.contains(reason).mean() > 0.5
+
+
+def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_doubts(cast, monkeypatch):
+    """Three films that mislead. Measured: of 36 frames, 3 lines 8 px off and more without the doubts and none with
+    them; with them one tip is 3.6 px off, where wall that was in shadow lies beyond it."""
+    films = [("cluttered wall", 3), ("arm's shadow", 2), ("drifting dust", 2)]
+    doubted = pd.concat([scored(cast, *one) for one in films])
+    monkeypatch.setattr(import_module("stages.extract.extract"), "check", lambda *_: None)
+    believed = pd.concat([scored(cast, *one) for one in films])
+    assert doubted["read"].sum() >= 24
+    assert doubted["wrong"].sum() <= 1
+    assert (doubted["line_px"] > 3).sum() == 0
+    assert (believed["line_px"] > 3).sum() >= 2
+
+
+def test_a_tip_out_of_view_is_never_read(cast):
+    cell = Cell("tip out of view", 1, CONDITIONS["tip out of view"][0])
+    found, shot = read(cast, cell, partial(extract, **SETTINGS))
+    outside = shot.camera.pixels(shot.truth[:, -1])[:, 1] > shot.camera.height - 1
+    assert outside.any()
+    assert not found.readings["valid"][outside].any()
+
+
+def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
+    """Against where the camera really looked; scatter of 0.07 px was measured, beside the offset common to all frames."""
+    shaken = film(cast.shot, [Shake(2.0)], seed=1)
+    steady, sway = steadied(shaken)
+    true = np.array([exposed(cast.shot, n, 1).rng.normal(0, 2.0, 2) for n in range(len(shaken))])
+    off = steady.shift - true
+    assert np.std(off, axis=0).max() < 0.1
+    assert np.abs(off.mean(axis=0)).max() < 3 * sway
+
+
+def test_flicker_is_measured_and_a_steady_film_is_left_alone(cast):
+    flickering, _ = steadied(film(cast.shot, [Flicker(0.2)], seed=1))
+    true = 1 + 0.2 * np.sin(2 * np.pi * 101.3 * cast.shot.t + 0.5)
+    np.testing.assert_allclose(flickering.gain / flickering.gain[0], true / true[0], rtol=0.02)
+    plain = film(cast.shot, [], seed=1)
+    assert steadied(plain) == (plain, 0.0)
+
+
+def test_the_wall_behind_a_passing_shadow_is_bright():
+    """Dark in a fifth of the frames: without the look at what is wide it would be dark in the scene."""
+    stack = np.full((20, 40, 40), 60, np.uint8)
+    stack[3:7, :, 10:24] = 30
+    stack[9:, 20, :] = 200  # a string at rest
+    arm = [np.zeros((40, 40), bool)] * 20
+    scene = background(stack, arm, darkest(stack), half=1.0)
+    assert scene[5, 17] == pytest.approx(60, abs=1)
+    assert scene[20, 35] == pytest.approx(60, abs=1)
+
+
+def test_doubts_measure_what_they_say():
+    mask = rasterise(np.array([[10.0, 30.0], [90.0, 30.0]]), (60, 100), 3) // 255
+    branch = rasterise(np.array([[50.0, 30.0], [50.0, 58.0]]), (60, 100), 3) // 255
+    points = np.stack([np.arange(10.0, 91.0), np.full(81, 30.0)], axis=-1)
+    line = Line(points, np.ones(81), np.ones(81))
+    assert beside(line, mask, 1.0) == pytest.approx(0, abs=1)
+    assert beside(line, mask | branch, 1.0) == pytest.approx(24, abs=3)
+    assert longest(np.array([1, 1, 0, 1, 1, 1], bool), np.full(6, 2.0)) == 6
+
+
+def test_conditions_move_the_truth_along(cast):
+    """A loop and a turn change directions, not lengths; what is filmed is what the truth says."""
+    for condition in (Loop(0.12), Across(0.5)):
+        posed = condition.stage(cast.shot)
+        before, after = (
+            np.linalg.norm(np.diff(s, axis=1), axis=-1).sum(axis=1) for s in (cast.shot.truth, posed.truth)
+        )
+        np.testing.assert_allclose(after, before, rtol=5e-3)
+        assert np.abs(posed.truth[:, 0] - cast.shot.truth[:, 0]).max() < 1e-9
+        assert np.abs(posed.truth[:, -1] - cast.shot.truth[:, -1]).max() > 0.02
+
+
+def test_scores_say_how_far_off_a_line_is(cast, tmp_path):
+    """Points moved by 4 px along u, and a tip that is right: wrong, by as much as it was moved."""
+    cell = Cell("plain", 1, ())
+    found, shot = read(cast, cell, partial(extract, **SETTINGS))
+    moved = found.points.assign(x=found.points["x"] + np.where(found.points["s"] < 0.299, 4 / shot.camera.px_per_m, 0))
+    frames = compared(cast, cell, type(found)(POINTS.check(moved), found.readings, found.masks), shot)
+    assert frames.loc[frames["read"], "wrong"].all()
+    assert frames["place_px"].median() == pytest.approx(4 * np.sqrt(30 / 31), abs=0.2)
+    table = shares(frames)
+    assert table["wrong"][0] == frames["read"].mean() == 1 - (~frames["read"]).mean()
+    overview(table, tmp_path / "shares.png")
+    assert (tmp_path / "shares.png").stat().st_size > 1000
