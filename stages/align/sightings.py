@@ -1,0 +1,87 @@
+"""Sightings: where points that are rigid with the arm were seen, and where the model has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from stages.model.arm import Arm
+from stages.model.hand import JointMotion
+from stages.model.model import Model
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What was seen of the arm in one trial.
+
+    times: (F,) of the frames by the camera's clock [s]. Of each of N sightings: frame (N,) its index; link (N,) 1 is
+    at the base; share (N,) how far along the link; seen (N, 2) where [m]; along (N, 2) the unit vector along which it
+    was measured (a straight link does not show where along itself it is); sigma (N,) one standard deviation [m].
+    """
+
+    times: np.ndarray
+    frame: np.ndarray
+    link: np.ndarray
+    share: np.ndarray
+    seen: np.ndarray
+    along: np.ndarray
+    sigma: np.ndarray
+
+    def only(self, chosen: np.ndarray) -> Sightings:
+        """Some of them. chosen: (N,) bool."""
+        parts = {name: getattr(self, name)[chosen] for name in ("frame", "link", "share", "seen", "along", "sigma")}
+        return replace(self, **parts)
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """One trial: the joints as the arm reports them, and what was seen of it."""
+
+    name: str
+    motion: JointMotion
+    sightings: Sightings
+
+    def off(self, model: Model, values: np.ndarray) -> np.ndarray:
+        """Where candidates have each point less where it was seen, along its direction, (C, N) [m]. values: (C, P)."""
+        there = on_links(arm_seen(model, self.motion, values, self.sightings.times), self.sightings)
+        return np.sum((there - self.sightings.seen) * self.sightings.along, axis=-1)
+
+    @property
+    def moved(self) -> np.ndarray:
+        """Times at which the arm moves or has just moved or will (F,) bool: at rest frames tell only the geometry."""
+        speed = np.abs(self.motion.speeds[0]).max(axis=-1)
+        ticks = self.motion.start + self.motion.tick * np.arange(len(speed))
+        return np.interp(self.sightings.times, ticks, speed) > 0.05 * speed.max()
+
+
+def arm_seen(model: Model, motion: JointMotion, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Where the camera reports the arm's joints, base to hand, (1 or C, F, J + 1, 2) [m]. times: (F,) its clock's."""
+    moments = np.atleast_2d(model.moments(values, times))
+    return model.reported(joints_at(model.arm, model.joints(motion, values), moments), values, times)
+
+
+def joints_at(arm: Arm, motion: JointMotion, moments: np.ndarray) -> np.ndarray:
+    """Positions of base, joints and hand at moments (1 or C, M) of the arm's clock, at rest beyond its motion.
+
+    Returns (C, M, J + 1, 2) [m]; C is 1 only if both are one for all.
+    """
+    ticks = motion.start + motion.tick * np.arange(motion.angles.shape[1])
+    inside = np.clip(moments, ticks[0], ticks[-1])
+    if len(motion.angles) == 1:
+        return arm.joints(CubicHermiteSpline(ticks, motion.angles[0], motion.speeds[0])(inside))
+    each = [
+        CubicHermiteSpline(ticks, angles, speeds)(own)
+        for angles, speeds, own in zip(
+            motion.angles, motion.speeds, np.broadcast_to(inside, (len(motion.angles), inside.shape[1])), strict=True
+        )
+    ]
+    return arm.joints(np.stack(each))
+
+
+def on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
+    """The points that were sighted, (C, N, 2) [m]. joints: (C, F, J + 1, 2)."""
+    near = joints[:, sightings.frame, sightings.link - 1]
+    far = joints[:, sightings.frame, sightings.link]
+    return near + sightings.share[:, None] * (far - near)
