@@ -27,20 +27,19 @@ from data.artifacts import (
     Motion,
 )
 from data.schema import DataError
-from stages.align.fit import ALWAYS, SOUGHT, Problem
-from stages.align.sightings import Sighted, Sightings
+from stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
+from stages.align.grasp import at_hand
+from stages.align.sightings import Sighted
 from stages.generate.generate import arm_faults
 from stages.model.arm import Arm
 from stages.model.box import Box
 from stages.model.hand import JointMotion
-from stages.model.library import named
 from stages.model.model import Model
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm
 TYPICAL = {"arm_lag.time_constant": 0.005}  # where the design is judged: at no lag it would look like an offset
 SIGHTED = 0.01  # [s] between the sightings for which it is judged
-NEVER = "nothing was drawn"
 
 
 def excite(
@@ -75,7 +74,8 @@ def excite(
     if best is None:
         reasons = "; ".join(f"{reason}: {times}" for reason, times in count.most_common())
         raise DataError(
-            f"no motion of excite.motions={motions} is allowed ({reasons}). Lower excite.speed, draw more, or make room."
+            f"no motion of excite.motions={motions} is allowed ({reasons}). Lower excite.speed, draw more of "
+            "them, or make room."
         )
     return motion_of(model.arm, best, count)
 
@@ -122,24 +122,12 @@ def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
     """Logarithm of the determinant of what sightings of the hand tell of all parameters. angles, speeds: (K, J)."""
     motion = JointMotion(0.0, model.arm.tick, angles[None], speeds[None])
     times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTED)
-    problem = Problem(measuring(model), (Sighted("", motion, of_hand(times, len(model.arm.links))),))
+    hand = at_hand(times, np.zeros((len(times), 2)), np.ones(len(times)), len(model.arm.links))  # wherever it is seen
+    problem = Problem(measuring(model), (Sighted("", motion, hand),))
     names = problem.parameters((*ALWAYS, *SOUGHT))
-    low, high = problem.range_of(names)
+    low, high = problem.ranges(names)
     slope = problem.slopes(names, np.array([TYPICAL.get(name, 0.0) for name in names])) * (high - low)
     return float(np.linalg.slogdet(slope.T @ slope)[1])
-
-
-def measuring(model: Model) -> Model:
-    """A model with every effect that alignment looks for, and no other."""
-    return Model(model.string, model.arm, model.camera).with_effects(*named((*ALWAYS, *SOUGHT)))
-
-
-def of_hand(times: np.ndarray, links: int) -> Sightings:
-    """Sightings of the hand in both directions, at the origin as long as nothing is known, with unit sigma."""
-    count = 2 * len(times)
-    frame = np.repeat(np.arange(len(times)), 2)
-    along = np.tile(np.eye(2), (len(times), 1))
-    return Sightings(times, frame, np.full(count, links), np.ones(count), np.zeros((count, 2)), along, np.ones(count))
 
 
 def motion_of(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:

@@ -8,7 +8,7 @@ time, for what neighbouring frames get wrong they get wrong together (Künsch 19
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,14 @@ HUBER = 2.0  # robust scales beyond which a residual counts less
 ROUNDS = 3  # in which the robust scale settles
 SURE = 12.0  # deviance that an effect must explain to be seen: by chance 1 in 2000
 LAGGING = 0.004  # [s] from which a lag is sought: at none it cannot be told from an offset
+
+
+def measuring(model: Model) -> Model:
+    """The arm and camera of a model with every effect that alignment looks for, and no other.
+
+    In the order of their names, in which the settings keep them: a turn and a shift do not commute.
+    """
+    return Model(model.string, model.arm, model.camera).with_effects(*named(sorted((*ALWAYS, *SOUGHT))))
 
 
 @dataclass(frozen=True)
@@ -59,11 +67,12 @@ class Problem:
             first += count
         return np.concatenate(parts)
 
-    def parameters(self, effects: Sequence[str]) -> tuple[str, ...]:
+    @staticmethod
+    def parameters(effects: Sequence[str]) -> tuple[str, ...]:
         """Qualified names of the parameters of these effects."""
         return tuple(effect.qualified(p) for effect in named(effects) for p in effect.parameters)
 
-    def range_of(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    def ranges(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of parameters."""
         found = {p.name: p for p in self.model.parameters}
         return np.array([found[n].low for n in names]), np.array([found[n].high for n in names])
@@ -77,7 +86,7 @@ class Problem:
 
     def slopes(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
         """How the residuals over sigma change with x (P,), (N, P)."""
-        low, high = self.range_of(names)
+        low, high = self.ranges(names)
         step = STEP * (high - low)
         middle = np.clip(x, low + step, high - step)
         ends = self.off(names, np.concatenate([middle + np.diag(step), middle - np.diag(step)]))
@@ -153,7 +162,7 @@ def fitted(
     """
     held = held or {}
     names = tuple(name for name in problem.parameters(effects) if name not in held)
-    low, high = problem.range_of(names)
+    low, high = problem.ranges(names)
     x = np.clip([(start or {}).get(name, 0.0) for name in names], low, high)
     fixed = np.array(list(held.values()))
 
@@ -181,7 +190,7 @@ def robust(residual: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(residual))) + 1e-12
 
 
-def seen_to_act(problem: Problem) -> Fit:
+def chosen(problem: Problem) -> Fit:
     """The fit with all that is always measured, and those of the effects sought that make a difference."""
     best = fitted(problem, ALWAYS)
     while True:
@@ -190,7 +199,8 @@ def seen_to_act(problem: Problem) -> Fit:
         gains = [(best.deviance - other.deviance) / best.inflation for other in tried]
         if not gains or max(gains) < SURE:
             return best
-        best = replace_limit(problem, tried[int(np.argmax(gains))])
+        further = tried[int(np.argmax(gains))]
+        best = fitted(problem, further.effects, further.values)
 
 
 def more(problem: Problem, fit: Fit, *effects: str) -> Fit:
@@ -200,16 +210,3 @@ def more(problem: Problem, fit: Fit, *effects: str) -> Fit:
         start |= {"arm_lag.time_constant": LAGGING}
         start["time_offset.offset"] += LAGGING
     return fitted(problem, (*fit.effects, *effects), start, limit=fit.limit)
-
-
-def replace_limit(problem: Problem, fit: Fit) -> Fit:
-    """The same effects with a limit of their own."""
-    return fitted(problem, fit.effects, fit.values)
-
-
-def weightless(problem: Problem, sigma: float) -> Problem:
-    """The problem with one noise for all sightings."""
-    trials = [
-        replace(t, sightings=replace(t.sightings, sigma=np.full(len(t.sightings.sigma), sigma))) for t in problem.trials
-    ]
-    return replace(problem, trials=tuple(trials))

@@ -7,7 +7,7 @@ Medioni 1992). It begins with few frames and far off, and ends with all and with
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -16,21 +16,23 @@ import numpy as np
 from data.artifacts import JOINTS, Film
 from data.schema import DataError
 from stages.align.fit import ALWAYS, Problem, fitted
-from stages.align.sightings import Sighted, Sightings, arm_seen
+from stages.align.sightings import Sighted, Sightings
 from stages.extract.isolate import background
-from stages.model.hand import joint_motion
+from stages.model.body import arm_seen
+from stages.model.hand import JointMotion, joint_motion
 from stages.model.model import Model
 
-BINS = 12  # pieces of a link, each a sighting
+PIECES = 6  # pieces of a link, each a sighting
 ENDS = 0.15  # share of a link at its ends that is left out: there links and gripper overlap
 OPENING = 0.5  # of the arm's width: what is narrower is not arm
 FAINT = 25.0  # [grey levels] an arm that differs less from the scene is not seen
 COARSE = 60  # frames of a trial with which it begins
 MOST = 500  # frames of a trial that are looked at
-REACHES = (6.0, 3.0, 1.5, 1.0, 1.0)  # arm widths within which pixels count, one round after the other
-CLEAR = 1.0  # arm widths that the next link must be away
-WHOLE = (0.7, 1.3)  # times the usual number of pixels: a piece with others is hidden, or hides something
-SHARP = 0.15  # [px] one standard deviation of a sighting
+REACHES = (6.0, 3.0, 1.5, 1.0)  # arm widths within which pixels count, one round after the other
+NEAR = 1.0  # the same at the end
+CLEAR = 0.8  # arm widths that the middle of another link must be away from a piece's edges
+WHOLE = (0.85, 1.15)  # times the usual number of pixels: a piece with others is hidden, or hides something
+SHARP = 0.1  # [px] one standard deviation of a sighting
 
 
 @dataclass(frozen=True)
@@ -38,33 +40,39 @@ class Silhouettes:
     """The arm in some frames of a trial. times: (F,) [s]. pixels: for each frame (n, 2) the pixels that are arm."""
 
     name: str
-    film: Film
+    motion: JointMotion
     times: np.ndarray
     pixels: Sequence[np.ndarray]
 
 
-def from_films(model: Model, films: dict[str, Film], width: float) -> tuple[Sighted, ...]:
+def from_films(
+    model: Model, films: Mapping[str, Film], width: float, progress: Callable[[float], object]
+) -> tuple[Sighted, ...]:
     """Trials as their films show them. model: with every effect that is looked for. width: of the links [m].
 
     Raises DataError where no arm is seen.
     """
-    seen = [silhouettes(name, film, max(round(width * model.camera.px_per_m * OPENING), 2)) for name, film in films.items()]
+    opening = round(width * model.camera.px_per_m * OPENING) // 2 * 2 + 1  # an even one would shift what it leaves
+    seen = []
+    for name, film in films.items():
+        seen.append(silhouettes(name, film, opening))
+        progress(len(seen) / len(films))
     known = model.values({})
-    for number, reach in enumerate(REACHES):
-        last = number == len(REACHES) - 1
-        trials = tuple(sighted(model, known, one, width, reach, last) for one in seen)
+    for reach in REACHES:
+        trials = tuple(coarse(model, known, one, width, reach) for one in seen)
         if not sum(len(trial.sightings.frame) for trial in trials):
             raise DataError(
                 "the arm's outline is nowhere where the joints say that it is. Correct camera.px_per_m and "
                 "camera.origin_px, and align.arm_width."
             )
-        if not last:
-            known = model.values(fitted(Problem(model, trials), ALWAYS).values)
-    return trials
+        known = model.values(fitted(Problem(model, trials), ALWAYS).values)
+    return tuple(fine(model, known, one, width) for one in seen)
 
 
 def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
-    """What of each frame is arm: differs from the scene and is wider than `opening` [px]."""
+    """What of each frame is arm: differs from the scene and is wider than `opening` [px]. film: one with joints."""
+    assert film.arm is not None
+    motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy())
     chosen = np.unique(np.linspace(0, len(film.t) - 1, MOST).astype(int))
     scene = background(film.images)
     level = contrast(film, chosen[:: max(len(chosen) // COARSE, 1)], scene) / 2
@@ -74,7 +82,7 @@ def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
         mask = (cv2.absdiff(film.images[int(number)].astype(np.float32), scene) > level).astype(np.uint8)
         rows, columns = np.nonzero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, round_))
         pixels.append(np.stack([columns, rows], axis=-1).astype(float))
-    return Silhouettes(name, film, film.t[chosen], pixels)
+    return Silhouettes(name, motion, film.t[chosen], pixels)
 
 
 def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:
@@ -90,23 +98,35 @@ def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:
     return size
 
 
-def sighted(
-    model: Model, known: np.ndarray, seen: Silhouettes, width: float, reach: float, last: bool
-) -> Sighted:
-    """A trial, its pixels given to the links where the parameters `known` (P,) have them. last: of all frames, and of
-    whole pieces only. reach: in arm widths."""
-    motion = joint_motion(seen.film.arm["t"].to_numpy(), seen.film.arm[list(JOINTS)].to_numpy())
-    some = np.arange(0, len(seen.times), 1 if last else max(len(seen.times) // COARSE, 1))
-    there = arm_seen(model, motion, known[None], seen.times[some])[0]
-    parts = [pieces(model, seen.pixels[i], joints, width, reach) for i, joints in zip(some, there, strict=True)]
-    table = np.concatenate([np.column_stack([np.full(len(p), n), p]) for n, p in enumerate(parts)])
-    if last and len(table):
-        table = whole(table)
-    sigma = SHARP / model.camera.px_per_m if last else width / 4
+def coarse(model: Model, known: np.ndarray, seen: Silhouettes, width: float, reach: float) -> Sighted:
+    """Some frames of a trial. known: (P,) parameters by which pixels are given to links. reach: in arm widths."""
+    some = np.arange(0, len(seen.times), max(len(seen.times) // COARSE, 1))
+    table = looked_for(model, known, seen, some, width, reach)
+    return sighted(seen, some, table, width / 4)
+
+
+def fine(model: Model, known: np.ndarray, seen: Silhouettes, width: float) -> Sighted:
+    """All frames of a trial, and of these the pieces of links that are seen whole. known: as of `coarse`."""
+    every = np.arange(len(seen.times))
+    table = looked_for(model, known, seen, every, width, NEAR)
+    return sighted(seen, every, whole(table), SHARP / model.camera.px_per_m)
+
+
+def looked_for(
+    model: Model, known: np.ndarray, seen: Silhouettes, some: np.ndarray, width: float, reach: float
+) -> np.ndarray:
+    """Of some frames: the frame, and what `pieces` tells of it, (K, 9)."""
+    there = arm_seen(model, seen.motion, known[None], seen.times[some])[0]
+    parts = [pieces(model, seen.pixels[int(i)], joints, width, reach) for i, joints in zip(some, there, strict=True)]
+    return np.concatenate([np.column_stack([np.full(len(p), n), p]) for n, p in enumerate(parts)])
+
+
+def sighted(seen: Silhouettes, some: np.ndarray, table: np.ndarray, sigma: float) -> Sighted:
+    """The trial with what was seen in some of its frames. table: (K, 9) of `looked_for`. sigma: [m]."""
     frame, link, share, x, y, along_x, along_y, _ = table.T
     where = (frame.astype(int), link.astype(int), share, np.stack([x, y], axis=-1))
     along = np.stack([along_x, along_y], axis=-1)
-    return Sighted(seen.name, motion, Sightings(seen.times[some], *where, along, np.full(len(table), sigma)))
+    return Sighted(seen.name, seen.motion, Sightings(seen.times[some], *where, along, np.full(len(table), sigma)))
 
 
 def pieces(model: Model, pixels: np.ndarray, joints: np.ndarray, width: float, reach: float) -> np.ndarray:
@@ -115,27 +135,42 @@ def pieces(model: Model, pixels: np.ndarray, joints: np.ndarray, width: float, r
     pixels: (n, 2). joints: (J + 1, 2) where they are looked for [m].
     """
     points = model.camera.world(pixels)
+    share, across, distance = beside(points, joints)
+    nearest = np.argmin(distance, axis=1)
+    own = (np.arange(len(points)), nearest)
+    good = (distance[own] < reach * width) & (share[own] > ENDS) & (share[own] < 1 - ENDS)
+    piece = ((share[own] - ENDS) / (1 - 2 * ENDS) * PIECES).astype(int)
+    number = (nearest * PIECES + piece)[good]
+    count = np.bincount(number, minlength=PIECES * (len(joints) - 1))
+    there = np.flatnonzero(count)
+    off, at = (np.bincount(number, v[own][good], len(count))[there] / count[there] for v in (across, share))
+    link = there // PIECES
+    way = joints[link + 1] - joints[link]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1, keepdims=True)
+    axis = joints[link] + at[:, None] * way
+    clear = free(axis, normal, link, joints, width)
+    return np.column_stack([link + 1, at, axis + off[:, None] * normal, normal, count[there]])[clear]
+
+
+def beside(points: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share along each link, distance from its line to its left and from itself [m], (n, J) each. points: (n, 2)."""
     way = np.diff(joints, axis=0)
     length = np.linalg.norm(way, axis=1)
     normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / length[:, None]
-    from_base = points[:, None] - joints[None, :-1]
-    share = np.einsum("nji,ji->nj", from_base, way) / length**2
-    across = np.einsum("nji,ji->nj", from_base, normal)
-    beyond = np.maximum(np.maximum(-share, share - 1), 0) * length
-    distance = np.hypot(across, beyond)
-    order = np.sort(distance, axis=1)
-    nearest = np.argmin(distance, axis=1)
-    own = (np.arange(len(points)), nearest)
-    good = (order[:, 0] < reach * width) & (order[:, 1] > order[:, 0] + CLEAR * width)
-    good &= (share[own] > ENDS) & (share[own] < 1 - ENDS)
-    bin_ = ((share[own] - ENDS) / (1 - 2 * ENDS) * BINS).astype(int)
-    number = nearest[good] * BINS + bin_[good]
-    count = np.bincount(number, minlength=len(length) * BINS)
-    there = np.flatnonzero(count)
-    off, at = (np.bincount(number, v[own][good], len(count))[there] / count[there] for v in (across, share))
-    link = there // BINS
-    middle = joints[link] + at[:, None] * way[link] + off[:, None] * normal[link]
-    return np.column_stack([link + 1, at, middle, normal[link], count[there]])
+    from_start = points[:, None] - joints[None, :-1]
+    share = np.einsum("nji,ji->nj", from_start, way) / length**2
+    across = np.einsum("nji,ji->nj", from_start, normal)
+    return share, across, np.hypot(across, np.maximum(np.maximum(-share, share - 1), 0) * length)
+
+
+def free(axis: np.ndarray, normal: np.ndarray, link: np.ndarray, joints: np.ndarray, width: float) -> np.ndarray:
+    """Whether other links are clear of both edges of pieces (K,), so that neither side is cut or added to."""
+    near = np.full(len(axis), np.inf)
+    for side in (-width / 2, width / 2):
+        distance = beside(axis + side * normal, joints)[2]
+        distance[np.arange(len(axis)), link] = np.inf
+        near = np.minimum(near, distance.min(axis=1))
+    return near > CLEAR * width
 
 
 def whole(table: np.ndarray) -> np.ndarray:

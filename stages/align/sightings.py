@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
-from stages.model.arm import Arm
+from stages.model.body import arm_seen
 from stages.model.hand import JointMotion
 from stages.model.model import Model
 
@@ -47,37 +46,6 @@ class Sighted:
         """Where candidates have each point less where it was seen, along its direction, (C, N) [m]. values: (C, P)."""
         there = on_links(arm_seen(model, self.motion, values, self.sightings.times), self.sightings)
         return np.sum((there - self.sightings.seen) * self.sightings.along, axis=-1)
-
-    @property
-    def moved(self) -> np.ndarray:
-        """Times at which the arm moves or has just moved or will (F,) bool: at rest frames tell only the geometry."""
-        speed = np.abs(self.motion.speeds[0]).max(axis=-1)
-        ticks = self.motion.start + self.motion.tick * np.arange(len(speed))
-        return np.interp(self.sightings.times, ticks, speed) > 0.05 * speed.max()
-
-
-def arm_seen(model: Model, motion: JointMotion, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Where the camera reports the arm's joints, base to hand, (1 or C, F, J + 1, 2) [m]. times: (F,) its clock's."""
-    moments = np.atleast_2d(model.moments(values, times))
-    return model.reported(joints_at(model.arm, model.joints(motion, values), moments), values, times)
-
-
-def joints_at(arm: Arm, motion: JointMotion, moments: np.ndarray) -> np.ndarray:
-    """Positions of base, joints and hand at moments (1 or C, M) of the arm's clock, at rest beyond its motion.
-
-    Returns (C, M, J + 1, 2) [m]; C is 1 only if both are one for all.
-    """
-    ticks = motion.start + motion.tick * np.arange(motion.angles.shape[1])
-    inside = np.clip(moments, ticks[0], ticks[-1])
-    if len(motion.angles) == 1:
-        return arm.joints(CubicHermiteSpline(ticks, motion.angles[0], motion.speeds[0])(inside))
-    each = [
-        CubicHermiteSpline(ticks, angles, speeds)(own)
-        for angles, speeds, own in zip(
-            motion.angles, motion.speeds, np.broadcast_to(inside, (len(motion.angles), inside.shape[1])), strict=True
-        )
-    ]
-    return arm.joints(np.stack(each))
 
 
 def on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:

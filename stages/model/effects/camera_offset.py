@@ -33,8 +33,9 @@ class CameraOffset(CameraEffect):
     @staticmethod
     def words(values: Mapping[str, float]) -> str:
         """What is so."""
-        x, y = 1e3 * values["x"], 1e3 * values["y"]
-        return f"the picture's origin is off: everything is seen {x:.1f} mm to the right and {y:.1f} mm up"
+        across = f"{1e3 * abs(values['x']):.1f} mm to the {'right' if values['x'] > 0 else 'left'}"
+        up = f"{1e3 * abs(values['y']):.1f} mm {'up' if values['y'] > 0 else 'down'}"
+        return f"the picture's origin is off: everything is seen {across} and {up}"
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
