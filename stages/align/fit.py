@@ -25,7 +25,7 @@ BLOCKS = 20  # pieces into which the time is cut
 STEP = 1e-4  # of a parameter's range, for the central difference
 HUBER = 2.0  # robust scales beyond which a residual counts less
 ROUNDS = 3  # in which the robust scale settles
-SURE = 12.0  # deviance that an effect must explain to be seen: by chance 1 in 2000
+SURE = 9.0  # deviance that an effect must explain to be seen: by chance 1 in 400
 LAGGING = 0.004  # [s] from which a lag is sought: at none it cannot be told from an offset
 
 
