@@ -19,6 +19,7 @@ from data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Motion, Observati
 from data.schema import DataError
 from pipeline.steps import Past
 from pipeline.world import World
+from stages.align.undo import in_arms_frame
 from stages.check.check import refuse
 from stages.check.measured import Measured
 from stages.judge import Verdict, judge
@@ -269,7 +270,8 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
         current.done[name] = desk.step(name, past)
     motion: Motion = current.done["generate"]
     points: Points = current.done["extract"]
-    return Iteration(current.number, current.done, judge(points, world.target, world.obstacles, motion.duration))
+    there = in_arms_frame(points, world.model)
+    return Iteration(current.number, current.done, judge(there, world.target, world.obstacles, motion.duration))
 
 
 def _ended(iterations: list[Iteration]) -> str:

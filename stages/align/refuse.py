@@ -17,8 +17,10 @@ FRAMES = 30  # in which the arm must be seen
 SLOW = 0.1  # [m/s] a hand that never gets faster shows nothing of the clocks
 UNITS = (0.7, 1.4)  # times as far as the joints say that what is seen may spread
 MISFIT = 3.0  # times its own uncertainty that a residual may be
+VISIBLE = 1.5  # the same where it has a pattern
+MOSTLY = 0.5  # share of it that the pattern explains
 CERTAIN = {"time_offset.offset": (2e-3, "s"), "camera_rotation.angle": (0.02, "rad"), "pixel_scale.excess": (0.02, "1")}
-LEFT = 0.2  # share of the rest that something must explain to be named
+LEFT = 0.2  # share of the rest that something must explain to be named at all
 EDGE = 1e-3  # share of its range within which a parameter sits at its end
 
 
@@ -61,11 +63,7 @@ def refuse_fit(problem: Problem, fit: Fit) -> None:
             raise DataError(
                 f"{name} would be {value:.3g} or beyond, where the search ends. Correct conf/camera or conf/arm first."
             )
-    size = robust(fit.residual)
-    if size > MISFIT:
-        raise DataError(
-            f"what is left is {size:.1f} times what noise explains. {pattern(problem, fit)} Nothing is taken over."
-        )
+    refuse_misfit(problem, fit)
     for name, (most, unit) in CERTAIN.items():
         reach = fit.reach[fit.names.index(name)]
         if reach > most:
@@ -76,13 +74,20 @@ def refuse_fit(problem: Problem, fit: Fit) -> None:
             )
 
 
-def pattern(problem: Problem, fit: Fit) -> str:
-    """What the rest goes with, in words."""
+def refuse_misfit(problem: Problem, fit: Fit) -> None:
+    """Refuse a fit that leaves much more than noise, or more than noise with a pattern. Raises DataError."""
+    size = robust(fit.residual)
+    if size < VISIBLE:
+        return
     shares = {words: explained(fit, columns) for words, columns in suspects(problem, fit)}
     words, share = max(shares.items(), key=lambda one: one[1])
-    if share < LEFT:
-        return "It goes with nothing that is known."
-    return f"It is mostly as if {words}: that explains {100 * share:.0f} % of it."
+    if size < MISFIT and share < MOSTLY:
+        return
+    named = f"It is mostly as if {words}: that explains {100 * share:.0f} % of it."
+    raise DataError(
+        f"what is left is {size:.1f} times what noise explains. "
+        f"{named if share > LEFT else 'It goes with nothing that is known.'} Nothing is taken over."
+    )
 
 
 def explained(fit: Fit, columns: np.ndarray) -> float:

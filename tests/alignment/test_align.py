@@ -3,25 +3,29 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
-from data.artifacts import JOINTS, MASKS, POINTS, READINGS, Film, Observation
+from data.artifacts import JOINTS, MASKS, POINTS, READINGS, Film, Observation, Points
 from data.schema import DataError
 from hardware.virtual.render import Look, noisy, render, scenery
 from stages.align import align
-from stages.estimate.least_squares import estimate
+from stages.align.fit import measuring
+from stages.align.undo import in_arms_frame
 from stages.estimate.matching import Matching
+from stages.estimate.random_search import estimate
 from stages.excite import excite
 from stages.extract import aligned_footage
 from stages.model.box import Box
+from stages.model.hand import joint_motion
 from stages.model.library import named
 from stages.model.model import Model
 from stages.model.string import String
 from stages.report.alignment import AlignmentRecord, alignment_report
 from tests.alignment.stand import OFF, SWING, stand, still
 
-MISSED = 1.5  # half widths of a 95 % interval: of 60 normal deviates 1 in 4 times the largest is further out
+MISSED = 1.5  # half widths of a 95 % interval: one in 300 is further out by chance
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +58,7 @@ def test_known_values_are_recovered_within_what_is_stated(bench, fps, offset, co
     for name, value in true.items():
         found, reach = interval(made, name)
         assert abs(found - value) < MISSED * reach, name
-        assert reach < {"time_offset.offset": 1e-3}.get(name, 1e-2), name
+    assert interval(made, "time_offset.offset")[1] < 2e-3
 
 
 def test_what_is_aligned_is_found_aligned(bench):
@@ -84,7 +88,7 @@ def test_turning_the_scene_turns_the_result_and_another_clock_sets_it_off(bench)
 
 def test_a_lens_that_bends_is_measured_too(bench):
     true = OFF | {"lens_distortion.radial": 0.05}
-    made = aligned(bench, bench.observation(true, fps=100, sigma=3e-4))
+    made = aligned(bench, bench.observation(true, fps=60, sigma=3e-4))
     for name, value in true.items():
         found, reach = interval(made, name)
         assert abs(found - value) < MISSED * reach, name
@@ -95,7 +99,7 @@ def test_a_lens_that_bends_is_measured_too(bench):
 
 def test_a_lag_that_shows_is_told_from_the_offset(bench):
     true = OFF | {"arm_lag.time_constant": 0.012}
-    made = aligned(bench, bench.observation(true, fps=200, sigma=3e-4))
+    made = aligned(bench, bench.observation(true, fps=100, sigma=3e-4))
     assert "arm_lag.time_constant" in made.found()
     for name in ("time_offset.offset", "arm_lag.time_constant"):
         found, reach = interval(made, name)
@@ -136,14 +140,14 @@ def told(o):
 WRONG = {
     "too slow": (still, "the hand moves at 0.000 m/s at most: too slow"),
     "hardly seen": (lambda o: replace(o, points=o.points[:20]), "seen in 20 frames only"),
-    "millimetres": (in_millimetres, r"spreads 1.*e\+03 times as far as the joints say.*must be in metres"),
+    "millimetres": (in_millimetres, r"spreads \d{3,4} times as far as the joints say.*must be in metres"),
     "degrees": (in_degrees, "joint angles in radians"),
     "knocked": (knocked, r"times what noise explains.*camera or arm was knocked at 2\.[2-7]"),
     "no grasp": (told, r"no point at the grasp \(s = 0\)"),
     "no joints": (lambda o: replace(o, arm=None), "needs joint angles"),
     "far off": (
         lambda o: replace(o, points=o.points.assign(x=o.points["x"] + 0.3)),
-        r"camera_offset.x would be 0.1 or beyond.*Correct conf/camera",
+        r"would be -?0\.[12] or beyond.*Correct conf/camera",
     ),
 }
 
@@ -166,7 +170,9 @@ def test_points_that_the_joints_told_show_nothing(bench):
 
 
 def test_joints_that_turn_further_than_told_are_named(bench):
-    seen = bench.observation(OFF | {"joint_gain.gain": 0.05}, sigma=3e-4, also=("joint_gain",))
+    seen = bench.observation(
+        OFF | {"joint_gain.gain": 0.05}, sigma=3e-4, also=("joint_gain",)
+    )  # a lens hides most of it: 2.7 sigma are left
     with pytest.raises(DataError, match="the joints turned more or less than they report"):
         aligned(bench, seen)
 
@@ -175,7 +181,7 @@ def test_joints_that_turn_further_than_told_are_named(bench):
 
 
 def test_the_arm_is_read_in_frames(model):
-    """320 x 320 px, 6 mm a pixel: offset to 0.1 ms, scale and angle to 1 in 1000. A string hangs in the way."""
+    """320 x 320 px, 6 mm a pixel: the clocks to 0.1 ms, places to 0.3 of a pixel at 0.6 m. A string hangs in the way."""
     camera = replace(model.camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5))
     bench = stand(replace(model, camera=camera), motions=4)
     t, joints = bench.joints(OFF, fps=30)
@@ -190,7 +196,7 @@ def test_the_arm_is_read_in_frames(model):
     found = made.found()
     assert found["time_offset.offset"] == pytest.approx(OFF["time_offset.offset"], abs=1e-4)
     for name in set(OFF) - {"time_offset.offset"}:
-        assert found[name] == pytest.approx(OFF[name], abs=1e-3), name
+        assert found[name] == pytest.approx(OFF[name], abs=3e-3), name
     assert len(made.seen) > 10 * len(t)
     page = alignment_report(AlignmentRecord("a", made.sentence, made, {}, {"seed": 0, "code": {"commit": "0" * 10}}))
     assert page.count("<figure") == 3
@@ -208,41 +214,58 @@ def taken_over(model, made):
     return replace(model.with_effects(*named(told["effects"])), known=known, measured=measured)
 
 
-def test_estimation_is_better_with_the_alignment_known(bench, model):
-    """Noise of 1 mm: with the alignment 1.4 mm are left of both coordinates together, without it several times that."""
-    later = taken_over(model, aligned(bench, bench.observation(OFF, fps=100)))
-    stiff = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "axial_stiffness": 2e5, "axial_damping": 30.0}
-    stiff |= {"linear_drag": 0.3, "quadratic_drag": 0.2, "grasp_stiffness": 3.0, "grasp_damping": 5e-3}
-    cast = bench.observation(OFF).arm
-    cast = cast[cast["t"] < 2.0]
-    truth = model.with_effects(*named(sorted({n.split(".")[0] for n in OFF})))
-    from stages.model.hand import joint_motion
+@pytest.fixture(scope="module")
+def later(bench, model):
+    return taken_over(model, aligned(bench, bench.observation(OFF, fps=60, sigma=2e-4)))
 
-    t = np.arange(0.1, 1.8, 0.04)
+
+def test_estimation_is_better_with_the_alignment_known(bench, model, later):
+    """A short search within 2 % of the true string, noise of 1 mm in x and in y: little more is left, or far more."""
+    known = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "axial_stiffness": 2e5, "axial_damping": 30.0}
+    known |= {"linear_drag": 0.3, "quadratic_drag": 0.2, "grasp_stiffness": 3.0, "grasp_damping": 5e-3}
+    near = {
+        p.name: replace(p, low=0.98 * known[p.name], high=1.02 * known[p.name], start=0.985 * known[p.name])
+        for p in model.string.parameters
+    }
+    cast = bench.arm[bench.arm["t"] < 1.2]
+    t, s = np.arange(0.1, 1.1, 0.04), model.string.arc_lengths()
     motion = joint_motion(cast["t"].to_numpy(), cast[list(JOINTS)].to_numpy())
-    seen = truth.seen(motion, truth.values(stiff | OFF)[None], t).points[0]
+    truth = model.with_effects(*named(sorted({n.split(".")[0] for n in OFF})))
+    seen = truth.seen(motion, truth.values(known | OFF)[None], t).points[0]
     seen = seen + 1e-3 * np.random.default_rng(0).normal(size=seen.shape)
-    s = model.string.arc_lengths()
     rows = {"t": np.repeat(t, len(s)), "s": np.tile(s, len(t)), "x": seen[..., 0].ravel(), "y": seen[..., 1].ravel()}
-    import pandas as pd
-
     points = POINTS.check(pd.DataFrame(rows | {"sigma": 1e-3}))
     observation = Observation("t02", points, READINGS.empty(), MASKS.empty(), arm=cast)
-    how = {"seed": 0, "manipulation": 1, "starts": 8, "screening": 60, "iterations": 16}
+    how = {"seed": 0, "manipulation": 1, "candidates": 33, "chi_0": 0.6, "beta": 0.95, "together": 32}
     matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
-    left = [estimate(m, [observation], None, **how, matching=matching).fit["rms_after"].iloc[0] for m in (model, later)]
-    assert left[1] < 2e-3
+    models = [replace(m, string=replace(m.string, ranges=near)) for m in (model, later)]
+    left = [estimate(m, [observation], None, **how, matching=matching).fit["rms_after"].iloc[0] for m in models]
+    assert left[1] < 3e-3
     assert left[0] > 3 * left[1]
 
 
-def test_extraction_looks_for_the_string_where_the_camera_has_the_hand(bench, model):
-    made = aligned(bench, bench.observation(OFF, fps=100, sigma=2e-4))
+def test_extraction_looks_for_the_string_where_the_camera_has_the_hand(bench, model, later):
     t, joints = bench.joints(OFF, fps=50)
-    plain, looked = (aligned_footage(Film(t, [], arm=bench.arm), m) for m in (model, taken_over(model, made)))
+    plain, looked = (aligned_footage(Film(t, [], arm=bench.arm), m) for m in (model, later))
     off = [np.abs(footage.grasp[:, :2] - joints[:, -1]).max() for footage in (plain, looked)]
     assert off[0] > 0.02
     assert off[1] < 1e-3
     assert np.abs(looked.body - joints).max() < 1e-3
+
+
+def test_the_tip_is_judged_where_it_is(model, later):
+    t, true = np.linspace(0, 1, 30), np.random.default_rng(0).uniform(-0.2, 0.8, (30, 2))
+    stills = np.tile(true[None, :, None], (1, 3, 1, 1))
+    x, y = measuring(model).reported(stills, measuring(model).values(OFF)[None], t)[0, :, 0].T
+    points = POINTS.check(pd.DataFrame({"t": t, "s": 0.0, "x": x, "y": y}))
+    tips = READINGS.check(
+        pd.DataFrame(
+            {"frame": 0, "t": t, "valid": True, "reason": "", "tip_x": x, "tip_y": y, "tip_sigma": 0.0, "length": 0.3}
+        )
+    )
+    right = in_arms_frame(Points(points, tips, MASKS.empty()), later)
+    for table, columns in ((right.points, ["x", "y"]), (right.readings, ["tip_x", "tip_y"])):
+        assert np.abs(table[columns].to_numpy() - true).max() < 1e-3
 
 
 # --- the motion ----------------------------------------------------------------------------------------------------
