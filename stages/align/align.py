@@ -43,7 +43,7 @@ def align(
     filmed = {name: film for name, film in films.items() if film.arm is not None}
     seen = from_films(full, filmed, arm_width, lambda share: progress(0.6 * share)) if filmed else ()
     told = tuple(from_points(o, model.arm) for o in observations if o.trial not in filmed)
-    problem = Problem(full, (*seen, *told))
+    problem = Problem(full, tuple(trial for trial in (*seen, *told) if len(trial.sightings.frame)))
     refuse_sight(problem)
     fit = chosen(problem)
     progress(0.8)
@@ -88,6 +88,7 @@ def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
     if "arm_lag" not in fit.effects:
         ends[LAG] = (0.0, 0.0, lag)
     known = {p.name: p for p in problem.model.parameters}
+    ends = {n: (x, max(low, known[n].low), min(high, known[n].high)) for n, (x, low, high) in ends.items()}
     rows = [
         {"name": name, "unit": known[name].unit, "meaning": known[name].meaning, "found": name in fit.names}
         | dict(zip(("value", "low", "high"), numbers, strict=True))

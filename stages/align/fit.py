@@ -57,7 +57,7 @@ class Problem:
     @cached_property
     def blocks(self) -> np.ndarray:
         """(N,) number of the block of time in which each sighting lies; none reaches over two trials."""
-        spans = [np.ptp(trial.sightings.times) for trial in self.trials]
+        spans = [max(float(np.ptp(trial.sightings.times)), 1e-9) for trial in self.trials]
         length = sum(spans) / BLOCKS
         parts, first = [], 0
         for trial, span in zip(self.trials, spans, strict=True):

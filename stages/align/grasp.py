@@ -12,7 +12,7 @@ from stages.model.hand import joint_motion
 
 NEAR = 1e-3  # [m] of arc length: a point as near to the grasp as that is the grasp
 TOLD = 1e-5  # [m] a point nearer than that to where the joints have it was not measured
-GUESS = 1e-3  # [m] one standard deviation where none is given: only ratios count then
+FINEST = 1e-4  # [m] a standard deviation that is not given is not less
 
 
 def from_points(observation: Observation, arm: Arm) -> Sighted:
@@ -29,14 +29,21 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
         )
     t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
     told = np.stack([np.interp(t, observation.arm["t"], observation.arm[q]) for q in JOINTS], axis=-1)
-    if np.median(np.linalg.norm(arm.joints(told)[:, -1] - seen, axis=-1)) < TOLD:
+    off = arm.joints(told)[:, -1] - seen
+    if np.median(np.linalg.norm(off, axis=-1)) < TOLD:
         raise DataError(
             f"trial {observation.trial}: its points begin where the joints say that the grasp is, which "
             "shows nothing. Add the frames."
         )
-    sigma = grasp["sigma"].to_numpy() if "sigma" in grasp else np.full(len(grasp), GUESS)
+    sigma = grasp["sigma"].to_numpy() if "sigma" in grasp else np.full(len(grasp), noise(off))
     motion = joint_motion(observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy())
     return Sighted(observation.trial, motion, at_hand(t, seen, sigma, len(JOINTS)))
+
+
+def noise(off: np.ndarray) -> float:
+    """One standard deviation [m] of what goes on evenly from frame to frame but for it. off: (K, 2)."""
+    jumps = np.abs(np.diff(off, 2, axis=0))
+    return max(1.4826 * float(np.median(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
 
 
 def at_hand(t: np.ndarray, seen: np.ndarray, sigma: np.ndarray, links: int) -> Sightings:

@@ -15,6 +15,7 @@ from stages.model.library import named
 
 FRAMES = 30  # in which the arm must be seen
 SLOW = 0.1  # [m/s] a hand that never gets faster shows nothing of the clocks
+TINY = 1e-3  # [m] spread that tells nothing of units
 UNITS = (0.7, 1.4)  # times as far as the joints say that what is seen may spread
 MISFIT = 3.0  # times its own uncertainty that a residual may be
 VISIBLE = 1.5  # the same where it has a pattern
@@ -52,7 +53,8 @@ def spread(problem: Problem, trial: Sighted) -> float:
     """How far what is seen of the arm spreads, over how far it should."""
     seen = trial.sightings
     told = on_links(arm_seen(problem.model, trial.motion, problem.model.values({})[None], seen.times), seen)[0]
-    return float(np.linalg.norm(np.ptp(seen.seen, axis=0)) / np.linalg.norm(np.ptp(told, axis=0)))
+    sizes = [TINY + float(np.linalg.norm(np.ptp(places, axis=0))) for places in (seen.seen, told)]
+    return sizes[0] / sizes[1]
 
 
 def refuse_fit(problem: Problem, fit: Fit) -> None:

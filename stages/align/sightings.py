@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,11 +27,6 @@ class Sightings:
     seen: np.ndarray
     along: np.ndarray
     sigma: np.ndarray
-
-    def only(self, chosen: np.ndarray) -> Sightings:
-        """Some of them. chosen: (N,) bool."""
-        parts = {name: getattr(self, name)[chosen] for name in ("frame", "link", "share", "seen", "along", "sigma")}
-        return replace(self, **parts)
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,13 @@ def test_a_lens_that_bends_is_measured_too(bench):
         assert abs(found - value) < MISSED * reach, name
 
 
+def test_noise_that_nobody_states_is_found(bench):
+    seen = bench.observation(OFF, sigma=2e-3)
+    made = aligned(bench, replace(seen, points=seen.points.drop(columns="sigma")))
+    assert made.seen["sigma"].iloc[0] == pytest.approx(2e-3, rel=0.2)
+    assert made.found()["time_offset.offset"] == pytest.approx(OFF["time_offset.offset"], abs=1e-3)
+
+
 # --- look-alikes ---------------------------------------------------------------------------------------------------
 
 
