@@ -1,4 +1,4 @@
-"""Settings that a folder brings along: of stored trials, or the model that a diagnosis made."""
+"""Settings that a folder brings along: of stored trials, or the model that a diagnosis or an alignment made."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import yaml
 from data import dataset
 from pipeline.settings import UserError
 
-EXTENDED = "extended.yaml"  # the model that a diagnosis made
+EXTENDED = "extended.yaml"  # the model that a diagnosis made, or an alignment
 CAMERA = "camera.yaml"  # the camera that a calibration measured
 FROM_DATASETS = {
     "string": ("length",),
@@ -35,14 +35,15 @@ FROM_TRIALS = (
 
 
 def extended_model(folder: Path) -> dict[str, Any]:
-    """Settings of the model that a diagnosis made: `string`, `effects`, `known`. folder: the diagnosis' run."""
+    """Settings of the model that a run made: `string`, `effects`, `known`. folder: of a diagnosis or an alignment."""
     path = folder / EXTENDED if folder.is_dir() else folder
+    remedy = "Name the run folder of a diagnosis or an alignment."
     try:
         made = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError) as error:
-        raise UserError(f"extended={folder}: {path} cannot be read ({error}). Name a diagnosis' run folder.") from error
+        raise UserError(f"extended={folder}: {path} cannot be read ({error}). {remedy}") from error
     if not isinstance(made, dict):
-        raise UserError(f"extended={folder}: {path} must hold settings. Name a diagnosis' run folder.")
+        raise UserError(f"extended={folder}: {path} must hold settings. {remedy}")
     return made
 
 

@@ -21,9 +21,11 @@ from pipeline.world import World
 
 FOLDERS = {
     "generate": "motion",
+    "excite": "motion",
     "execute": "trial",
     "extract": "points",
     "estimate": "estimate",
+    "align": "alignment",
     "diagnose": "diagnosis",
     "propose": "motion",
 }
@@ -121,5 +123,5 @@ def repeatable(world: World, name: str) -> bool:
 
 def performed(world: World, folder: Path, name: str, number: int) -> bool:
     """Whether a real arm has moved by what this step made: then it stays, for what was measured hangs on it."""
-    nearest = number if name in ("generate", "propose", "execute") else number + 1
+    nearest = number if name in ("generate", "excite", "propose", "execute") else number + 1
     return not repeatable(world, "execute") and (folder / place_of(nearest, "execute")).is_dir()

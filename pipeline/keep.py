@@ -110,10 +110,12 @@ def begin(world: World, folder: Path) -> None:
 
 
 def end(result: Result) -> None:
-    """Write what a diagnosis found, and last run.json: the run in a few numbers."""
+    """Write what a diagnosis or an alignment found, and last run.json: the run in a few numbers."""
     if result.diagnosis is not None:
         store.write_text(result.folder / "diagnosis.json", json.dumps(_found(result.diagnosis, result), indent=2))
         store.write_text(result.folder / EXTENDED, str(result.diagnosis.finding["extended"].iloc[0]))
+    if result.alignment is not None:
+        store.write_text(result.folder / EXTENDED, result.alignment.extended)
     store.write_text(result.folder / ENDED, json.dumps(in_numbers(result), indent=2))
 
 

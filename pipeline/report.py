@@ -11,6 +11,7 @@ from pipeline.run import Result
 from pipeline.world import World
 from stages.model.library import library
 from stages.report import Cast, Record, cast_record, report
+from stages.report.alignment import AlignmentRecord, alignment_report
 from stages.report.diagnosis import DiagnosisRecord, diagnosis_report
 
 
@@ -18,6 +19,10 @@ def write(world: World, result: Result) -> None:
     """`report.html` in the run's folder."""
     if result.diagnosis is not None:
         write_text(result.folder / "report.html", diagnosis_report(_found(world, result.diagnosis)))
+        return
+    if result.alignment is not None:
+        facts = (world.config["name"], result.sentence, result.alignment, world.config, _made_by(world))
+        write_text(result.folder / "report.html", alignment_report(AlignmentRecord(*facts)))
         return
     estimates = [i.done.get("estimate") for i in result.iterations]
     record = Record(

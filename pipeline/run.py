@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from data import dataset
-from data.artifacts import Diagnosis, Motion, Observation, Points
+from data.alignment import Alignment
+from data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Motion, Observation, Points
 from data.schema import DataError
 from pipeline.steps import Past
 from pipeline.world import World
+from stages.align.undo import in_arms_frame
 from stages.check.check import refuse
 from stages.check.measured import Measured
 from stages.judge import Verdict, judge
@@ -68,6 +70,11 @@ class Result:
         return self.iterations[-1].done.get("diagnose")
 
     @property
+    def alignment(self) -> Alignment | None:
+        """What was measured of camera and clock, if it was asked."""
+        return self.iterations[-1].done.get("align")
+
+    @property
     def hit(self) -> bool:
         """Whether the real tip reached the target."""
         return any(i.hit for i in self.iterations)
@@ -85,6 +92,8 @@ class Desk(Protocol):
 
 def work(world: World, folder: Path, desk: Desk) -> Result:
     """All that the settings ask for. folder: the run's."""
+    if "align" in world.config["steps"]:
+        return align(world, folder, desk)
     if world.config["trials"] is None:
         return cast(world, folder, desk)
     again = diagnose if "diagnose" in world.config["steps"] else estimate_again
@@ -144,6 +153,33 @@ def diagnose(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
         past = _diagnosed(past, iterations[-1], desk)
         desk.publish(iterations[len(observations) :])
     return Result(folder, tuple(iterations), _concluded(past))
+
+
+def align(world: World, folder: Path, desk: Desk) -> Result:
+    """Camera and clock measured from stored trials, or where there are none from a motion performed for it."""
+    current = Iteration(1, {})
+    past = Past(1, current.done, None, None, ())
+    if world.config["trials"] is None:
+        past = _excited(past, current, desk)
+    else:
+        data = _usable(world, Path(world.config["trials"]))
+        seen = tuple(data.trials.values())
+        past = replace(past, observations=seen, films=data.films, rejected=data.rejected, hashes=_hashes(data))
+    made: Alignment = desk.step("align", past)
+    current.done["align"] = made
+    left = f"Left out: {_reasons(past.rejected)}." if past.rejected else ""
+    return Result(folder, (current,), " ".join(filter(None, (made.sentence, left))))
+
+
+def _excited(past: Past, current: Iteration, desk: Desk) -> Past:
+    """Perform the motion that tells the most. Raises DataError where its trial cannot be trusted."""
+    for name in ("excite", "execute"):
+        current.done[name] = desk.step(name, past)
+    if current.refused:
+        raise DataError(f"nothing is measured from this trial: {current.refused}.")
+    trial = current.done["execute"]
+    seen = Observation(current.name, POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=trial.arm)
+    return replace(past, observations=(seen,), films={current.name: trial.film})
 
 
 def _diagnosed(past: Past, current: Iteration, desk: Desk) -> Past:
@@ -234,7 +270,8 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
         current.done[name] = desk.step(name, past)
     motion: Motion = current.done["generate"]
     points: Points = current.done["extract"]
-    return Iteration(current.number, current.done, judge(points, world.target, world.obstacles, motion.duration))
+    there = in_arms_frame(points, world.model)
+    return Iteration(current.number, current.done, judge(there, world.target, world.obstacles, motion.duration))
 
 
 def _ended(iterations: list[Iteration]) -> str:

@@ -34,9 +34,11 @@ def bars(console: Console) -> Iterator[Bar]:
 
 
 def summary(result: Result) -> Group:
-    """How the run ended, manipulation by manipulation, or what a diagnosis found."""
+    """How the run ended, manipulation by manipulation, or what a diagnosis or an alignment found."""
     if result.diagnosis is not None:
         return _found(result)
+    if result.alignment is not None:
+        return _measured(result)
     table = Table(box=None, pad_edge=False)
     for heading in ("cast", "tip in the box", "closest [mm]", "E before", "E after", "residual [mm]"):
         table.add_column(heading, justify="right")
@@ -63,6 +65,19 @@ def _found(result: Result) -> Group:
         value = f"{row.value:.4g}" if row.parameter else ""
         table.add_row(row.effect, f"{row.probability:.2f}", row.parameter, value, ends, row.unit)
     said = Panel(Group(Text(result.sentence), "", table), title=f"[bold]{result.diagnosis.verdict}")
+    return Group(said, Text(f"{result.folder / 'report.html'}", overflow="fold"))
+
+
+def _measured(result: Result) -> Group:
+    """How camera and clock stand to the arm."""
+    assert result.alignment is not None
+    table = Table(box=None, pad_edge=False)
+    for heading in ("parameter", "value", "95 % interval", "unit", ""):
+        table.add_column(heading)
+    for row in result.alignment.measured.itertuples():
+        ends = f"{row.low:.5g} to {row.high:.5g}"
+        table.add_row(row.name, f"{row.value:.5g}", ends, row.unit, "" if row.found else "not seen")
+    said = Panel(Group(Text(result.sentence), "", table), title="[bold]camera and clock against the arm")
     return Group(said, Text(f"{result.folder / 'report.html'}", overflow="fold"))
 
 

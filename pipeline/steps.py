@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from data.alignment import Alignment
 from data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Points, Trial
 from pipeline.world import World
-from stages.extract import footage_of
+from stages.extract import aligned_footage
 
 Progress = Callable[[float], object]
 
@@ -18,8 +19,8 @@ Progress = Callable[[float], object]
 class Past:
     """What a step may look at: earlier iterations, earlier steps of this one, and what was stored elsewhere.
 
-    film: the trial's frames there. hashes: of the files there. rejected: its trials that cannot be used, with the
-    reason. held_out: those that are to measure a gain. diagnosis: the last one.
+    film: the trial's frames there, films: those of all of them, by trial. hashes: of the files there. rejected: its
+    trials that cannot be used, with the reason. held_out: those that are to measure a gain. diagnosis: the last one.
     """
 
     number: int
@@ -32,6 +33,7 @@ class Past:
     rejected: Mapping[str, str] = field(default_factory=dict)
     held_out: tuple[str, ...] = ()
     diagnosis: Diagnosis | None = None
+    films: Mapping[str, Film] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,10 @@ def _generate(world: World, past: Past, seed: int, progress: Progress) -> Motion
     return world.stages["generate"](*place, past.motion, known, seed=seed, progress=progress)
 
 
+def _excite(world: World, past: Past, seed: int, progress: Progress) -> Motion:
+    return world.stages["excite"](world.model, world.obstacles, seed=seed, progress=progress)
+
+
 def _execute(world: World, past: Past, seed: int, progress: Progress) -> Trial:
     lab = world.stages["hardware"](world.arm, world.camera, seed=world.seed, trial=past.number)
     planned = next(made for made in past.done.values() if isinstance(made, Motion))
@@ -69,7 +75,7 @@ def _execute(world: World, past: Past, seed: int, progress: Progress) -> Trial:
 
 def _extract(world: World, past: Past, seed: int, progress: Progress) -> Points:
     film = past.done["execute"].film if past.film is None else past.film
-    return world.stages["extract"](footage_of(film, world.arm), world.camera, progress=progress)
+    return world.stages["extract"](aligned_footage(film, world.model), world.camera, progress=progress)
 
 
 def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estimate:
@@ -77,6 +83,10 @@ def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estima
         *(world.model, past.observations, past.estimate),
         **{"seed": seed, "manipulation": past.number, "progress": progress},
     )
+
+
+def _align(world: World, past: Past, seed: int, progress: Progress) -> Alignment:
+    return world.stages["align"](world.model, past.observations, past.films, progress=progress)
 
 
 def _diagnose(world: World, past: Past, seed: int, progress: Progress) -> Diagnosis:
@@ -95,9 +105,11 @@ STEPS: dict[str, Step] = {
     "generate": Step(
         *(Motion, _generate, (*MODEL, "target", "obstacles", "generate", "seed")), last=("generate", "estimate")
     ),
+    "excite": Step(Motion, _excite, (*MODEL, "obstacles", "excite", "seed")),
     "execute": Step(Trial, _execute, ("arm", "camera", "hardware", "execute", "seed"), this=("generate",)),
-    "extract": Step(Points, _extract, ("arm", "camera", "extract"), this=("execute",)),
+    "extract": Step(Points, _extract, ("arm", "camera", "effects", "known", "extract"), this=("execute",)),
     "estimate": Step(Estimate, _estimate, (*MODEL, "estimate", "memory", "seed"), last=("estimate",), observes=True),
+    "align": Step(Alignment, _align, (*MODEL, "align"), this=("execute",)),
     "diagnose": Step(Diagnosis, _diagnose, (*MODEL, "obstacles", "diagnose", "seed"), observes=True),
     "propose": Step(Motion, _propose, (), last=("diagnose",)),
 }

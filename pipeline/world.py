@@ -63,7 +63,8 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     string = _accurate(_string(config["string"], where("string")), arm, config, where("string"))
     camera = build(Camera, config["camera"], "camera", where("camera"))
     model = with_effects(Model(string, arm, camera), config["effects"], where("effects"))
-    model = replace(model, known=_known(config["known"], model, where("known")))
+    known, measured = _known(config["known"], model, where("known"))
+    model = replace(model, known=known, measured=measured)
     if "generate" in config["steps"]:
         check_reach(target, arm, string.length)
     boxes = config["obstacles"]["boxes"]
@@ -76,10 +77,10 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     )
 
 
-STAGES = ("generate", "execute", "extract", "estimate", "diagnose", "calibrate", "hardware")
+STAGES = ("generate", "excite", "execute", "extract", "estimate", "align", "diagnose", "calibrate", "hardware")
 CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
 STUDIES = (["study"], ["extraction_study"])
-AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"])
+AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"], ["align"])
 DECIDE = ["diagnose", "execute", "extract", "diagnose"]
 
 
@@ -90,7 +91,7 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
             raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
     if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
-    allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, *STUDIES, ["calibrate"])
+    allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, *STUDIES, ["align"], ["calibrate"])
     if config["steps"] not in allowed:
         rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"
         choices = " or ".join(f"[{', '.join(steps)}]" for steps in allowed)
@@ -107,15 +108,31 @@ def with_effects(model: Model, names: Any, where: str) -> Model:
         raise UserError(f"effects ({where}): {error}") from error
 
 
-def _known(block: Any, model: Model, where: str) -> dict[str, float]:
-    """Values of parameters that are known from before."""
-    for name, value in block.items():
+def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+    """Values of parameters that are known from before, and the ranges of those that were measured."""
+    values, ranges = {}, {}
+    for name, told in block.items():
         if name not in model.names:
             known = ", ".join(model.names)
             raise UserError(f"known.{name} ({where}): there is no such parameter. Known are: {known}.")
-        if not isinstance(value, float | int):
-            raise UserError(f"known.{name} = {value!r} ({where}): it must be a number. Change it.")
-    return {name: float(value) for name, value in block.items()}
+        measured = isinstance(told, Mapping) and set(told) == {"value", "low", "high"}
+        parts = [told["value"], told["low"], told["high"]] if measured else [told]
+        if not all(isinstance(part, float | int) for part in parts):
+            raise UserError(
+                f"known.{name} = {told!r} ({where}): it must be a number, or value, low and high if it was measured. "
+                "Change it."
+            )
+        values[name] = float(parts[0])
+        if measured:
+            ranges[name] = _range(name, parts[0], parts[1], parts[2], where)
+    return values, ranges
+
+
+def _range(name: str, value: float, low: float, high: float, where: str) -> tuple[float, float]:
+    """The range of a parameter that was measured."""
+    if not (low < high and low <= value <= high):
+        raise UserError(f"known.{name} ({where}): low = {low} < high = {high} must enclose value = {value}. Change it.")
+    return float(low), float(high)
 
 
 def _string(block: Mapping[str, Any], where: str) -> String:

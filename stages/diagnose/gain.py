@@ -91,7 +91,9 @@ def extended_settings(model: Model, court: Court, causes: Causes) -> dict[str, o
     string: dict[str, object] = {"points": segments + 1, "tip_cell": fine.tip_cell, "grasp_cell": fine.grasp_cell}
     string |= {"largest_step": fine.largest_step}
     integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}"}
-    known = {name: float(f"{value:.8g}") for name, value in fit.values.items()}
+    known: dict[str, object] = {name: float(f"{value:.8g}") for name, value in fit.values.items()}
+    for name, (low, high) in model.measured.items():
+        known[name] = {"value": float(np.clip(fit.values[name], low, high)), "low": low, "high": high}
     at_work = [e.name for e in model.effects if not e.parameters or "." in e.qualified(e.parameters[0])]
     return {
         "effects": sorted({*at_work, *causes} - {"gravity"}),

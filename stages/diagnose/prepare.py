@@ -126,7 +126,7 @@ def pressed(fit: Fit) -> dict[str, Parameter]:
     ranges = {}
     for place, (number, slope, more) in enumerate(zip(fit.theory.free, gradient, gain, strict=True)):
         parameter, chi = fit.theory.model.parameters[number], fit.chi[fit.theory.free[place]]
-        if more < PRESSED or parameter.low <= 0:
+        if more < PRESSED or parameter.low <= 0 or parameter.name in fit.theory.model.measured:
             continue
         if chi > 1 - AT_END and slope < 0:
             ranges[parameter.name] = replace(parameter, high=parameter.high * WIDER)

@@ -83,14 +83,14 @@ class Theory:
 
 
 def candidates(base: Model, library: Mapping[str, type[Effect]], evidence: Evidence) -> list[type[Effect]]:
-    """Effects with parameters that are not in the base model and not local; of those on joints, only where there are
+    """Effects with parameters that are not in the base model and not told; of those on joints, only where there are
     joints; of those of a lens, only where it was not measured."""
     grasp_only = any(isinstance(case.motion, HandMotion) for case in evidence.cases)
     return [
         e
         for e in library.values()
         if e not in base.effects
-        and not e.local
+        and not e.told
         and not issubclass(e, ModelChange)
         and not (base.camera.lens and issubclass(e, CameraEffect) and e.of_lens)
         and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())

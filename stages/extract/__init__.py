@@ -1,6 +1,6 @@
 """Extract: from camera frames to the string's centre-line, tip and binary images (IV-B)."""
 
 from stages.extract.extract import extract
-from stages.extract.footage import Footage, footage_of
+from stages.extract.footage import Footage, aligned_footage, footage_of
 
-__all__ = ["Footage", "extract", "footage_of"]
+__all__ = ["Footage", "aligned_footage", "extract", "footage_of"]

@@ -10,6 +10,9 @@ import pandas as pd
 
 from data.artifacts import JOINTS, Film
 from stages.model.arm import Arm
+from stages.model.body import arm_seen
+from stages.model.hand import joint_motion
+from stages.model.model import Model
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,17 @@ def footage_of(film: Film, arm: Arm) -> Footage:
     assert film.grasp is not None
     grasp = film.grasp.assign(theta=np.unwrap(film.grasp["theta"]))
     return Footage(film.t, film.images, _at(film.t, grasp, ("x", "y", "theta")))
+
+
+def aligned_footage(film: Film, model: Model) -> Footage:
+    """Grasp and arm where the camera reports them, if it was measured how camera and arm stand to each other."""
+    if film.arm is None or not model.measured:
+        return footage_of(film, model.arm)
+    motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy())
+    body = arm_seen(model, motion, model.values({})[None], film.t)[0]
+    last = body[:, -1] - body[:, -2]
+    direction = np.unwrap(np.arctan2(last[:, 1], last[:, 0]))
+    return Footage(film.t, film.images, np.column_stack([body[:, -1], direction]), body)
 
 
 def _at(t: np.ndarray, table: pd.DataFrame, columns: Sequence[str]) -> np.ndarray:

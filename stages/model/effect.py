@@ -72,15 +72,15 @@ SLOTS: dict[str, Slot] = {
 class Effect(ABC):
     """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
 
-    local: it is in one place only, such as an obstacle: told, and not looked for by a diagnosis, to which anybody's
-    touch would look the same. of_string: it is of the thing itself, and not of how a simulation divides it.
+    told: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, or what `align`
+    measures beforehand. of_string: it is of the thing itself, and not of how a simulation divides it.
     """
 
     name: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     reference: ClassVar[str]
     symmetries: ClassVar[tuple[Symmetry, ...]] = ()
-    local: ClassVar[bool] = False
+    told: ClassVar[bool] = False
     of_string: ClassVar[bool] = True
 
     @staticmethod

@@ -30,6 +30,7 @@ class Model:
     """A string in a hand before a camera. Effects on the string are the string's own; the others act in order.
 
     known: values of parameters by qualified name, at which a search starts instead of at their own start.
+    measured: ranges [low, high] to which a measurement beforehand narrows parameters, by qualified name.
     """
 
     string: String
@@ -39,6 +40,7 @@ class Model:
     clock_effects: tuple[type[ClockEffect], ...] = ()
     camera_effects: tuple[type[CameraEffect], ...] = ()
     known: Mapping[str, float] = field(default_factory=dict)
+    measured: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[type[Effect], ...]:
@@ -74,7 +76,12 @@ class Model:
         """All parameters, with qualified names: the string's first."""
         others = (replace(p, name=e.qualified(p)) for e in self._beyond for p in e.parameters)
         every = (*self.string.parameters, *others)
-        return tuple(replace(p, start=self.known.get(p.name, p.start)) for p in every)
+        return tuple(self._told(p) for p in every)
+
+    def _told(self, parameter: Parameter) -> Parameter:
+        """A parameter with what is known of it."""
+        low, high = self.measured.get(parameter.name, (parameter.low, parameter.high))
+        return replace(parameter, low=low, high=high, start=self.known.get(parameter.name, parameter.start))
 
     @cached_property
     def names(self) -> tuple[str, ...]:

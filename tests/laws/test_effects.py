@@ -42,6 +42,7 @@ NAMES = [
     "time_offset",
     "clock_drift",
     "camera_rotation",
+    "camera_offset",
     "pixel_scale",
     "lens_distortion",
     "rolling_shutter",

@@ -15,7 +15,6 @@ from stages.model import effects
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.effect import Effect, StringEffect
-from stages.model.effects.box_contact import BoxContact
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.library import library
 from stages.model.model import Model
@@ -26,7 +25,7 @@ STEP = 1e-4  # of chi, for differences
 EDGE = 1e-12  # what lies on a bound is allowed a little, or there would be no inside
 SHARES = np.array([1.0, 0.5, 0.25, 0.1])  # of a Gauss-Newton step, of which the best is taken
 OURS = (e for e in library().values() if e.__module__.startswith(effects.__name__))  # and nobody's of his own
-LIBRARY = tuple(e for e in OURS if e not in BASE and e is not BoxContact and e.of_string and e.parameters)
+LIBRARY = tuple(e for e in OURS if e not in BASE and not e.told and e.of_string and e.parameters)
 ON_STRINGS = tuple(e for e in (*LIBRARY, *causes()) if issubclass(e, StringEffect))
 Values = Mapping[str, float]
 

@@ -32,7 +32,7 @@ class BoxContact(StringEffect):
     """
 
     name = "box_contact"
-    local = True
+    told = True
     parameters = (
         Parameter("stiffness", "1/s2", "push over mass per depth behind a side", 0.0, 1.0e5, 0.0),
         Parameter("centre_x", "m", "place of the box's centre", -1.5, 1.5, 0.0),

@@ -1,0 +1,96 @@
+"""What `align` makes: how the camera and its clock stand to the arm, as measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pandas as pd
+
+from data.schema import Column, Table
+
+MEASURED = Table(
+    "measured",
+    "what was measured, a row for each parameter; effects that were looked for and not seen have found = false",
+    (
+        Column("name", "", "qualified name of the parameter", "text"),
+        Column("unit", "", "its unit", "text"),
+        Column("meaning", "", "what it is", "text"),
+        Column("value", "", "best value, in `unit`"),
+        Column("low", "", "lower end of the 95 % interval, in `unit`"),
+        Column("high", "", "upper end of the 95 % interval, in `unit`"),
+        Column("found", "", "it is part of the alignment", "bool"),
+    ),
+)
+SEEN = Table(
+    "seen",
+    "every sighting of the arm; it is measured along one direction only",
+    (
+        Column("trial", "", "name of the trial", "text"),
+        Column("t", "s", "time by the camera's clock"),
+        Column("link", "1", "link of the arm, 1 is at the base", "int"),
+        Column("share", "1", "how far along the link"),
+        Column("x", "m", "where it was seen"),
+        Column("y", "m", "where it was seen"),
+        Column("along_x", "1", "direction in which it was measured"),
+        Column("along_y", "1", "direction in which it was measured"),
+        Column("sigma", "m", "one standard deviation"),
+        Column("before", "m", "told less seen, as if camera and arm were aligned"),
+        Column("after", "m", "told less seen, aligned"),
+    ),
+)
+LIKELIHOOD = Table(
+    "likelihood",
+    "how much worse the fit is with a given time offset; 3.84 is the end of a 95 % interval",
+    (
+        Column("offset", "s", "arm's clock less the camera's"),
+        Column("alone", "1", "rise of the deviance without a lag of the arm, corrected for correlated noise"),
+        Column("with_lag", "1", "the same where the arm may lag as well"),
+        Column("lag", "s", "the lag that then fits best"),
+    ),
+)
+ALIGNED = Table(
+    "aligned",
+    "one row: how it went",
+    (
+        Column("sentence", "", "in words", "text"),
+        Column("rms_before", "m", "residual as if camera and arm were aligned"),
+        Column("rms_after", "m", "residual aligned"),
+        Column("noise", "m", "what noise alone would leave"),
+        Column("speed", "m/s", "fastest that a sighted point moved"),
+        Column("most_lag", "s", "a lag of the arm up to this cannot be told from the offset; 0 where one was measured"),
+        Column("extended", "", "the model with the alignment as settings, YAML", "text"),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How the camera and its clock stand to the arm: what `align` makes."""
+
+    measured: pd.DataFrame
+    seen: pd.DataFrame
+    likelihood: pd.DataFrame
+    aligned: pd.DataFrame
+
+    TABLES: ClassVar[dict[str, Table]] = {
+        "measured": MEASURED,
+        "seen": SEEN,
+        "likelihood": LIKELIHOOD,
+        "aligned": ALIGNED,
+    }
+
+    @property
+    def sentence(self) -> str:
+        """How it went, in words."""
+        return str(self.aligned["sentence"].iloc[0])
+
+    @property
+    def extended(self) -> str:
+        """The model with the alignment, as settings that other experiments take, YAML."""
+        return str(self.aligned["extended"].iloc[0])
+
+    def found(self) -> dict[str, float]:
+        """Values of what is part of the alignment, by qualified name."""
+        rows = self.measured[self.measured["found"]]
+        return dict(zip(rows["name"], rows["value"], strict=True))

@@ -1,0 +1,135 @@
+"""Align: how the camera and its clock stand to the arm, measured from a motion that both saw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import yaml
+from pydantic import Field
+
+from data.alignment import ALIGNED, MEASURED, SEEN, Alignment
+from data.artifacts import Film, Observation
+from data.schema import DataError
+from stages.align.fit import ALWAYS, SOUGHT, Fit, Problem, chosen, measuring, more
+from stages.align.grasp import from_points
+from stages.align.lookalike import LAG, OFFSET, likelihood, most_lag
+from stages.align.outline import from_films
+from stages.align.refuse import refuse_fit, refuse_sight, speed
+from stages.model.library import named
+from stages.model.model import Model
+
+AIM = 1e-3  # [s] to which the clocks should be known
+
+
+def align(
+    model: Model,
+    observations: Sequence[Observation],
+    films: Mapping[str, Film],
+    *,
+    arm_width: Annotated[float, Field(gt=0)],
+    progress: Callable[[float], object] = lambda share: None,
+) -> Alignment:
+    """The alignment of camera and arm in all trials together.
+
+    films: of trials that were filmed, by name: in these the arm's outline is read; of others the points at the grasp
+    are taken. arm_width: of the links [m]. Raises DataError where the data cannot tell, with the reason.
+    """
+    if not observations:
+        raise DataError("there is no trial that can be used. Look at the reasons given for each.")
+    full = measuring(model)
+    filmed = {name: film for name, film in films.items() if film.arm is not None}
+    seen = from_films(full, filmed, arm_width, lambda share: progress(0.6 * share)) if filmed else ()
+    told = tuple(from_points(o, model.arm) for o in observations if o.trial not in filmed)
+    problem = Problem(full, tuple(trial for trial in (*seen, *told) if len(trial.sightings.frame)))
+    refuse_sight(problem)
+    fit = chosen(problem)
+    progress(0.8)
+    refuse_fit(problem, fit)
+    return alignment(model, problem, fit)
+
+
+def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
+    """The artifact."""
+    alike = likelihood(problem, fit)
+    lag = most_lag(alike, fit)
+    measured = measured_table(problem, fit, lag)
+    before = problem.off(problem.parameters(ALWAYS), np.zeros((1, len(problem.parameters(ALWAYS)))))[0]
+    after = fit.residual * problem.sigma
+    row = {
+        "sentence": sentence(measured, fit, lag),
+        "rms_before": rms(before),
+        "rms_after": rms(after),
+        "noise": rms(problem.sigma),
+        "speed": max(speed(model.arm, trial) for trial in problem.trials),
+        "most_lag": lag,
+        "extended": yaml.safe_dump(settings(model, measured, fit), sort_keys=False),
+    }
+    return Alignment(measured, seen_table(problem, before, after), alike, ALIGNED.check(pd.DataFrame([row])))
+
+
+def rms(off: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
+    """Table MEASURED. An interval holds whether what was looked for and not seen is there unseen or not, but for a lag.
+
+    lag: up to which one would not be seen [s].
+    """
+    others = [name for name in SOUGHT if name not in (*fit.effects, "arm_lag")]
+    free = more(problem, fit, *others)
+    ends = {name: (x, x - r, x + r) for name, x, r in zip(free.names, free.x, free.reach, strict=True)}
+    own = {name: (x, x - r, x + r) for name, x, r in zip(fit.names, fit.x, fit.reach, strict=True)}
+    ends |= {n: (x, min(low, ends[n][1]), max(high, ends[n][2])) for n, (x, low, high) in own.items()}
+    if "arm_lag" not in fit.effects:
+        ends[LAG] = (0.0, 0.0, lag)
+    known = {p.name: p for p in problem.model.parameters}
+    ends = {n: (x, max(low, known[n].low), min(high, known[n].high)) for n, (x, low, high) in ends.items()}
+    rows = [
+        {"name": name, "unit": known[name].unit, "meaning": known[name].meaning, "found": name in fit.names}
+        | dict(zip(("value", "low", "high"), numbers, strict=True))
+        for name, numbers in ends.items()
+    ]
+    return MEASURED.check(pd.DataFrame(rows).sort_values(["found", "name"], ascending=[False, True]))
+
+
+def seen_table(problem: Problem, before: np.ndarray, after: np.ndarray) -> pd.DataFrame:
+    """Table SEEN."""
+    parts = []
+    for trial in problem.trials:
+        s = trial.sightings
+        columns = {"trial": trial.name, "t": s.times[s.frame], "link": s.link, "share": s.share, "sigma": s.sigma}
+        columns |= dict(zip(("x", "y", "along_x", "along_y"), (*s.seen.T, *s.along.T), strict=True))
+        parts.append(pd.DataFrame(columns))
+    return SEEN.check(pd.concat(parts, ignore_index=True).assign(before=before, after=after))
+
+
+def settings(model: Model, measured: pd.DataFrame, fit: Fit) -> dict[str, object]:
+    """The model with the alignment, as settings that other experiments take."""
+    ours = {*ALWAYS, *SOUGHT}
+    others = [e.name for e in model.effects if "." in (e.qualified(e.parameters[0]) if e.parameters else ".")]
+    known: dict[str, object] = {n: v for n, v in model.known.items() if n.split(".")[0] not in ours}
+    for row in measured[measured["found"]].itertuples():
+        known[row.name] = {"value": row.value, "low": row.low, "high": row.high}
+    return {"effects": sorted({*others, *fit.effects} - {"gravity"} - (ours - {*fit.effects})), "known": known}
+
+
+def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:
+    """What was found, and what looks alike."""
+    rows = measured.set_index("name")
+    said = []
+    for effect in named(fit.effects):
+        words = effect.words({p.name: fit.values[effect.qualified(p)] for p in effect.parameters})
+        said.append(words[0].upper() + words[1:])
+    reach = float(rows.loc[OFFSET, "high"] - rows.loc[OFFSET, "low"]) / 2
+    clocks = f"The clocks are compared to +- {1e3 * reach:.2f} ms (95 %)"
+    clocks += "." if reach < AIM else f", which is more than the {1e3 * AIM:.0f} ms that are aimed at."
+    alike = (
+        f" An arm that lags by up to {1e3 * lag:.1f} ms would look the same in this motion, with clocks that much "
+        "further apart: only the two together are measured."
+    )
+    return f"{'. '.join(said)}. {clocks}{alike if lag else ''}"

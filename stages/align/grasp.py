@@ -1,0 +1,55 @@
+"""The grasp as measured points show it: the string's beginning, which is rigid with the last link."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data.artifacts import JOINTS, Observation
+from data.schema import DataError
+from stages.align.sightings import Sighted, Sightings
+from stages.model.arm import Arm
+from stages.model.hand import joint_motion
+
+NEAR = 1e-3  # [m] of arc length: a point as near to the grasp as that is the grasp
+TOLD = 1e-5  # [m] a point nearer than that to where the joints have it was not measured
+FINEST = 1e-4  # [m] a standard deviation that is not given is not less
+
+
+def from_points(observation: Observation, arm: Arm) -> Sighted:
+    """Where a trial's points have the grasp, each in x and in y. Raises DataError where they do not show it."""
+    if observation.arm is None:
+        raise DataError(f"trial {observation.trial}: alignment needs joint angles. Add arm.parquet.")
+    points = observation.points
+    valid = points["valid"].astype(bool) if "valid" in points else np.ones(len(points), bool)
+    grasp = points[valid & (points["s"] <= NEAR) & np.isfinite(points[["x", "y"]]).all(axis=1)].sort_values("t")
+    if grasp.empty:
+        raise DataError(
+            f"trial {observation.trial}: no frames, and no point at the grasp (s = 0). Measure the string's beginning, "
+            "or add the frames."
+        )
+    t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
+    told = np.stack([np.interp(t, observation.arm["t"], observation.arm[q]) for q in JOINTS], axis=-1)
+    off = arm.joints(told)[:, -1] - seen
+    if np.median(np.linalg.norm(off, axis=-1)) < TOLD:
+        raise DataError(
+            f"trial {observation.trial}: its points begin where the joints say that the grasp is, which "
+            "shows nothing. Add the frames."
+        )
+    sigma = grasp["sigma"].to_numpy() if "sigma" in grasp else np.full(len(grasp), noise(off))
+    motion = joint_motion(observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy())
+    return Sighted(observation.trial, motion, at_hand(t, seen, sigma, len(JOINTS)))
+
+
+def noise(off: np.ndarray) -> float:
+    """One standard deviation [m] of what goes on evenly from frame to frame but for it. off: (K, 2)."""
+    jumps = np.abs(np.diff(off, 2, axis=0))
+    return max(1.4826 * float(np.median(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
+
+
+def at_hand(t: np.ndarray, seen: np.ndarray, sigma: np.ndarray, links: int) -> Sightings:
+    """Sightings of the hand in both directions. t: (K,) [s]. seen: (K, 2) [m]. sigma: (K,) [m]."""
+    times, frame = np.unique(t, return_inverse=True)
+    count = 2 * len(t)
+    along = np.tile(np.eye(2), (len(t), 1))
+    where = (np.repeat(frame, 2), np.full(count, links), np.ones(count), np.repeat(seen, 2, axis=0))
+    return Sightings(times, *where, along, np.repeat(sigma, 2))

@@ -1,0 +1,192 @@
+"""The arm's outline in frames: where the middle of each link is seen, across the link.
+
+The arm is what differs from the scene and is wider than any string. Its pixels belong to the link that the model has
+nearest; what they are off on average, across it, is what is seen (iterated closest points, point to line: Chen and
+Medioni 1992). It begins with few frames and far off, and ends with all and within the link's own width.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from data.artifacts import JOINTS, Film
+from data.schema import DataError
+from stages.align.fit import ALWAYS, Problem, fitted
+from stages.align.sightings import Sighted, Sightings
+from stages.model.body import arm_seen
+from stages.model.hand import JointMotion, joint_motion
+from stages.model.model import Model
+
+PIECES = 6  # pieces of a link, each a sighting
+ENDS = 0.15  # share of a link at its ends that is left out: there links and gripper overlap
+OPENING = 0.5  # of the arm's width: what is narrower is not arm
+FAINT = 25.0  # [grey levels] an arm that differs less from the scene is not seen
+COARSE = 60  # frames of a trial with which it begins
+MOST = 500  # frames of a trial that are looked at
+REACHES = (6.0, 3.0, 1.5, 1.0)  # arm widths within which pixels count, one round after the other
+NEAR = 1.0  # the same at the end
+CLEAR = 0.8  # arm widths that the middle of another link must be away from a piece's edges
+WHOLE = (0.85, 1.15)  # times the usual number of pixels: a piece with others is hidden, or hides something
+SHARP = 0.1  # [px] one standard deviation of a sighting
+SAMPLES = 120  # frames from which the scene is learnt
+LEVEL = 3  # percentile over time: a pixel shows the scene when the arm has left it at least this often
+
+
+@dataclass(frozen=True)
+class Silhouettes:
+    """The arm in some frames of a trial. times: (F,) [s]. pixels: for each frame (n, 2) the pixels that are arm."""
+
+    name: str
+    motion: JointMotion
+    times: np.ndarray
+    pixels: Sequence[np.ndarray]
+
+
+def from_films(
+    model: Model, films: Mapping[str, Film], width: float, progress: Callable[[float], object]
+) -> tuple[Sighted, ...]:
+    """Trials as their films show them. model: with every effect that is looked for. width: of the links [m].
+
+    Raises DataError where no arm is seen.
+    """
+    opening = round(width * model.camera.px_per_m * OPENING) // 2 * 2 + 1  # an even one would shift what it leaves
+    seen = []
+    for name, film in films.items():
+        seen.append(silhouettes(name, film, opening))
+        progress(len(seen) / len(films))
+    known = model.values({})
+    for reach in REACHES:
+        trials = tuple(coarse(model, known, one, width, reach) for one in seen)
+        if not sum(len(trial.sightings.frame) for trial in trials):
+            raise DataError(
+                "the arm's outline is nowhere where the joints say that it is. Correct camera.px_per_m and "
+                "camera.origin_px, and align.arm_width."
+            )
+        known = model.values(fitted(Problem(model, trials), ALWAYS).values)
+    return tuple(fine(model, known, one, width) for one in seen)
+
+
+def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
+    """What of each frame is arm: differs from the scene and is wider than `opening` [px]. film: one with joints."""
+    assert film.arm is not None
+    motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy())
+    chosen = np.unique(np.linspace(0, len(film.t) - 1, MOST).astype(int))
+    scene = background(film.images)
+    level = contrast(film, chosen[:: max(len(chosen) // COARSE, 1)], scene) / 2
+    round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))
+    pixels = []
+    for number in chosen:
+        mask = (cv2.absdiff(film.images[int(number)].astype(np.float32), scene) > level).astype(np.uint8)
+        rows, columns = np.nonzero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, round_))
+        pixels.append(np.stack([columns, rows], axis=-1).astype(float))
+    return Silhouettes(name, motion, film.t[chosen], pixels)
+
+
+def background(images: Sequence[np.ndarray]) -> np.ndarray:
+    """The scene without an arm that moves and is bright, (height, width) float32."""
+    chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES).astype(int))
+    stack = np.stack([images[int(i)] for i in chosen])
+    low, middle = (np.percentile(stack, level, axis=0).astype(np.float32) for level in (LEVEL, 50))
+    return low + np.median(middle - low)  # noise alone makes a low percentile darker than the scene
+
+
+def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:
+    """How much the arm differs from the scene [grey levels]: the upper of the two classes of what differs (Otsu)."""
+    off = np.stack([cv2.absdiff(film.images[int(n)].astype(np.float32), scene) for n in chosen])
+    level, _ = cv2.threshold(np.clip(off, 0, 255).astype(np.uint8).reshape(1, -1), 0, 255, cv2.THRESH_OTSU)
+    size = float(np.median(off[off > level])) if (off > level).any() else 0.0
+    if size < FAINT:
+        raise DataError(
+            f"the arm differs from the scene by {size:.0f} grey levels only: it cannot be seen. Give it more light, or "
+            "another colour than the background."
+        )
+    return size
+
+
+def coarse(model: Model, known: np.ndarray, seen: Silhouettes, width: float, reach: float) -> Sighted:
+    """Some frames of a trial. known: (P,) parameters by which pixels are given to links. reach: in arm widths."""
+    some = np.arange(0, len(seen.times), max(len(seen.times) // COARSE, 1))
+    table = looked_for(model, known, seen, some, width, reach)
+    return sighted(seen, some, table, width / 4)
+
+
+def fine(model: Model, known: np.ndarray, seen: Silhouettes, width: float) -> Sighted:
+    """All frames of a trial, and of these the pieces of links that are seen whole. known: as of `coarse`."""
+    every = np.arange(len(seen.times))
+    table = looked_for(model, known, seen, every, width, NEAR)
+    return sighted(seen, every, whole(table), SHARP / model.camera.px_per_m)
+
+
+def looked_for(
+    model: Model, known: np.ndarray, seen: Silhouettes, some: np.ndarray, width: float, reach: float
+) -> np.ndarray:
+    """Of some frames: the frame, and what `pieces` tells of it, (K, 9)."""
+    there = arm_seen(model, seen.motion, known[None], seen.times[some])[0]
+    parts = [pieces(model, seen.pixels[int(i)], joints, width, reach) for i, joints in zip(some, there, strict=True)]
+    return np.concatenate([np.column_stack([np.full(len(p), n), p]) for n, p in enumerate(parts)])
+
+
+def sighted(seen: Silhouettes, some: np.ndarray, table: np.ndarray, sigma: float) -> Sighted:
+    """The trial with what was seen in some of its frames. table: (K, 9) of `looked_for`. sigma: [m]."""
+    frame, link, share, x, y, along_x, along_y, _ = table.T
+    where = (frame.astype(int), link.astype(int), share, np.stack([x, y], axis=-1))
+    along = np.stack([along_x, along_y], axis=-1)
+    return Sighted(seen.name, seen.motion, Sightings(seen.times[some], *where, along, np.full(len(table), sigma)))
+
+
+def pieces(model: Model, pixels: np.ndarray, joints: np.ndarray, width: float, reach: float) -> np.ndarray:
+    """Where the middle of each piece of each link is seen: link, share, x, y, the normal, and how many pixels, (K, 8).
+
+    pixels: (n, 2). joints: (J + 1, 2) where they are looked for [m].
+    """
+    points = model.camera.world(pixels)
+    share, across, distance = beside(points, joints)
+    nearest = np.argmin(distance, axis=1)
+    own = (np.arange(len(points)), nearest)
+    good = (distance[own] < reach * width) & (share[own] > ENDS) & (share[own] < 1 - ENDS)
+    piece = ((share[own] - ENDS) / (1 - 2 * ENDS) * PIECES).astype(int)
+    number = (nearest * PIECES + piece)[good]
+    count = np.bincount(number, minlength=PIECES * (len(joints) - 1))
+    there = np.flatnonzero(count)
+    off, at = (np.bincount(number, v[own][good], len(count))[there] / count[there] for v in (across, share))
+    link = there // PIECES
+    way = joints[link + 1] - joints[link]
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1, keepdims=True)
+    axis = joints[link] + at[:, None] * way
+    clear = free(axis, normal, link, joints, width)
+    return np.column_stack([link + 1, at, axis + off[:, None] * normal, normal, count[there]])[clear]
+
+
+def beside(points: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share along each link, distance from its line to its left and from itself [m], (n, J) each. points: (n, 2)."""
+    way = np.diff(joints, axis=0)
+    length = np.linalg.norm(way, axis=1)
+    normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / length[:, None]
+    from_start = points[:, None] - joints[None, :-1]
+    share = np.einsum("nji,ji->nj", from_start, way) / length**2
+    across = np.einsum("nji,ji->nj", from_start, normal)
+    return share, across, np.hypot(across, np.maximum(np.maximum(-share, share - 1), 0) * length)
+
+
+def free(axis: np.ndarray, normal: np.ndarray, link: np.ndarray, joints: np.ndarray, width: float) -> np.ndarray:
+    """Whether other links are clear of both edges of pieces (K,), so that neither side is cut or added to."""
+    near = np.full(len(axis), np.inf)
+    for side in (-width / 2, width / 2):
+        distance = beside(axis + side * normal, joints)[2]
+        distance[np.arange(len(axis)), link] = np.inf
+        near = np.minimum(near, distance.min(axis=1))
+    return near > CLEAR * width
+
+
+def whole(table: np.ndarray) -> np.ndarray:
+    """Without pieces of a link that are hidden in part, or in which something else is seen. table: (K, 9)."""
+    kept = np.zeros(len(table), bool)
+    for link in np.unique(table[:, 1]):
+        own = table[:, 1] == link
+        usual = np.median(table[own, -1])
+        kept |= own & (table[:, -1] > WHOLE[0] * usual) & (table[:, -1] < WHOLE[1] * usual)
+    return table[kept]

@@ -1,0 +1,50 @@
+"""Sightings: where points that are rigid with the arm were seen, and where the model has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.model.body import arm_seen
+from stages.model.hand import JointMotion
+from stages.model.model import Model
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What was seen of the arm in one trial.
+
+    times: (F,) of the frames by the camera's clock [s]. Of each of N sightings: frame (N,) its index; link (N,) 1 is
+    at the base; share (N,) how far along the link; seen (N, 2) where [m]; along (N, 2) the unit vector along which it
+    was measured (a straight link does not show where along itself it is); sigma (N,) one standard deviation [m].
+    """
+
+    times: np.ndarray
+    frame: np.ndarray
+    link: np.ndarray
+    share: np.ndarray
+    seen: np.ndarray
+    along: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """One trial: the joints as the arm reports them, and what was seen of it."""
+
+    name: str
+    motion: JointMotion
+    sightings: Sightings
+
+    def off(self, model: Model, values: np.ndarray) -> np.ndarray:
+        """Where candidates have each point less where it was seen, along its direction, (C, N) [m]. values: (C, P)."""
+        there = on_links(arm_seen(model, self.motion, values, self.sightings.times), self.sightings)
+        return np.sum((there - self.sightings.seen) * self.sightings.along, axis=-1)
+
+
+def on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
+    """The points that were sighted, (C, N, 2) [m]. joints: (C, F, J + 1, 2)."""
+    near = joints[:, sightings.frame, sightings.link - 1]
+    far = joints[:, sightings.frame, sightings.link]
+    return near + sightings.share[:, None] * (far - near)

@@ -1,0 +1,145 @@
+"""Excite: a motion from whose film camera and clock are measured, slow enough to be safe.
+
+Each joint swings by a sum of sines that begins and ends at rest; of many drawn that the arm may do, the one is taken
+that tells the most about all parameters together (D-optimality; Swevers et al., Optimal robot excitation and
+identification, 1997). Changes of direction at several frequencies are what tells a lag, which swallows the quick ones,
+from a clock that is off.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from data.artifacts import (
+    ATTEMPTS,
+    COMMANDS,
+    CONTROL_POINTS,
+    JOINTS,
+    MOTION_OUTCOME,
+    PREDICTED_STRING,
+    SPEEDS,
+    Motion,
+)
+from data.schema import DataError
+from stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
+from stages.align.grasp import at_hand
+from stages.align.sightings import Sighted
+from stages.generate.generate import arm_faults
+from stages.model.arm import Arm
+from stages.model.box import Box
+from stages.model.hand import JointMotion
+from stages.model.model import Model
+
+RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
+MARGIN = 0.03  # of the picture's width that stays free around the arm
+TYPICAL = {"arm_lag.time_constant": 0.005}  # where the design is judged: at no lag it would look like an offset
+SIGHTED = 0.01  # [s] between the sightings for which it is judged
+
+
+def excite(
+    model: Model,
+    obstacles: Sequence[Box],
+    *,
+    seed: int,
+    duration: Annotated[float, Field(gt=0.5, le=60)],
+    speed: Annotated[float, Field(gt=0)],
+    highest: Annotated[float, Field(gt=0)],
+    sines: Annotated[int, Field(ge=1)],
+    motions: Annotated[int, Field(ge=1)],
+    progress: Callable[[float], object] = lambda share: None,
+) -> Motion:
+    """The motion. duration: [s]. speed: of the hand at most [m/s]. highest: frequency of a sine [Hz]. sines: of each
+    joint. motions: drawn, of which the best is taken.
+
+    The hand stays a string's length away from obstacles, so that no string in it can touch one however it swings.
+    Raises DataError where no motion drawn is allowed.
+    """
+    rng = np.random.default_rng(seed)
+    count: Counter[str] = Counter()
+    best, most = None, -np.inf
+    for number in range(motions):
+        angles, speeds = drawn(model.arm, rng, duration, speed, highest, sines)
+        reason = fault(model, obstacles, angles, speeds)
+        count[reason or "allowed"] += 1
+        told = -np.inf if reason else information(model, angles, speeds)
+        if told > most:
+            best, most = angles, told
+        progress((number + 1) / motions)
+    if best is None:
+        reasons = "; ".join(f"{reason}: {times}" for reason, times in count.most_common())
+        raise DataError(
+            f"no motion of excite.motions={motions} is allowed ({reasons}). Lower excite.speed, draw more of "
+            "them, or make room."
+        )
+    return motion_of(model.arm, best, count)
+
+
+def drawn(
+    arm: Arm, rng: np.random.Generator, duration: float, speed: float, highest: float, sines: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and speeds (K, J) on the arm's tick of random swings about a random pose, the hand as fast as `speed`."""
+    t = np.arange(round(duration / arm.tick) + 1) * arm.tick
+    lowest, top = np.asarray(arm.lowest), np.asarray(arm.highest)
+    middle = (lowest + top) / 2 + rng.uniform(-0.3, 0.3, len(lowest)) * (top - lowest)
+    frequency = rng.uniform(1 / duration, highest, (sines, len(lowest)))
+    phase, size = rng.uniform(0, 2 * np.pi, frequency.shape), rng.uniform(0.3, 1, frequency.shape) / frequency
+    swing = np.sum(size * np.sin(2 * np.pi * frequency * t[:, None, None] + phase), axis=1)
+    swing *= swell(t / t[-1])[:, None]
+    rate = np.gradient(swing, arm.tick, axis=0)
+    share = 1.0
+    for _ in range(3):  # the lever changes with the angles
+        hand = np.linalg.norm(arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1)
+        share *= 0.99 * speed / hand.max()
+    return middle + share * swing, share * rate
+
+
+def swell(u: np.ndarray) -> np.ndarray:
+    """0 at both ends, 1 between, with no jump of the second derivative. u: share of the time."""
+    x = np.clip(np.minimum(u, 1 - u) / RAMP, 0, 1)
+    return x**3 * (10 - 15 * x + 6 * x**2)
+
+
+def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> str:
+    """Why a motion (K, J) is not allowed; empty if it is."""
+    arm, camera = model.arm, model.camera
+    reason = str(arm_faults(arm, obstacles, angles[None], speeds[None])[0])
+    joints = arm.joints(angles)
+    if any(box.gap(x, y) < model.string.length for box in obstacles for x, y in joints[::4, -1]):
+        return reason or "the string could touch an obstacle"
+    edge = MARGIN * camera.width
+    pixels = camera.pixels(joints[:, 1:])
+    inside = (pixels >= edge) & (pixels <= np.array([camera.width, camera.height]) - 1 - edge)
+    return reason or ("" if inside.all() else "the arm leaves the picture")
+
+
+def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
+    """Logarithm of the determinant of what sightings of the hand tell of all parameters. angles, speeds: (K, J)."""
+    motion = JointMotion(0.0, model.arm.tick, angles[None], speeds[None])
+    times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTED)
+    hand = at_hand(times, np.zeros((len(times), 2)), np.ones(len(times)), len(model.arm.links))  # wherever it is seen
+    problem = Problem(measuring(model), (Sighted("", motion, hand),))
+    names = problem.parameters((*ALWAYS, *SOUGHT))
+    low, high = problem.ranges(names)
+    slope = problem.slopes(names, np.array([TYPICAL.get(name, 0.0) for name in names])) * (high - low)
+    return float(np.linalg.slogdet(slope.T @ slope)[1])
+
+
+def motion_of(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:
+    """The artifact. angles: (K, J). There is no target, and the string's own motion is not foretold."""
+    columns = {"t": np.arange(len(angles)) * arm.tick}
+    columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(zip(SPEEDS, arm.commanded(angles).T, strict=True))
+    outcome = {c.name: [np.nan] for c in MOTION_OUTCOME.columns}
+    outcome |= {"duration": [(len(angles) - 1) * arm.tick], "tried": [sum(count.values())]}
+    return Motion(
+        COMMANDS.check(pd.DataFrame(columns)),
+        CONTROL_POINTS.empty(),
+        PREDICTED_STRING.empty(),
+        ATTEMPTS.check(pd.DataFrame(sorted(count.items()), columns=["outcome", "count"])),
+        MOTION_OUTCOME.check(pd.DataFrame(outcome)),
+    )

@@ -1,0 +1,50 @@
+"""A picture whose origin is elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import CameraEffect, Quantity
+from stages.model.parameter import Parameter
+from stages.model.picture import grid
+from stages.model.symmetry import follows
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from stages.model.camera import Camera
+
+
+class CameraOffset(CameraEffect):
+    """Everything is seen shifted: the pixel taken for the arm's origin is another. Measured by `align`, not guessed."""
+
+    name = "camera_offset"
+    told = True
+    parameters = (
+        Parameter("x", "m", "how far to the right everything is seen", -0.1, 0.1, 0.0),
+        Parameter("y", "m", "how far up everything is seen", -0.1, 0.1, 0.0),
+    )
+    reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
+    symmetries = (follows("seen", "points"),)
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        across = f"{1e3 * abs(values['x']):.1f} mm to the {'right' if values['x'] > 0 else 'left'}"
+        up = f"{1e3 * abs(values['y']):.1f} mm {'up' if values['y'] > 0 else 'down'}"
+        return f"the picture's origin is off: everything is seen {across} and {up}"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """A square grid as it is seen."""
+        grid(axes, cls.seen, **values)
+
+    @staticmethod
+    def seen(
+        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, x: Quantity, y: Quantity
+    ) -> np.ndarray:
+        """Shifted."""
+        return points + np.concatenate([x, y], axis=-1)

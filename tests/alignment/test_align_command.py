@@ -1,0 +1,79 @@
+"""Alignment from the command line, and what other experiments make of it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+from omegaconf import OmegaConf
+
+from pipeline.brought import extended_model
+from pipeline.settings import UserError, composed
+from pipeline.world import world
+from stages.model.model import Model
+from stages.model.string import String
+from tests.alignment.stand import OFF, stand
+
+ROOT = Path(__file__).resolve().parents[2]
+MEASURED = {"time_offset.offset": {"value": 0.012, "low": 0.0119, "high": 0.0122}}
+
+
+def made(known, effects=("time_offset",)):
+    settings = OmegaConf.to_container(OmegaConf.create(composed()), resolve=True)
+    return world(settings | {"effects": list(effects), "known": known}, lambda block: f"conf/{block}")
+
+
+def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
+    parameter = made(MEASURED).model.parameters[-1]
+    assert (parameter.name, parameter.start, parameter.low, parameter.high) == (
+        "time_offset.offset",
+        0.012,
+        0.0119,
+        0.0122,
+    )
+    plain = made({"time_offset.offset": 0.012}).model.parameters[-1]
+    assert (plain.start, plain.low, plain.high) == (0.012, -0.05, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ({"value": 0.012, "low": 0.013, "high": 0.014}, "must enclose value"),
+        ({"value": 0.012, "low": 0.01}, "it must be a number, or value, low and high"),
+        ({"value": "soon", "low": 0.0, "high": 0.1}, "it must be a number, or value, low and high"),
+    ],
+)
+def test_a_range_that_is_none_is_refused(told, words):
+    with pytest.raises(UserError, match=words):
+        made({"time_offset.offset": told})
+
+
+def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(arm, camera, tmp_path):
+    bench = stand(Model(String(0.3), arm, camera))
+    seen = bench.observation(OFF)
+    trials = tmp_path / "trials"
+    trials.mkdir()
+    for name, table in (("arm", seen.arm), ("points", seen.points)):
+        pd.DataFrame(table).assign(trial="t01").to_parquet(trials / f"{name}.parquet")
+    about = {"format": 1, "name": "swing", "string": {"length": 0.3}}
+    about["arm"] = {"links": list(arm.links), "base": list(arm.base)}
+    (trials / "dataset.yaml").write_text(yaml.safe_dump(about))
+    call = [
+        sys.executable,
+        "-m",
+        "pipeline",
+        "+experiment=align",
+        f"trials={trials}",
+        f"hydra.run.dir={tmp_path / 'run'}",
+    ]
+    ended = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    told = extended_model(tmp_path / "run")
+    taken = made(**told).model
+    assert set(taken.measured) == set(OFF)
+    for name, value in OFF.items():
+        low, high = taken.measured[name]
+        assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low), name
+    assert "would look the same" in (tmp_path / "run" / "report.html").read_text()
