@@ -89,7 +89,7 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
             raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
     if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
-    allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, ["study"])
+    allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, ["study"], ["hit_study"])
     if config["steps"] not in allowed:
         rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"
         choices = " or ".join(f"[{', '.join(steps)}]" for steps in allowed)

@@ -47,7 +47,7 @@ def study(
     draw, diagnose: functions that can be pickled; see `one_bench`. Rows that are in `folder` already are read.
     """
     context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
-    with _environment(ONE_THREAD), ProcessPoolExecutor(processes, mp_context=context) as pool:
+    with environment(ONE_THREAD), ProcessPoolExecutor(processes, mp_context=context) as pool:
         made = {pool.submit(one_bench, seed, folder, draw, diagnose): seed for seed in seeds}
         rows: dict[int, Row] = {}
         for future in as_completed(made):
@@ -87,7 +87,7 @@ def _diagnosed(diagnose: Diagnose, dataset: Path) -> Mapping[str, Any]:
 
 
 @contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Environment variables for the processes that are begun meanwhile."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)

@@ -32,7 +32,7 @@ class Curves:
         turned = np.einsum("bkn,bjn->bkj", _bernstein(inside, INTERVALS + 1), sums / (INTERVALS + 1))
         return self.start[:, None] + turned * self.duration[:, None, None], speed
 
-    def only(self, chosen: np.ndarray) -> Curves:
+    def only(self, chosen: np.ndarray | slice) -> Curves:
         """Some of the movements."""
         return Curves(self.start[chosen], self.duration[chosen], self.control[chosen])
 

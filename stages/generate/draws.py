@@ -46,6 +46,10 @@ class Draws:
         """Some of the draws, in this order."""
         return Draws(self.values[chosen], self.amplitude[chosen], self.lag[chosen], self.off[chosen])
 
+    def of_the_string(self) -> Draws:
+        """The same strings, with nothing else uncertain."""
+        return Draws(self.values, 0 * self.amplitude, 0 * self.lag, 0 * self.off)
+
 
 def drawn(model: Model, estimate: Estimate | None, doubt: Doubt, count: int, rng: np.random.Generator) -> Draws:
     """Draws of the string and of all else.

@@ -20,13 +20,15 @@ from stages.generate.chance import Place, between, outcome, simulated
 from stages.generate.curves import Curves, joined
 from stages.generate.draws import Doubt, Draws, drawn
 from stages.generate.generate import HIT, MotionNotFoundError, commands_of, control_points_of
+from stages.generate.learning import spread_after
 from stages.generate.race import entrants, race
 from stages.generate.refine import Space, refine
 from stages.generate.space import check_reach
 from stages.model.box import Box
 from stages.model.model import Model
 
-FINALISTS = 4  # winners of the race that are refined
+FINALISTS = 2  # winners of the race that are refined
+NEAREST = 8  # winners of the race that may be chosen all the same
 
 
 def generate(
@@ -40,6 +42,7 @@ def generate(
     motions: Annotated[int, Field(ge=16)],
     strings: Annotated[int, Field(ge=4)],
     rounds: Annotated[int, Field(ge=0)],
+    informative: Annotated[float, Field(ge=0, le=1)],
     fresh: Annotated[int, Field(ge=10)],
     shortest: Annotated[float, Field(gt=0)],
     longest: Annotated[float, Field(gt=0)],
@@ -52,10 +55,11 @@ def generate(
 
     previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
     string, None before the first trial. motions: random ones that race. strings: draws on which the winners are
-    refined, for `rounds` of CMA-ES. fresh: draws that say what the chance is. shortest, longest: range of T [s].
-    alpha: limit of the random accelerations [rad/s^2]. fraction: of the control points' range by which slight changes
-    differ. doubt: of what is not the string. Raises MotionNotFoundError where the arm can make no motion or no draw
-    is hit, and DataError for a target out of reach or an empty range.
+    refined, for `rounds` of CMA-ES. informative: closeness (see `Outcome`) that may be given up for a cast that
+    teaches more. fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha: limit of the
+    random accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ. doubt: of
+    what is not the string. Raises MotionNotFoundError where the arm can make no motion or no draw is hit, and
+    DataError for a target out of reach or an empty range.
     """
     if shortest > longest:
         raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
@@ -68,13 +72,23 @@ def generate(
         raise MotionNotFoundError("no random motion keeps the arm's limits. Widen them, or lower generate.alpha.")
     best = race(place, random, draws)
     progress(0.4)
-    few = best.only(np.arange(min(FINALISTS, len(best.duration))))
-    final = joined([refine(place, space, few, draws, rounds, seed), few])
+    refined = refine(place, space, best.only(slice(FINALISTS)), draws, rounds, seed)
     progress(0.9)
-    second = drawn(model, estimate, doubt, strings, rng)
-    chosen = final.only(np.array([np.argmax(outcome(place, final, second).closeness)]))
+    final = joined([refined, best.only(slice(NEAREST))])
+    chosen = choice(place, final, drawn(model, estimate, doubt, strings, rng), informative)
     progress(1.0)
     return stated(place, chosen, drawn(model, estimate, doubt, fresh, rng), len(random.duration))
+
+
+def choice(place: Place, curves: Curves, draws: Draws, informative: float) -> Curves:
+    """The nearest of some motions, or one that is nearly so and teaches more. informative: closeness given up."""
+    closeness = outcome(place, curves, draws).closeness
+    best = int(np.argmax(closeness))
+    near = np.flatnonzero(closeness >= closeness[best] - informative)
+    if len(near) > 1:
+        some = curves.only(near)
+        best = int(near[np.argmin(spread_after(place, some, draws, int(np.searchsorted(near, best))))])
+    return curves.only(np.array([best]))
 
 
 def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:

@@ -12,9 +12,11 @@ from data.artifacts import Estimate
 from data.schema import DataError
 from stages.generate import Box, MotionNotFoundError, generate
 from stages.generate import robust as chosen
-from stages.generate.chance import Place, between, outcome
-from stages.generate.draws import Doubt, drawn
+from stages.generate.chance import Place, between, outcome, simulated
+from stages.generate.curves import Curves, joined, plain_cast
+from stages.generate.draws import Doubt, Draws, drawn
 from stages.generate.generate import arm_faults, curves_of
+from stages.generate.learning import spread_after
 from stages.model.hand import joint_motion
 from stages.model.model import Model
 from stages.model.string import String
@@ -26,6 +28,7 @@ SETTINGS = {
     "motions": 200,
     "strings": 12,
     "rounds": 4,
+    "informative": 0.0,
     "fresh": 200,
     "shortest": 0.2,
     "longest": 0.8,
@@ -178,3 +181,17 @@ def test_failures_say_why(model):
     tiny = SETTINGS | {"motions": 16, "rounds": 0, "fresh": 10}
     with pytest.raises(MotionNotFoundError, match="hits with none of 10 likely strings"):
         chosen.generate(model, Box(0.9, 0.5, 1e-6, 1e-6), (), None, None, seed=0, **tiny)
+
+
+def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
+    """Only bending stiffness is unknown, and a string that hangs straight down does not show it."""
+    rng = np.random.default_rng(0)
+    values = np.repeat(model.values(COMMON | SOFT)[None], 24, axis=0)
+    values[:, model.names.index("bending_stiffness")] = np.geomspace(0.5, 2.0, 24)
+    draws = Draws(values, np.zeros((24, 3)), np.zeros(24), 0.002 * rng.standard_normal((24, 2)))
+    swing = plain_cast(model.arm, 0.6)
+    down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), swing.duration, np.zeros_like(swing.control))
+    swung, hung = spread_after(Place(model, TARGET, ()), joined([swing, down]), draws, interest=0)
+    tip = simulated(model, swing, draws)[1][:, :, -1]
+    assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
+    assert swung < 0.2 * hung
