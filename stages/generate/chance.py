@@ -95,11 +95,21 @@ def _touched(place: Place, angles: np.ndarray, points: np.ndarray, moving: np.nd
     touched = np.zeros(len(points), dtype=bool)
     for box in place.obstacles:
         joints = place.model.arm.joints(angles)
-        string = box.crossed(points[:, :, :-1], points[:, :, 1:]).any(axis=2)
         way = box.crossed(points[:, :-1, -1], points[:, 1:, -1])
-        touched |= (string & moving).any(axis=1) | (way & moving[:, 1:]).any(axis=1)
+        touched |= ((_lies_in(box, points) & moving).any(axis=1)) | (way & moving[:, 1:]).any(axis=1)
         touched |= box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=(1, 2))
     return touched
+
+
+def _lies_in(box: Box, points: np.ndarray) -> np.ndarray:
+    """Whether a string (C, T, n, 2) lies in a box, (C, T). Only those beside it are looked at closely."""
+    x, y = points[..., 0], points[..., 1]
+    apart = (x.min(axis=2) > box.x + box.w / 2) | (x.max(axis=2) < box.x - box.w / 2)
+    apart |= (y.min(axis=2) > box.y + box.h / 2) | (y.max(axis=2) < box.y - box.h / 2)
+    near = points[~apart]
+    inside = np.zeros(points.shape[:2], dtype=bool)
+    inside[~apart] = box.crossed(near[:, :-1], near[:, 1:]).any(axis=1)
+    return inside
 
 
 def _nearest(target: Box, way: np.ndarray) -> np.ndarray:
