@@ -18,7 +18,7 @@ from stages.generate.refine import Space
 
 GENTLER = (1.0, 0.5, 0.25)  # of the accelerations: a gentle cast is foretold better
 AT_ONCE = 128  # movements whose limits are checked together
-TRIES = 200  # such batches of a kind at most
+TRIES = 100  # such batches of a kind at most
 BEGIN = 3  # draws that the race begins with; each round takes MORE times as many,
 MORE = 3
 FEWER = 4  # for a share of 1 / FEWER of the motions

@@ -58,8 +58,9 @@ def generate(
     refined, for `rounds` of CMA-ES. informative: closeness (see `Outcome`) that may be given up for a cast that
     teaches more. fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha: limit of the
     random accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ. doubt: of
-    what is not the string. Raises MotionNotFoundError where the arm can make no motion or no draw is hit, and
-    DataError for a target out of reach or an empty range.
+    what is not the string. Raises MotionNotFoundError where the arm can make no motion or none is clear of the
+    obstacles, and DataError for a target out of reach or an empty range; a motion that hits with no draw is still the
+    one that comes nearest.
     """
     if shortest > longest:
         raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
@@ -69,7 +70,9 @@ def generate(
     draws = drawn(model, estimate, doubt, strings, rng)
     random = entrants(place, space, previous, fraction, motions, rng)
     if not len(random.duration):
-        raise MotionNotFoundError("no random motion keeps the arm's limits. Widen them, or lower generate.alpha.")
+        raise MotionNotFoundError(
+            "no random motion keeps the arm's limits and clear of the obstacles. Widen them, or lower generate.alpha."
+        )
     best = race(place, random, draws)
     progress(0.4)
     refined = refine(place, space, best.only(slice(FINALISTS)), draws, rounds, seed)
@@ -95,9 +98,13 @@ def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:
     """The artifact of one movement, with its chance of hitting as these draws find it."""
     made = outcome(place, curve, draws)
     hit, distance = made.hit[0], made.distance[0]
-    if not hit.any():
-        raise MotionNotFoundError(_failure(place, distance))
-    typical = int(np.argsort(np.where(hit, distance, np.inf), kind="stable")[hit.sum() // 2])
+    if np.isinf(distance).all():
+        raise MotionNotFoundError(
+            f"on the best motion found, each of {len(hit)} likely strings touches an obstacle or cannot be simulated. "
+            "Allow more generate.motions and generate.rounds, or move the obstacles."
+        )
+    order = np.lexsort((distance, ~hit))  # those that hit come first, the nearest first
+    typical = int(order[hit.sum() // 2])
     points = simulated(place.model, curve, draws.only(np.array([typical])))[1][0]
     attempts = pd.DataFrame({"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]})
     return Motion(
@@ -128,13 +135,3 @@ def _table(model: Model, points: np.ndarray) -> pd.DataFrame:
     t, s = np.meshgrid(np.arange(len(points)) * model.arm.tick, model.string.arc_lengths(), indexing="ij")
     columns = {"t": t.ravel(), "s": s.ravel(), "x": points[..., 0].ravel(), "y": points[..., 1].ravel()}
     return PREDICTED_STRING.check(pd.DataFrame(columns))
-
-
-def _failure(place: Place, distance: np.ndarray) -> str:
-    """What to tell the user. distance: (K,) of the best motion's draws."""
-    touching = int(np.isinf(distance).sum())
-    reason = f"in {touching} of {len(distance)} draws something touches an obstacle, in the others the tip misses"
-    return (
-        f"the best motion found hits with none of {len(distance)} likely strings ({reason}). "
-        "Allow more generate.motions and generate.rounds, a larger target box, or other limits of the arm."
-    )

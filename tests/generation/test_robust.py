@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from data.artifacts import Estimate
 from data.schema import DataError
-from stages.generate import Box, MotionNotFoundError, generate
+from stages.generate import Box, MotionNotFoundError, generate, race
 from stages.generate import robust as chosen
 from stages.generate.chance import Place, between, outcome, simulated
 from stages.generate.curves import Curves, joined, plain_cast
@@ -173,14 +173,30 @@ def test_the_way_between_ticks_is_a_cubic():
     np.testing.assert_allclose(way[2:-2], np.stack([half**3, 1 - half**2], axis=-1)[2:-2], atol=1e-12)
 
 
-def test_failures_say_why(model):
+def test_failures_say_why(model, monkeypatch):
     with pytest.raises(DataError, match="out of reach"):
         chosen.generate(model, Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
     with pytest.raises(DataError, match=r"generate\.shortest"):
         chosen.generate(model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0})
-    tiny = SETTINGS | {"motions": 16, "rounds": 0, "fresh": 10}
-    with pytest.raises(MotionNotFoundError, match="hits with none of 10 likely strings"):
-        chosen.generate(model, Box(0.9, 0.5, 1e-6, 1e-6), (), None, None, seed=0, **tiny)
+    monkeypatch.setattr(race, "TRIES", 2)
+    in_the_way = Box(0.2, 0.2, 0.1, 0.1)
+    with pytest.raises(MotionNotFoundError, match="no random motion"):
+        chosen.generate(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
+    curtain = Box(0.2, 0.0, 3.0, 1e-6)  # below the arm, where some strings hang through it whatever happens
+    down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6)))
+    draws = drawn(model, None, NONE, 10, np.random.default_rng(0))
+    with pytest.raises(MotionNotFoundError, match="each of 10 likely strings touches"):
+        chosen.stated(Place(model, TARGET, (curtain,)), down, draws, 1)
+
+
+def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
+    """The cast will teach what the string is like."""
+    tiny = SETTINGS | {"motions": 60, "rounds": 0, "fresh": 10}
+    motion = chosen.generate(model, Box(0.4, 0.7, 1e-7, 1e-7), (), None, None, seed=0, **tiny)
+    told = motion.outcome.iloc[0]
+    assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
+    assert told["chance_high"] > 0.2
+    assert len(motion.commands) == round(told["duration"] / model.arm.tick) + 1
 
 
 def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
