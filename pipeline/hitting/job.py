@@ -41,7 +41,7 @@ def casts_of(own: Config, noise: float) -> list[dict[str, Any]]:
     try:
         made: Sequence[Iteration] = cast(here, Path(), desk).iterations
     except MotionNotFoundError as error:
-        return [{"cast": 1, "hit": False, "reason": str(error)}]
+        return [{"cast": 1, "hit": False, "reason": str(error)}]  # the run counts as one that never hits
     truth = References(here, desk.benches[1])
     return [_row(i, seconds, truth) for i, seconds in zip(made, desk.seconds, strict=True)]
 
@@ -49,7 +49,7 @@ def casts_of(own: Config, noise: float) -> list[dict[str, Any]]:
 def _row(iteration: Iteration, seconds: float, truth: References) -> dict[str, Any]:
     assert iteration.verdict is not None
     plan, estimate = iteration.done["generate"].outcome.iloc[0], iteration.done["estimate"]
-    return {
+    row = {
         "cast": iteration.number,
         "hit": iteration.hit,
         "distance": iteration.verdict.distance,
@@ -58,6 +58,7 @@ def _row(iteration: Iteration, seconds: float, truth: References) -> dict[str, A
         "residual": float(estimate.fit["rms_after"].iloc[0]),
         "foretelling": truth.off(estimate.values()),
     }
+    return {name: value if np.isfinite(value) else None for name, value in row.items()}
 
 
 class References:
