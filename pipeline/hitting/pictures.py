@@ -22,7 +22,7 @@ def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
         for place, case in zip(axes[0], cases, strict=False):
             _hits(place, tables["rates"][tables["rates"]["case"] == case], case)
         _learned(axes[1, 0], tables["learned"][tables["learned"]["case"] == ALL])
-        _calibration(axes[1, 1], tables["calibration"])
+        _calibration(axes[1, 1], tables["calibration"], list(tables["rates"]["method"].unique()))
         for place in (*axes[0, len(cases) :], *axes[1, 2:]):
             place.set_axis_off()
         axes[0, 0].legend(loc="lower right")
@@ -51,9 +51,9 @@ def _learned(axes: Axes, learned: pd.DataFrame) -> None:
     axes.set_xticks(sorted(learned["after"].unique()))
 
 
-def _calibration(axes: Axes, table: pd.DataFrame) -> None:
+def _calibration(axes: Axes, table: pd.DataFrame, methods: list[str]) -> None:
     axes.plot([0, 1], [0, 1], color=LIGHT["wall"], ls="--", lw=1)
     for method, some in table.groupby("method", sort=False):
-        axes.errorbar(some["foretold"], some["share"], _bars(some), fmt="o", ms=4, label=method)
+        axes.errorbar(some["foretold"], some["share"], _bars(some), fmt="o", ms=4, color=f"C{methods.index(method)}")
     axes.set(xlabel="chance foretold", ylabel="share that hit", xlim=(0, 1.03), ylim=(-0.03, 1.05))
     axes.set_title("do foretold chances hold?")

@@ -27,7 +27,7 @@ from stages.generate.space import check_reach
 from stages.model.box import Box
 from stages.model.model import Model
 
-FINALISTS = 2  # winners of the race that are refined
+FINALISTS = 4  # winners of the race that are refined
 NEAREST = 8  # winners of the race that may be chosen all the same
 
 
