@@ -343,8 +343,10 @@ class Estimate:
         """TABLES, with the columns that `candidates` and `draws` have for the parameters."""
         rows = self.parameters[["name", "unit", "meaning"]].itertuples(index=False)
         own = tuple(Column(name, unit, meaning) for name, unit, meaning in rows)
-        wide = {t.name: replace(t, columns=(*t.columns, *own)) for t in (CANDIDATES, DRAWS)}
-        return self.TABLES | wide
+        if_drawn = tuple(replace(column, optional=True) for column in own)
+        candidates = replace(CANDIDATES, columns=(*CANDIDATES.columns, *own))
+        draws = replace(DRAWS, columns=(*DRAWS.columns, *if_drawn))
+        return self.TABLES | {"candidates": candidates, "draws": draws}
 
     def values(self) -> dict[str, float]:
         """Best value of each parameter, by name."""
