@@ -68,6 +68,9 @@ MOTION_OUTCOME = Table(
         Column("target_y", "m", "centre of the target box"),
         Column("target_w", "m", "full width of the target box"),
         Column("target_h", "m", "full height of the target box"),
+        Column("chance", "1", "foretold chance of hitting; only where it was asked", optional=True),
+        Column("chance_low", "1", "lower end of its 95 % interval", optional=True),
+        Column("chance_high", "1", "upper end", optional=True),
     ),
 )
 
@@ -300,6 +303,11 @@ CANDIDATES = Table(
         Column("accepted", "", "it was the best so far", "bool"),
     ),
 )
+DRAWS = Table(
+    "draws",
+    "strings that the trials leave possible, each as likely as another: a column for each parameter, named after it",
+    (Column("draw", "1", "number of the draw", "int"),),
+)
 MATCHING = Table(
     "matching",
     "the matching rate frame by frame, before and after estimation",
@@ -333,19 +341,24 @@ class Estimate:
     candidates: pd.DataFrame
     matching: pd.DataFrame
     fit: pd.DataFrame
+    draws: pd.DataFrame = field(default_factory=DRAWS.empty)
 
     TABLES: ClassVar[dict[str, Table]] = {
         "parameters": PARAMETERS,
         "candidates": CANDIDATES,
         "matching": MATCHING,
         "fit": FIT,
+        "draws": DRAWS,
     }
 
     def tables(self) -> dict[str, Table]:
-        """TABLES, with the columns that `candidates` has for the parameters."""
+        """TABLES, with the columns that `candidates` and `draws` have for the parameters."""
         rows = self.parameters[["name", "unit", "meaning"]].itertuples(index=False)
         own = tuple(Column(name, unit, meaning) for name, unit, meaning in rows)
-        return self.TABLES | {"candidates": replace(CANDIDATES, columns=(*CANDIDATES.columns, *own))}
+        if_drawn = tuple(replace(column, optional=True) for column in own)
+        candidates = replace(CANDIDATES, columns=(*CANDIDATES.columns, *own))
+        draws = replace(DRAWS, columns=(*DRAWS.columns, *if_drawn))
+        return self.TABLES | {"candidates": candidates, "draws": draws}
 
     def values(self) -> dict[str, float]:
         """Best value of each parameter, by name."""

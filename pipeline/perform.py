@@ -10,14 +10,19 @@ from rich.markup import escape
 
 from pipeline import calibrate, keep, report
 from pipeline.extraction_study import command as extraction_study
+from pipeline.hitting import study as hit_study
 from pipeline.run import Result, work
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
 from pipeline.study import command as blind_study
 from pipeline.world import World
 
-STUDIES = {"study": blind_study.run, "extraction_study": extraction_study.run}
 Study = Callable[[World, Path, Callable[[float], object]], str]
+STUDIES: dict[str, Study] = {
+    "study": blind_study.run,
+    "extraction_study": extraction_study.run,
+    "hit_study": hit_study.run,
+}
 
 
 def perform(here: World, folder: Path, console: Console) -> Result:
@@ -27,9 +32,8 @@ def perform(here: World, folder: Path, console: Console) -> Result:
         with keep.failing(folder):
             if here.config["steps"] == ["calibrate"]:
                 return calibration(here, folder, console)
-            for name, study in STUDIES.items():
-                if here.config["steps"] == [name]:
-                    return studied(study, here, folder, console)
+            if here.config["steps"][0] in STUDIES:
+                return studied(STUDIES[here.config["steps"][0]], here, folder, console)
             return cast_or_look_again(here, folder, console)
 
 

@@ -58,9 +58,8 @@ def step_seed(seed: int, number: int, name: str) -> int:
 
 
 def _generate(world: World, past: Past, seed: int, progress: Progress) -> Motion:
-    known = {} if past.estimate is None else past.estimate.values()
     place = (world.model, world.target, world.obstacles)
-    return world.stages["generate"](*place, past.motion, known, seed=seed, progress=progress)
+    return world.stages["generate"](*place, past.motion, past.estimate, seed=seed, progress=progress)
 
 
 def _excite(world: World, past: Past, seed: int, progress: Progress) -> Motion:

@@ -79,7 +79,7 @@ def world(config: Mapping[str, Any], where: Where) -> World:
 
 STAGES = ("generate", "excite", "execute", "extract", "estimate", "align", "diagnose", "calibrate", "hardware")
 CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
-STUDIES = (["study"], ["extraction_study"])
+STUDIES = (["study"], ["extraction_study"], ["hit_study"])
 AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"], ["align"])
 DECIDE = ["diagnose", "execute", "extract", "diagnose"]
 

@@ -49,7 +49,7 @@ def study(
     draw, diagnose: functions that can be pickled; see `one_bench`. Rows that are in `folder` already are read.
     """
     context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
-    with _environment(ONE_THREAD), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
+    with environment(ONE_THREAD), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
         made = {pool.submit(one_bench, seed, folder, draw, diagnose): seed for seed in seeds}
         rows: dict[int, Row] = {}
         for future in as_completed(made):
@@ -101,7 +101,7 @@ def _follow() -> None:
 
 
 @contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Environment variables for the processes that are begun meanwhile."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)

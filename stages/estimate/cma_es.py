@@ -13,6 +13,7 @@ from cmaes import CMA
 from pydantic import Field
 
 from data.artifacts import Estimate, Observation
+from stages.estimate.least_squares import possible
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
 from stages.model.model import Model
@@ -53,4 +54,5 @@ def estimate(
         rates.append(rate)
         progress((number + 1) / rounds)
     found = Search("CMA-ES", np.concatenate(tried), np.concatenate(rates))
-    return estimate_of(goals, before, found.chi[found.best], found, unmoved(goals, found))
+    best = found.chi[found.best]
+    return estimate_of(goals, before, best, found, unmoved(goals, found), possible(goals, best, seed))

@@ -26,7 +26,7 @@ from scipy.stats import t as student
 
 from data.artifacts import Estimate, Observation
 from stages.estimate.forward import Case
-from stages.estimate.matching import Matching, matching_rate, targets
+from stages.estimate.matching import Matching, Target, matching_rate, targets
 from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
 from stages.estimate.settle import settled
 from stages.model.model import Model
@@ -42,6 +42,7 @@ STUBBORN = 1e-9  # added to the normal matrix, so that flat directions stay put
 PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
 TURNS = 3  # in which initial states and parameters are fitted, where trials begin moving
 POLISH = 100  # steps of the trust region at most; it mostly takes fewer than 20
+DRAWS = 400  # strings that stand for all that are possible
 DAMPINGS = np.array([1e-7, 1e-4, 1e-2, 1.0, 100.0])
 
 
@@ -82,7 +83,7 @@ def estimate(
         goals = [replace(goal, case=ready) for goal, ready in zip(goals, cases, strict=True)]
     tried = np.concatenate([screened, chi, best[None]])
     search = Search("least squares", tried, matching_rate(goals, values_of(model.parameters, tried)))
-    return estimate_of(goals, before, best, search, interval(cases, best))
+    return estimate_of(goals, before, best, search, interval(cases, best), possible(goals, best, seed))
 
 
 def _advanced(cases: Sequence[Case], chi: np.ndarray, steps: int) -> np.ndarray:
@@ -114,6 +115,15 @@ def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:
     sentence = words(parameters, determined, "This data determines every parameter.")
     together = tied(parameters, determined, covariance / np.outer(deviation, deviation))
     return Interval(low, high, determined, sentence + together + _misfit(cases, chi))
+
+
+def possible(goals: Sequence[Target], chi: np.ndarray, seed: int) -> np.ndarray:
+    """Strings that the trials leave possible about a solution chi (P,), whichever way it was found: (DRAWS, P).
+
+    Normal, with the covariance of least squares there; what would leave its range stops at its end.
+    """
+    covariance, _ = _covariance([goal.case for goal in goals], chi)
+    return np.clip(np.random.default_rng([seed, DRAWS]).multivariate_normal(chi, covariance, DRAWS), 0, 1)
 
 
 def _misfit(cases: Sequence[Case], chi: np.ndarray) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from data.artifacts import Estimate, Observation
+from stages.estimate.least_squares import possible
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
 from stages.model.model import Model
@@ -52,4 +53,4 @@ def estimate(
         if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):
             best, best_rate = drawn[int(np.nanargmax(scores))], np.nanmax(scores)
     search = Search("random search", chi, rate)
-    return estimate_of(goals, before, best, search, unmoved(goals, search))
+    return estimate_of(goals, before, best, search, unmoved(goals, search), possible(goals, best, seed))

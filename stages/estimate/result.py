@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from data.artifacts import CANDIDATES, FIT, MATCHING, PARAMETERS, Estimate
+from data.artifacts import CANDIDATES, DRAWS, FIT, MATCHING, PARAMETERS, Estimate
 from data.schema import DataError
 from stages.estimate.matching import Target, matching_rate
 from stages.model.parameter import Parameter
@@ -66,9 +66,14 @@ def values_of(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
 
 
 def estimate_of(
-    goals: Sequence[Target], before: np.ndarray, after: np.ndarray, search: Search, interval: Interval
+    goals: Sequence[Target],
+    before: np.ndarray,
+    after: np.ndarray,
+    search: Search,
+    interval: Interval,
+    draws: np.ndarray,
 ) -> Estimate:
-    """The artifact. before, after: (P,) exponents before and after."""
+    """The artifact. before, after: (P,) exponents before and after. draws: (K, P) that the trials leave possible."""
     parameters = goals[0].case.model.parameters
     pair = values_of(parameters, np.stack([before, after]))
     matching = pd.concat([_matching(goal, pair) for goal in goals], ignore_index=True)
@@ -87,6 +92,7 @@ def estimate_of(
         CANDIDATES.check(_candidates(parameters, search)),
         MATCHING.check(matching),
         FIT.check(pd.DataFrame([fit])),
+        DRAWS.check(pd.DataFrame({"draw": np.arange(len(draws))} | _columns(parameters, draws))),
     )
 
 
@@ -176,5 +182,9 @@ def _candidates(parameters: Sequence[Parameter], search: Search) -> pd.DataFrame
     record = np.fmax.accumulate(np.where(np.isnan(rate), -np.inf, rate))
     better = np.concatenate([[True], record[1:] > record[:-1]]) & ~np.isnan(rate)
     table = {"candidate": np.arange(len(rate)), "matching_rate": rate, "finite": ~np.isnan(rate), "accepted": better}
-    values = values_of(parameters, search.chi)
-    return pd.DataFrame(table | {p.name: values[:, i] for i, p in enumerate(parameters)})
+    return pd.DataFrame(table | _columns(parameters, search.chi))
+
+
+def _columns(parameters: Sequence[Parameter], chi: np.ndarray) -> dict[str, np.ndarray]:
+    """Values at exponents (C, P), by parameter."""
+    return dict(zip((p.name for p in parameters), values_of(parameters, chi).T, strict=True))

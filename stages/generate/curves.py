@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,9 +32,14 @@ class Curves:
         turned = np.einsum("bkn,bjn->bkj", _bernstein(inside, INTERVALS + 1), sums / (INTERVALS + 1))
         return self.start[:, None] + turned * self.duration[:, None, None], speed
 
-    def only(self, chosen: np.ndarray) -> Curves:
+    def only(self, chosen: np.ndarray | slice) -> Curves:
         """Some of the movements."""
         return Curves(self.start[chosen], self.duration[chosen], self.control[chosen])
+
+
+def joined(parts: Sequence[Curves]) -> Curves:
+    """Several batches as one."""
+    return Curves(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("start", "duration", "control")))
 
 
 def first_curves(
@@ -41,7 +47,7 @@ def first_curves(
 ) -> Curves:
     """Random poses and curves: V_n = alpha_n (t_n - t_{n-1}), V_0 = V_5 = 0 (Eq. 2)."""
     start = rng.uniform(arm.lowest, arm.highest, (count, len(arm.links)))
-    duration = _whole(rng.uniform(*durations, count), arm.tick)
+    duration = whole_ticks(rng.uniform(*durations, count), arm.tick)
     control = np.zeros((count, len(arm.links), INTERVALS + 1))
     acceleration = rng.uniform(-alpha, alpha, (count, len(arm.links), INTERVALS - 1))
     control[..., 1:-1] = acceleration * duration[:, None, None] / INTERVALS
@@ -60,7 +66,7 @@ def next_curves(
     """Slight changes of the last movement: same start, T within half its first range around the
     last, V_1..V_4 within `fraction` of their range."""
     half = (durations[1] - durations[0]) / 4
-    duration = _whole(np.clip(last.duration[0] + rng.uniform(-half, half, count), *durations), arm.tick)
+    duration = whole_ticks(np.clip(last.duration[0] + rng.uniform(-half, half, count), *durations), arm.tick)
     reach = np.minimum(alpha * duration[:, None] / INTERVALS, np.asarray(arm.speed))
     change = rng.uniform(-1, 1, (count, len(arm.links), INTERVALS - 1)) * fraction * reach[..., None]
     control = np.repeat(last.control, count, axis=0)
@@ -72,13 +78,13 @@ def plain_cast(arm: Arm, duration: float) -> Curves:
     """One swing of all joints together, through the middle third of their ranges in `duration` [s]."""
     lowest, highest = np.asarray(arm.lowest), np.asarray(arm.highest)
     sweep = (highest - lowest) / 3
-    whole = _whole(np.array([duration]), arm.tick)
+    whole = whole_ticks(np.array([duration]), arm.tick)
     control = np.zeros((1, len(sweep), INTERVALS + 1))
     control[0, :, 1:-1] = (sweep / whole * (INTERVALS + 1) / (INTERVALS - 1))[:, None]
     return Curves(((lowest + highest - sweep) / 2)[None], whole, control)
 
 
-def _whole(duration: np.ndarray, tick: float) -> np.ndarray:
+def whole_ticks(duration: np.ndarray, tick: float) -> np.ndarray:
     """Rounded to ticks, at least as many as there are intervals."""
     return np.maximum(np.round(duration / tick), INTERVALS) * tick
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -11,7 +11,17 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import ATTEMPTS, COMMANDS, CONTROL_POINTS, JOINTS, MOTION_OUTCOME, PREDICTED_STRING, SPEEDS, Motion
+from data.artifacts import (
+    ATTEMPTS,
+    COMMANDS,
+    CONTROL_POINTS,
+    JOINTS,
+    MOTION_OUTCOME,
+    PREDICTED_STRING,
+    SPEEDS,
+    Estimate,
+    Motion,
+)
 from data.schema import DataError
 from stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
 from stages.generate.space import check_reach
@@ -43,7 +53,7 @@ def generate(
     target: Box,
     obstacles: Sequence[Box],
     previous: Motion | None,
-    parameters: Mapping[str, float],
+    estimate: Estimate | None,
     *,
     seed: int,
     attempts: Annotated[int, Field(ge=1)],
@@ -57,8 +67,8 @@ def generate(
 ) -> Motion:
     """A motion whose simulated tip hits the target during the movement.
 
-    previous: the last motion, slightly changed from the second manipulation on. parameters:
-    of the model, by name. attempts: motions tried at most, `together` at a time. shortest,
+    previous: the last motion, slightly changed from the second manipulation on. estimate: of
+    the string, None before the first trial. attempts: motions tried at most, `together` at a time. shortest,
     longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2]. fraction: of
     the control points' range by which they change. hits: motions that hit from which the one
     whose tip stays longest in the box is taken (1 is the paper's first come). Raises
@@ -70,7 +80,7 @@ def generate(
     rng = np.random.default_rng(seed)
     count: Counter[str] = Counter()
     found: list[tuple[float, Motion]] = []
-    values = model.values(parameters)
+    values = model.values({} if estimate is None else estimate.values())
     while sum(count.values()) < attempts and len(found) < hits:
         size = min(together, attempts - sum(count.values()))
         curves = _drawn(model.arm, rng, size, (shortest, longest), alpha, previous, fraction)

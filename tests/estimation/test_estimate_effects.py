@@ -1,5 +1,7 @@
 """Effects in estimation and generation: found where they are, added from elsewhere, free where absent."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -161,7 +163,7 @@ def test_generation_knows_a_hand_that_lags(arm, camera):
     }
     known = TRUTH | {"arm_lag.time_constant": 0.05, "tip_mass.ratio": 0.3}
     box = Box(0.4, 0.7, 0.04, 0.04)
-    motion = generate(model, box, (), None, known, seed=1, **settings)
+    motion = generate(replace(model, known=known), box, (), None, None, seed=1, **settings)
     commands = motion.commands
     joints = joint_motion(commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy())
     t = np.arange(0, motion.duration, 0.0005)

@@ -61,8 +61,8 @@ def rows(table, count=2, **columns):
     return pd.DataFrame({c.name: columns.get(c.name, [zero[c.kind]] * count) for c in table.columns})
 
 
-def generate(model, target, obstacles, motion, known, *, seed, progress):
-    x = number(known, None if motion is None else motion.commands, seed)
+def generate(model, target, obstacles, motion, estimate, *, seed, progress):
+    x = number(None if estimate is None else estimate.values(), None if motion is None else motion.commands, seed)
     tables = {name: rows(table) for name, table in Motion.TABLES.items()}
     return Motion(**tables | {"commands": rows(Motion.TABLES["commands"], t=[0.0, 0.1], q1=x, w1=x)})
 

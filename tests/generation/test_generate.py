@@ -68,7 +68,7 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
 def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     """Checked again from the commands alone, with another sampling."""
     wall = Box(0.6, 0.35, 0.05, 0.3)  # in the way of most
-    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, {}, seed=seed, **SETTINGS | {"hits": 5})
+    motion = generate(Model(STRING, arm, camera), TARGET, (wall,), None, None, seed=seed, **SETTINGS | {"hits": 5})
     commands = motion.commands
     q, w = commands[["q1", "q2", "q3"]].to_numpy(), commands[["w1", "w2", "w3"]].to_numpy()
     assert np.all((q >= arm.lowest) & (q <= arm.highest))
@@ -89,7 +89,7 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
 
 def test_a_slower_hand_is_obeyed_throughout(arm, camera):
     slow = replace(arm, hand_speed=4.0)
-    motion = generate(Model(STRING, slow, camera), TARGET, (), None, {}, seed=1, **SETTINGS)
+    motion = generate(Model(STRING, slow, camera), TARGET, (), None, None, seed=1, **SETTINGS)
     q, w = (motion.commands[names].to_numpy() for names in (["q1", "q2", "q3"], ["w1", "w2", "w3"]))
     assert np.linalg.norm(slow.grasp_velocity(q, w)[:, :2], axis=1).max() <= 4.0 * 1.01
     assert motion.attempts.set_index("outcome")["count"]["the hand is too fast"] > 0
@@ -97,7 +97,7 @@ def test_a_slower_hand_is_obeyed_throughout(arm, camera):
 
 def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
     def stay(hits, seed):
-        motion = generate(Model(STRING, arm, camera), TARGET, (), None, {}, seed=seed, **SETTINGS | {"hits": hits})
+        motion = generate(Model(STRING, arm, camera), TARGET, (), None, None, seed=seed, **SETTINGS | {"hits": hits})
         t = np.arange(0, motion.duration, 0.0005)
         hand = hand_motion(arm, motion.commands["t"].to_numpy(), motion.commands[["q1", "q2", "q3"]].to_numpy())
         tip = simulate(STRING, hand, STRING.start()[None], t).tip[0]
@@ -110,8 +110,8 @@ def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
 
 def test_failures_say_why(arm, camera):
     with pytest.raises(DataError, match="out of reach"):
-        generate(Model(STRING, arm, camera), Box(2.0, 0.7, 0.02, 0.04), (), None, {}, seed=0, **SETTINGS)
+        generate(Model(STRING, arm, camera), Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
     with pytest.raises(MotionNotFoundError, match="misses the target"):
         generate(
-            Model(STRING, arm, camera), Box(0.9, 0.5, 1e-6, 1e-6), (), None, {}, seed=0, **SETTINGS | {"attempts": 64}
+            Model(STRING, arm, camera), Box(0.9, 0.5, 1e-6, 1e-6), (), None, None, seed=0, **SETTINGS | {"attempts": 64}
         )

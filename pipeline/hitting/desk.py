@@ -1,0 +1,79 @@
+"""A desk that casts on the virtual bench and measures points instead of filming: the same loop for less time.
+
+The bench's string is finer than the model's (40 points, another integrator), its arm has a velocity loop and repeats
+itself only nearly. What is left out is the camera's picture: points have the noise that extraction leaves.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Motion, Points, Trial
+from hardware.virtual.bench import Bench
+from pipeline.run import Iteration
+from pipeline.steps import STEPS, Past, step_seed
+from pipeline.world import World
+from stages.execute import padded
+
+PLACES = 2  # every so manieth point of the bench's string is measured
+
+
+@dataclass
+class PointDesk:
+    """Steps are made in memory. noise: of a measured coordinate, one sigma [m]. seconds: that planning took, each."""
+
+    world: World
+    noise: float
+    seconds: list[float] = field(default_factory=list)
+    benches: dict[int, Bench] = field(default_factory=dict)
+
+    def step(self, name: str, past: Past) -> Any:
+        """The artifact of a step."""
+        own = {"generate": self._generate, "execute": self._execute, "extract": self._extract}
+        return own[name](past) if name in own else self._made(name, past)
+
+    def publish(self, iterations: list[Iteration]) -> None:
+        """Nobody reads along."""
+
+    def _made(self, name: str, past: Past) -> Any:
+        seed = step_seed(self.world.seed, past.number, name)
+        return STEPS[name].make(self.world, past, seed, lambda share: None)
+
+    def _generate(self, past: Past) -> Motion:
+        begun = time.process_time()
+        motion: Motion = self._made("generate", past)
+        self.seconds.append(time.process_time() - begun)
+        return motion
+
+    def _execute(self, past: Past) -> Trial:
+        world, rest = self.world, self.world.config["execute"]
+        lab = world.stages["hardware"](world.arm, world.camera, seed=world.seed, trial=past.number)
+        commands = padded(past.done["generate"].commands, rest["before"], rest["after"])
+        lab.arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
+        performance = lab.arm.perform(commands)
+        self.benches[past.number] = lab.arm.bench
+        return Trial(performance.arm, performance.ticks, FRAMES.empty(), performance.link, [])
+
+    def _extract(self, past: Past) -> Points:
+        bench = self.benches[past.number]
+        first, last = past.done["execute"].arm["t"].iloc[[0, -1]]
+        rate = self.world.camera.fps
+        t = np.arange(np.ceil(first * rate), np.floor(last * rate) + 1) / rate
+        return measured(bench, t, self.noise, np.random.default_rng([self.world.seed, past.number]))
+
+
+def measured(bench: Bench, t: np.ndarray, noise: float, rng: np.random.Generator) -> Points:
+    """What extraction would read of a bench's string at times (F,) [s]."""
+    true = bench.in_view(bench.string_at, t)[:, ::-PLACES][:, ::-1]
+    s = bench.specimen.string().arc_lengths()[::-PLACES][::-1]
+    seen = true + noise * rng.standard_normal(true.shape)
+    columns: dict[str, Any] = {"t": t.repeat(len(s)), "s": np.tile(s, len(t))}
+    columns |= {"x": seen[..., 0].ravel(), "y": seen[..., 1].ravel(), "sigma": noise, "valid": True}
+    read: dict[str, Any] = {"frame": np.arange(len(t)), "t": t, "valid": True, "reason": ""}
+    read |= {"tip_x": seen[:, -1, 0], "tip_y": seen[:, -1, 1], "tip_sigma": noise, "length": bench.specimen.length}
+    return Points(POINTS.check(pd.DataFrame(columns)), READINGS.check(pd.DataFrame(read)), MASKS.empty())

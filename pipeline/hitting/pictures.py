@@ -1,0 +1,59 @@
+"""One picture of a hit study: hits over casts, what was learned, and whether chances foretold hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from pipeline.hitting.scores import ALL, WANTED
+from stages.report.picture import LIGHT, MM, STYLE
+
+
+def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
+    """Write it. tables: of `scores`."""
+    cases = [ALL, *(case for case in tables["rates"]["case"].unique() if case != ALL)]
+    with plt.style.context(STYLE):
+        figure, axes = plt.subplots(2, max(len(cases), 2), figsize=(2.4 * max(len(cases), 2), 5.4), squeeze=False)
+        for place, case in zip(axes[0], cases, strict=False):
+            _hits(place, tables["rates"][tables["rates"]["case"] == case], case)
+        _learned(axes[1, 0], tables["learned"][tables["learned"]["case"] == ALL])
+        _calibration(axes[1, 1], tables["calibration"], list(tables["rates"]["method"].unique()))
+        for place in (*axes[0, len(cases) :], *axes[1, 2:]):
+            place.set_axis_off()
+        axes[0, 0].legend(loc="lower right")
+        figure.savefig(path, dpi=150, facecolor="white")
+        plt.close(figure)
+
+
+def _bars(some: pd.DataFrame) -> np.ndarray:
+    """Distances of the interval's ends from the share, (2, K)."""
+    return np.abs(some[["low", "high"]].to_numpy().T - some["share"].to_numpy())
+
+
+def _hits(axes: Axes, rates: pd.DataFrame, case: str) -> None:
+    for number, (method, some) in enumerate(rates.groupby("method", sort=False)):
+        across = some["within"] + 0.08 * number  # side by side, so that bars can be told apart
+        axes.errorbar(across, some["share"], _bars(some), fmt="o-", ms=4, label=method)
+    axes.axhline(WANTED, color=LIGHT["wall"], ls="--", lw=1)
+    axes.set(xlabel="casts", ylabel="runs that have hit", ylim=(-0.03, 1.05), title=case)
+    axes.set_xticks(sorted(rates["within"].unique()))
+
+
+def _learned(axes: Axes, learned: pd.DataFrame) -> None:
+    for method, some in learned.groupby("method", sort=False):
+        axes.plot(some["after"], some["median"] * MM, "o-", ms=4, label=method)
+    axes.set(xlabel="casts", ylabel="tip on other casts / mm", title="how well it foretells", yscale="log")
+    axes.set_xticks(sorted(learned["after"].unique()))
+
+
+def _calibration(axes: Axes, table: pd.DataFrame, methods: list[str]) -> None:
+    axes.plot([0, 1], [0, 1], color=LIGHT["wall"], ls="--", lw=1)
+    for method, some in table.groupby("method", sort=False):
+        axes.errorbar(some["foretold"], some["share"], _bars(some), fmt="o", ms=4, color=f"C{methods.index(method)}")
+    axes.set(xlabel="chance foretold", ylabel="share that hit", xlim=(0, 1.03), ylim=(-0.03, 1.05))
+    axes.set_title("do foretold chances hold?")

@@ -1,0 +1,121 @@
+"""Scores of a hit study, as tables: how many runs have hit after so many casts, and whether chances foretold hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from data.schema import Column, Table
+from pipeline.study.scores import counted
+
+BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the chance foretold
+WANTED = 0.95
+ALL = "all"
+_WHICH = (Column("case", "", "string and target; 'all' for all together", "text"), Column("method", "", "", "text"))
+_COUNTS = (
+    Column("right", "1", "how many of them", "int"),
+    Column("count", "1", "of how many", "int"),
+    Column("share", "1", "right over count"),
+    Column("low", "1", "lower end of the 95 % interval (Clopper and Pearson)"),
+    Column("high", "1", "upper end"),
+)
+CASTS = Table(
+    "casts",
+    "a row a cast, until one hits",
+    (
+        *_WHICH,
+        Column("seed", "1", "of the run; the same for all methods", "int"),
+        Column("cast", "1", "its number, from 1", "int"),
+        Column("hit", "", "the measured tip entered the box during the movement, clear of obstacles", "bool"),
+        Column("distance", "m", "of the tip from the box's centre, the least"),
+        Column("chance", "1", "of hitting, foretold; NaN where the method foretells none"),
+        Column("planning", "s", "processor time that planning took"),
+        Column("residual", "m", "between simulated and measured string after estimation, root mean square"),
+        Column("foretelling", "m", "of the tip on casts nobody learned from, after estimation, root mean square"),
+    ),
+)
+RATES = Table(
+    "rates",
+    "runs that have hit within so many casts",
+    (*_WHICH, Column("within", "1", "casts", "int"), *_COUNTS),
+)
+NEEDED = Table(
+    "needed",
+    "casts until the share of runs that have hit is 95 %",
+    (*_WHICH, Column("casts", "1", "NaN where it is not reached"), Column("runs", "1", "how many", "int")),
+)
+LEARNED = Table(
+    "learned",
+    "how well a model foretells the tip on casts nobody learned from, after so many casts",
+    (*_WHICH, Column("after", "1", "casts", "int"), Column("median", "m", "over runs; a run that has hit stays")),
+)
+CALIBRATION = Table(
+    "calibration",
+    "chances foretold, and what came of them",
+    (
+        Column("method", "", "", "text"),
+        Column("from", "1", "chance foretold"),
+        Column("to", "1", ""),
+        Column("foretold", "1", "mean"),
+        *_COUNTS,
+    ),
+)
+TABLES = {table.name: table for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRATION)}
+
+
+def scores(casts: pd.DataFrame, most: int) -> dict[str, pd.DataFrame]:
+    """All tables. casts: as CASTS. most: casts that a run had at most."""
+    whole = CASTS.check(casts.reindex(columns=[column.name for column in CASTS.columns]))
+    runs = whole.assign(run=whole["case"] + whole["seed"].astype(str))
+    both = pd.concat([runs, runs.assign(case=ALL)], ignore_index=True).groupby(["case", "method"], sort=False)
+    rates = pd.concat([_rates(some, most).assign(case=c, method=m) for (c, m), some in both], ignore_index=True)
+    return {
+        "casts": whole,
+        "rates": rates,
+        "needed": _needed(rates),
+        "learned": pd.concat([_learned(some, most).assign(case=c, method=m) for (c, m), some in both]),
+        "calibration": _calibration(whole),
+    }
+
+
+def _rates(casts: pd.DataFrame, most: int) -> pd.DataFrame:
+    """Of one case and method."""
+    first = casts["cast"].where(casts["hit"].astype(bool)).groupby(casts["run"]).min()
+    return pd.DataFrame([{"within": within, **counted(first <= within)} for within in range(1, most + 1)])
+
+
+def _needed(rates: pd.DataFrame) -> pd.DataFrame:
+    rows = []
+    for (case, method), some in rates.groupby(["case", "method"], sort=False):
+        enough = some.loc[some["share"] >= WANTED, "within"].min()
+        rows.append({"case": case, "method": method, "casts": enough, "runs": some["count"].iloc[0]})
+    return pd.DataFrame(rows)
+
+
+def _learned(casts: pd.DataFrame, most: int) -> pd.DataFrame:
+    """Of one case and method."""
+    wide = casts.pivot_table(index="run", columns="cast", values="foretelling", dropna=False)
+    stays = wide.reindex(columns=range(1, most + 1)).ffill(axis=1)
+    return pd.DataFrame({"after": stays.columns, "median": stays.median().to_numpy()})
+
+
+def _calibration(casts: pd.DataFrame) -> pd.DataFrame:
+    foretold = casts[casts["chance"].notna()]
+    place = np.clip(np.digitize(foretold["chance"], BINS) - 1, 0, len(BINS) - 2)
+    rows = [
+        {"method": m, "from": BINS[i], "to": BINS[i + 1], "foretold": some["chance"].mean(), **counted(some["hit"])}
+        for (m, i), some in foretold.groupby(["method", place], sort=False)
+    ]
+    return pd.DataFrame(rows) if rows else CALIBRATION.empty()
+
+
+def sentence(tables: Mapping[str, pd.DataFrame]) -> str:
+    """The study in a few numbers."""
+    rates = tables["rates"][tables["rates"]["case"] == ALL]
+    said = []
+    for method, some in rates.groupby("method", sort=False):
+        shares = ", ".join(f"{100 * share:.0f} %" for share in some["share"])
+        said.append(f"{method}: {shares} of {some['count'].iloc[0]} runs within 1 to {len(some)} casts")
+    return f"Hit: {'; '.join(said)}."

@@ -1,0 +1,94 @@
+"""Every run of a hit study, each kept on disk as soon as it is there."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+from pydantic import Field
+
+from data import store
+from pipeline.hitting.job import casts_of, settings
+from pipeline.hitting.pictures import picture
+from pipeline.hitting.scores import TABLES, scores, sentence
+from pipeline.origin import origin
+from pipeline.settings import build
+from pipeline.study.benches import ONE_THREAD, end_with_parent, environment
+from pipeline.world import World
+
+Count = Annotated[int, Field(ge=1)]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """seeds: how many, from `first`; the same for all methods. casts: at most. processes: 0 is one for each core.
+    noise: of a measured coordinate, one sigma [m]. methods, cases: settings that differ; see `job.settings`."""
+
+    seeds: Count
+    first: Annotated[int, Field(ge=0)]
+    casts: Count
+    processes: Annotated[int, Field(ge=0)]
+    noise: Annotated[float, Field(gt=0)]
+    methods: dict[str, dict[str, Any]]
+    cases: dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run: a case, a method, a seed."""
+
+    case: str
+    method: str
+    seed: int
+
+    def kept(self, folder: Path) -> Path:
+        """Where its rows are."""
+        return folder / "rows" / f"{self.case}-{self.method}-{self.seed:04d}.json"
+
+
+def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
+    """Cast, count and draw; what came out, in a sentence. What is in `folder` already is not made again."""
+    asked = build(Hits, here.config["hits"], "hits", "conf/experiment/hit_study.yaml")
+    seeds = range(asked.first, asked.first + asked.seeds)
+    jobs = [Job(case, method, seed) for seed in seeds for case in asked.cases for method in asked.methods]
+    _all_made(jobs, here.config, folder, asked.processes or os.cpu_count() or 1, progress)
+    tables = scores(_table(jobs, folder), asked.casts)
+    for name, frame in tables.items():
+        store.write_table(TABLES[name], frame, folder / f"{name}.parquet", origin(here.config, "hit_study", 0, {}))
+    picture(tables, folder / "hits.png")
+    return sentence(tables)
+
+
+def _all_made(
+    jobs: list[Job], config: Mapping[str, Any], folder: Path, processes: int, progress: Callable[[float], object]
+) -> None:
+    """Rows of every job on disk."""
+    context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
+    with environment(ONE_THREAD), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
+        made = [pool.submit(make, job, config, folder) for job in jobs if not job.kept(folder).exists()]
+        for number, future in enumerate(as_completed(made)):
+            future.result()
+            progress(1 - (len(made) - number - 1) / len(jobs))
+
+
+def make(job: Job, config: Mapping[str, Any], folder: Path) -> None:
+    """Cast, and keep the rows."""
+    hits = config["hits"]
+    own = settings(config, hits["cases"][job.case], hits["methods"][job.method], job.seed, hits["casts"])
+    store.write_text(job.kept(folder), json.dumps(casts_of(own, hits["noise"])))
+
+
+def _table(jobs: list[Job], folder: Path) -> pd.DataFrame:
+    """A row for each cast of each job."""
+    return pd.DataFrame(
+        {"case": job.case, "method": job.method, "seed": job.seed, **row}
+        for job in jobs
+        for row in json.loads(job.kept(folder).read_text(encoding="utf-8"))
+    )

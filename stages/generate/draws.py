@@ -1,0 +1,81 @@
+"""What may be so at the next cast, as draws: the string, how the arm follows, how far the simulation is off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from data.artifacts import Estimate
+from stages.model.model import Model
+
+Small = Annotated[float, Field(ge=0, le=0.1)]
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What else is uncertain beside the string.
+
+    amplitude: how differently two performances turn out, one sigma of a joint's relative speed. lag: how late joints
+    follow their commands at most [s]. tip: how far the simulation itself is off at the tip before a trial says so,
+    one sigma of a coordinate [m].
+    """
+
+    amplitude: Small
+    lag: Small
+    tip: Small
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Draws of what may be so. values: (K, P) of the model's parameters. amplitude: (K, J) what joints turn more than
+    commanded, as a share. lag: (K,) [s]. off: (K, 2) of the simulated tip [m]."""
+
+    values: np.ndarray
+    amplitude: np.ndarray
+    lag: np.ndarray
+    off: np.ndarray
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.values)
+
+    def only(self, chosen: slice | np.ndarray) -> Draws:
+        """Some of the draws, in this order."""
+        return Draws(self.values[chosen], self.amplitude[chosen], self.lag[chosen], self.off[chosen])
+
+    def of_the_string(self) -> Draws:
+        """The same strings, with nothing else uncertain."""
+        return Draws(self.values, 0 * self.amplitude, 0 * self.lag, 0 * self.off)
+
+
+def drawn(model: Model, estimate: Estimate | None, doubt: Doubt, count: int, rng: np.random.Generator) -> Draws:
+    """Draws of the string and of all else.
+
+    Strings come from what an estimate's trials leave possible; before the first, every exponent within a parameter's
+    range is as likely as another (Eq. 3), but for parameters that are known. Once there is an estimate, the
+    distance that it leaves between simulated and measured strings says how far the simulation is off.
+    """
+    amplitude = doubt.amplitude * rng.standard_normal((count, len(model.arm.links)))
+    lag = rng.uniform(0, doubt.lag, count)
+    tip = doubt.tip if estimate is None else float(estimate.fit["rms_after"].iloc[0])
+    off = tip * rng.standard_normal((count, 2))
+    values = _prior(model, count, rng) if estimate is None else _posterior(model, estimate, count, rng)
+    return Draws(values, amplitude, lag, off)
+
+
+def _prior(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Values (count, P) before the first trial."""
+    columns = [p.value(rng.uniform(0, 1, count)) for p in model.parameters]
+    known = {name: place for place, name in enumerate(model.names) if name in model.known}
+    for name, place in known.items():
+        columns[place] = np.full(count, model.known[name])
+    return np.stack(columns, axis=-1)
+
+
+def _posterior(model: Model, estimate: Estimate, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Values (count, P): of the estimate's own draws, any as likely as another."""
+    every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])
+    return every[rng.integers(0, len(every), count)]

@@ -1,0 +1,62 @@
+"""Random motions race: all on a few draws of what may be so, the nearer ones on more, and so on.
+
+Successive halving: Jamieson and Talwalkar 2016, Non-stochastic best arm identification, AISTATS.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from data.artifacts import Motion
+from stages.generate.chance import Place, outcome
+from stages.generate.curves import Curves, first_curves, joined, next_curves
+from stages.generate.draws import Draws
+from stages.generate.generate import arm_faults, curves_of
+from stages.generate.refine import Space
+
+GENTLER = (1.0, 0.5, 0.25)  # of the accelerations: a gentle cast is foretold better
+AT_ONCE = 128  # movements whose limits are checked together
+TRIES = 100  # such batches of a kind at most
+BEGIN = 3  # draws that the race begins with; each round takes MORE times as many,
+MORE = 3
+FEWER = 4  # for a share of 1 / FEWER of the motions
+
+
+def entrants(
+    place: Place, space: Space, previous: Motion | None, fraction: float, count: int, rng: np.random.Generator
+) -> Curves:
+    """Random movements that the arm can make: anywhere, and a quarter of them near the last one.
+
+    Fewer than `count` where hardly any is possible.
+    """
+    arm, durations, found = space.arm, (space.shortest, space.longest), []
+    draw = [partial(first_curves, arm, rng, AT_ONCE, durations, space.alpha * share) for share in GENTLER]
+    if previous is not None:
+        last = curves_of(previous)
+        found.append(possible(place, last))
+        draw.append(partial(next_curves, arm, rng, AT_ONCE, durations, space.alpha, last, fraction))
+    for kind in draw:
+        own: list[Curves] = []
+        while sum(len(c.duration) for c in own) * len(draw) < count and len(own) < TRIES:
+            own.append(possible(place, kind()))
+        found += own
+    return joined(found)
+
+
+def possible(place: Place, curves: Curves) -> Curves:
+    """Those of the movements that keep every limit of the arm."""
+    angles, speeds = curves.sampled(place.model.arm.tick, float(curves.duration.max()))
+    return curves.only(np.flatnonzero(arm_faults(place.model.arm, place.obstacles, angles, speeds) == ""))
+
+
+def race(place: Place, curves: Curves, draws: Draws) -> Curves:
+    """The movements that are left when all `draws` have been seen, the nearest first."""
+    count = BEGIN
+    while True:
+        closeness = outcome(place, curves, draws.only(slice(count))).closeness
+        ranked = curves.only(np.argsort(-closeness, kind="stable"))
+        if count >= len(draws):
+            return ranked
+        curves, count = ranked.only(np.arange(-(-len(closeness) // FEWER))), count * MORE

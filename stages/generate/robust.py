@@ -1,0 +1,137 @@
+"""Generate a motion that hits whatever the string may be: the highest chance over many draws of it.
+
+Random motions race, the winners are refined, and fresh draws, which had no part in choosing, say how likely the
+chosen motion hits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+from scipy.stats import binomtest
+
+from data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
+from data.schema import DataError
+from stages.generate.chance import Place, between, outcome, simulated
+from stages.generate.curves import Curves, joined
+from stages.generate.draws import Doubt, Draws, drawn
+from stages.generate.generate import HIT, MotionNotFoundError, commands_of, control_points_of
+from stages.generate.learning import spread_after
+from stages.generate.race import entrants, race
+from stages.generate.refine import Space, refine
+from stages.generate.space import check_reach
+from stages.model.box import Box
+from stages.model.model import Model
+
+FINALISTS = 4  # winners of the race that are refined
+NEAREST = 8  # winners of the race that may be chosen all the same
+
+
+def generate(
+    model: Model,
+    target: Box,
+    obstacles: Sequence[Box],
+    previous: Motion | None,
+    estimate: Estimate | None,
+    *,
+    seed: int,
+    motions: Annotated[int, Field(ge=16)],
+    strings: Annotated[int, Field(ge=4)],
+    rounds: Annotated[int, Field(ge=0)],
+    informative: Annotated[float, Field(ge=0, le=1)],
+    fresh: Annotated[int, Field(ge=10)],
+    shortest: Annotated[float, Field(gt=0)],
+    longest: Annotated[float, Field(gt=0)],
+    alpha: Annotated[float, Field(gt=0)],
+    fraction: Annotated[float, Field(gt=0, le=1)],
+    doubt: Doubt,
+    progress: Callable[[float], object] = lambda share: None,
+) -> Motion:
+    """The motion with the highest chance that the tip enters the target box, as far as is known.
+
+    previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
+    string, None before the first trial. motions: random ones that race. strings: draws on which the winners are
+    refined, for `rounds` of CMA-ES. informative: closeness (see `Outcome`) that may be given up for a cast that
+    teaches more. fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha: limit of the
+    random accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ. doubt: of
+    what is not the string. Raises MotionNotFoundError where the arm can make no motion or none is clear of the
+    obstacles, and DataError for a target out of reach or an empty range; a motion that hits with no draw is still the
+    one that comes nearest.
+    """
+    if shortest > longest:
+        raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
+    check_reach(target, model.arm, model.string.length)
+    rng = np.random.default_rng(seed)
+    place, space = Place(model, target, obstacles), Space(model.arm, shortest, longest, alpha)
+    draws = drawn(model, estimate, doubt, strings, rng)
+    random = entrants(place, space, previous, fraction, motions, rng)
+    if not len(random.duration):
+        raise MotionNotFoundError(
+            "no random motion keeps the arm's limits and clear of the obstacles. Widen them, or lower generate.alpha."
+        )
+    best = race(place, random, draws)
+    progress(0.4)
+    refined = refine(place, space, best.only(slice(FINALISTS)), draws, rounds, seed)
+    progress(0.9)
+    final = joined([refined, best.only(slice(NEAREST))])
+    chosen = choice(place, final, drawn(model, estimate, doubt, strings, rng), informative)
+    progress(1.0)
+    return stated(place, chosen, drawn(model, estimate, doubt, fresh, rng), len(random.duration))
+
+
+def choice(place: Place, curves: Curves, draws: Draws, informative: float) -> Curves:
+    """The nearest of some motions, or one that is nearly so and teaches more. informative: closeness given up."""
+    closeness = outcome(place, curves, draws).closeness
+    best = int(np.argmax(closeness))
+    near = np.flatnonzero(closeness >= closeness[best] - informative)
+    if len(near) > 1:
+        some = curves.only(near)
+        best = int(near[np.argmin(spread_after(place, some, draws, int(np.searchsorted(near, best))))])
+    return curves.only(np.array([best]))
+
+
+def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:
+    """The artifact of one movement, with its chance of hitting as these draws find it."""
+    made = outcome(place, curve, draws)
+    hit, distance = made.hit[0], made.distance[0]
+    if np.isinf(distance).all():
+        raise MotionNotFoundError(
+            f"on the best motion found, each of {len(hit)} likely strings touches an obstacle or cannot be simulated. "
+            "Allow more generate.motions and generate.rounds, or move the obstacles."
+        )
+    order = np.lexsort((distance, ~hit))  # those that hit come first, the nearest first
+    typical = int(order[hit.sum() // 2])
+    points = simulated(place.model, curve, draws.only(np.array([typical])))[1][0]
+    attempts = pd.DataFrame({"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]})
+    return Motion(
+        commands_of(place.model.arm, curve),
+        control_points_of(curve),
+        _table(place.model, points),
+        ATTEMPTS.check(attempts),
+        MOTION_OUTCOME.check(pd.DataFrame([_outcome(place, curve, points[:, -1], hit) | {"tried": tried}])),
+    )
+
+
+def _outcome(place: Place, curve: Curves, tip: np.ndarray, hit: np.ndarray) -> dict[str, float]:
+    """Table MOTION_OUTCOME. tip: (T, 2) of a string that hits [m]. hit: (K,) of the fresh draws."""
+    target, way = place.target, between(tip[None])[0]
+    at = int(np.argmin(target.away(way)))
+    share = binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
+    return {
+        "duration": float(curve.duration[0]),
+        "t_hit": at * place.model.arm.tick / 2,
+        **{"tip_x": way[at, 0], "tip_y": way[at, 1]},
+        **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
+        **{"chance": float(hit.mean()), "chance_low": share.low, "chance_high": share.high},
+    }
+
+
+def _table(model: Model, points: np.ndarray) -> pd.DataFrame:
+    """Table PREDICTED_STRING. points: (T, n, 2) at the ticks [m]."""
+    t, s = np.meshgrid(np.arange(len(points)) * model.arm.tick, model.string.arc_lengths(), indexing="ij")
+    columns = {"t": t.ravel(), "s": s.ravel(), "x": points[..., 0].ravel(), "y": points[..., 1].ravel()}
+    return PREDICTED_STRING.check(pd.DataFrame(columns))

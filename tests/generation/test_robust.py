@@ -1,0 +1,213 @@
+"""Motions chosen under uncertainty: what is foretold holds, and many strings count for more than one."""
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import binomtest
+
+from data.artifacts import Estimate
+from data.schema import DataError
+from stages.generate import Box, MotionNotFoundError, generate, race
+from stages.generate import robust as chosen
+from stages.generate.chance import Place, between, outcome, simulated
+from stages.generate.curves import Curves, joined, plain_cast
+from stages.generate.draws import Doubt, Draws, drawn
+from stages.generate.generate import arm_faults, curves_of
+from stages.generate.learning import spread_after
+from stages.model.hand import joint_motion
+from stages.model.model import Model
+from stages.model.string import String
+
+STRING = String(0.3)
+TARGET = Box(0.4, 0.7, 0.02, 0.04)
+NONE = Doubt(0.0, 0.0, 0.0)
+SETTINGS = {
+    "motions": 200,
+    "strings": 12,
+    "rounds": 4,
+    "informative": 0.0,
+    "fresh": 200,
+    "shortest": 0.2,
+    "longest": 0.8,
+    "alpha": 150.0,
+    "fraction": 0.25,
+    "doubt": NONE,
+}
+SOFT = {"bending_stiffness": 0.05, "bending_damping": 2e-4, "grasp_stiffness": 0.05, "grasp_damping": 1e-3}
+STIFF = {"bending_stiffness": 20.0, "bending_damping": 1e-2, "grasp_stiffness": 5.0, "grasp_damping": 5e-3}
+COMMON = {"axial_stiffness": 1e5, "axial_damping": 30.0, "linear_drag": 0.3, "quadratic_drag": 0.2}
+
+
+def known(*strings, rms=0.0):
+    """An estimate whose trials leave exactly these strings possible, the first of them the best."""
+    best = COMMON | strings[0]
+    parameters = pd.DataFrame({"name": list(best), "value": list(best.values())})
+    nothing = pd.DataFrame()
+    return Estimate(
+        parameters, nothing, nothing, pd.DataFrame({"rms_after": [rms]}), pd.DataFrame([COMMON | s for s in strings])
+    )
+
+
+def performed(model, motion, values):
+    """Strings (K, F, n, 2) under the commands as they are sent, sampled anew; and the times."""
+    commands = motion.commands
+    joints = joint_motion(commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy())
+    times = np.arange(0, motion.duration, 0.0007)
+    return model.true(joints, values, times).points
+
+
+@pytest.fixture(scope="module")
+def model(arm, camera):
+    return Model(STRING, arm, camera)
+
+
+@pytest.fixture(scope="module")
+def blind(model):
+    """The first motion, with nothing known of the string."""
+    return chosen.generate(model, TARGET, (), None, None, seed=3, **SETTINGS)
+
+
+def test_the_chance_foretold_is_the_share_that_is_found(model, blind):
+    """By 400 other draws of the prior, from the commands as sent, with a finer look."""
+    values = drawn(model, None, NONE, 400, np.random.default_rng(99)).values
+    tip = performed(model, blind, values)[:, :, -1]
+    found = TARGET.crossed(tip[:, :-1], tip[:, 1:]).any(axis=1).sum()
+    foretold = blind.outcome.iloc[0]
+    assert 0.1 < foretold["chance"] < 0.95
+    spread = np.sqrt(foretold["chance"] * (1 - foretold["chance"]) * (1 / 200 + 1 / 400))
+    assert abs(found / 400 - foretold["chance"]) < 3.3 * spread
+    low, high = binomtest(round(foretold["chance"] * 200), 200).proportion_ci(method="wilson")
+    assert (foretold["chance_low"], foretold["chance_high"]) == pytest.approx((low, high))
+
+
+def test_two_strings_count_for_more_than_the_better_known_one(model):
+    """The trials leave a soft and a stiff string, equally likely. A motion made for the soft one alone hits with half
+    a chance at most unless by luck; one that is made for both hits both."""
+    both = known(SOFT, STIFF)
+    draws = drawn(model, both, NONE, 60, np.random.default_rng(5))
+    settings = {"attempts": 20000, "together": 256, "shortest": 0.2, "longest": 0.8, "alpha": 150.0, "fraction": 0.25}
+    place = Place(model, TARGET, ())
+
+    def chance(motion):
+        return outcome(place, curves_of(motion), draws).hit.mean()
+
+    robust = [chosen.generate(model, TARGET, (), None, both, seed=s, **SETTINGS) for s in range(2)]
+    plain = [generate(model, TARGET, (), None, both, seed=s, hits=1, **settings) for s in range(4)]
+    assert all(chance(motion) == 1.0 for motion in robust)
+    assert np.mean([chance(motion) for motion in plain]) < 0.7
+
+
+def test_a_certain_string_is_hit_as_plain_generation_promises(model):
+    motion = chosen.generate(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
+    tip = performed(model, motion, model.values(COMMON | SOFT)[None])[0, :, -1]
+    assert TARGET.crossed(tip[:-1], tip[1:]).any()
+    told = motion.outcome.iloc[0]
+    assert told["chance"] == 1.0
+    assert TARGET.gap(told["tip_x"], told["tip_y"]) < 0.002
+    assert told["t_hit"] <= told["duration"]
+
+
+def test_what_touches_an_obstacle_does_not_hit(model):
+    """A wall under the target: of strings that are said to hit, none touches it, looked at anew."""
+    wall = Box(0.6, 0.35, 0.03, 0.3)
+    target = Box(0.75, 0.55, 0.06, 0.06)
+    motion = chosen.generate(model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400})
+    draws = drawn(model, None, NONE, 60, np.random.default_rng(7))
+    made = outcome(Place(model, target, (wall,)), curves_of(motion), draws)
+    points = performed(model, motion, draws.values)
+    clear = ~wall.crossed(points[:, :, :-1], points[:, :, 1:]).any(axis=(1, 2))
+    assert made.hit.any()
+    assert clear[made.hit[0]].all()
+    assert np.isinf(made.distance[0][~clear]).all()
+    joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
+    assert not wall.crossed(joints[:, :-1], joints[:, 1:]).any()
+
+
+def test_every_limit_of_the_arm_is_kept(model):
+    slow = replace(model, arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)))
+    motion = chosen.generate(slow, TARGET, (), None, known(SOFT), seed=4, **SETTINGS)
+    curves = curves_of(motion)
+    angles, speeds = curves.sampled(0.0005, motion.duration)
+    assert (arm_faults(slow.arm, (), *curves.sampled(slow.arm.tick, motion.duration)) == "").all()
+    assert np.linalg.norm(slow.arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max() < 5.0 * 1.01
+    assert np.abs(np.diff(speeds[0], axis=0)).max() / 0.0005 < 120.0 * 1.03
+    assert ((angles >= slow.arm.lowest) & (angles <= slow.arm.highest)).all()
+
+
+def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
+    threads = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        again = chosen.generate(model, TARGET, (), None, None, seed=3, **SETTINGS)
+    finally:
+        numba.set_num_threads(threads)
+    for table in blind.TABLES:
+        pd.testing.assert_frame_equal(getattr(blind, table), getattr(again, table), check_exact=True)
+
+
+def test_draws_are_what_is_known(model):
+    """Before a trial the whole range, but for what is known; after it the estimate's draws, and its misfit as doubt."""
+    rng = np.random.default_rng(0)
+    names = model.names
+    prior = drawn(replace(model, known={"bending_stiffness": 4.0}), None, Doubt(0.004, 0.01, 0.02), 4000, rng)
+    assert (prior.values[:, names.index("bending_stiffness")] == 4.0).all()
+    damping = np.log(prior.values[:, names.index("bending_damping")])
+    np.testing.assert_allclose(damping.mean(), np.log(np.sqrt(3e-7 * 0.67)), atol=0.2)
+    assert prior.off.std() == pytest.approx(0.02, rel=0.05)
+    assert prior.amplitude.std() == pytest.approx(0.004, rel=0.05)
+    assert prior.lag.max() == pytest.approx(0.01, rel=0.01)
+    after = drawn(model, known(SOFT, STIFF, rms=0.003), Doubt(0.004, 0.01, 0.02), 4000, rng)
+    stiffness = after.values[:, names.index("bending_stiffness")]
+    assert np.unique(stiffness).tolist() == [0.05, 20.0]
+    assert np.mean(stiffness == 20.0) == pytest.approx(0.5, abs=0.04)
+    assert after.off.std() == pytest.approx(0.003, rel=0.05)
+
+
+def test_the_way_between_ticks_is_a_cubic():
+    t = np.arange(8.0)
+    way = between(np.stack([t**3, 1 - t**2], axis=-1)[None])[0]
+    half = np.arange(15) / 2
+    np.testing.assert_allclose(way[2:-2], np.stack([half**3, 1 - half**2], axis=-1)[2:-2], atol=1e-12)
+
+
+def test_failures_say_why(model, monkeypatch):
+    with pytest.raises(DataError, match="out of reach"):
+        chosen.generate(model, Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
+    with pytest.raises(DataError, match=r"generate\.shortest"):
+        chosen.generate(model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0})
+    monkeypatch.setattr(race, "TRIES", 2)
+    in_the_way = Box(0.2, 0.2, 0.1, 0.1)
+    with pytest.raises(MotionNotFoundError, match="no random motion"):
+        chosen.generate(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
+    curtain = Box(0.2, 0.0, 3.0, 1e-6)  # below the arm, where some strings hang through it whatever happens
+    down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6)))
+    draws = drawn(model, None, NONE, 10, np.random.default_rng(0))
+    with pytest.raises(MotionNotFoundError, match="each of 10 likely strings touches"):
+        chosen.stated(Place(model, TARGET, (curtain,)), down, draws, 1)
+
+
+def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
+    """The cast will teach what the string is like."""
+    tiny = SETTINGS | {"motions": 60, "rounds": 0, "fresh": 10}
+    motion = chosen.generate(model, Box(0.4, 0.7, 1e-7, 1e-7), (), None, None, seed=0, **tiny)
+    told = motion.outcome.iloc[0]
+    assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
+    assert told["chance_high"] > 0.2
+    assert len(motion.commands) == round(told["duration"] / model.arm.tick) + 1
+
+
+def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
+    """Only bending stiffness is unknown, and a string that hangs straight down does not show it."""
+    rng = np.random.default_rng(0)
+    values = np.repeat(model.values(COMMON | SOFT)[None], 24, axis=0)
+    values[:, model.names.index("bending_stiffness")] = np.geomspace(0.5, 2.0, 24)
+    draws = Draws(values, np.zeros((24, 3)), np.zeros(24), 0.002 * rng.standard_normal((24, 2)))
+    swing = plain_cast(model.arm, 0.6)
+    down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), swing.duration, np.zeros_like(swing.control))
+    swung, hung = spread_after(Place(model, TARGET, ()), joined([swing, down]), draws, interest=0)
+    tip = simulated(model, swing, draws)[1][:, :, -1]
+    assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
+    assert swung < 0.2 * hung
