@@ -57,9 +57,9 @@ def trace(
     distance = np.hypot(columns - grasp[0], rows - grasp[1])
     if distance[inside].min() > start_radius:
         raise UnreadableError("no string at the grasp")
-    depth, before = dijkstra(
-        _graph(difference, mask, allowed), indices=int(np.argmin(distance)), return_predecessors=True
-    )
+    near = np.s_[rows[0] : rows[-1] + 1, columns.min() : columns.max() + 1]  # all that is allowed
+    graph = _graph(difference[near], mask[near], allowed[near])
+    depth, before = dijkstra(graph, indices=int(np.argmin(distance)), return_predecessors=True)
     reached = np.where(np.isfinite(depth) & inside, depth, -1.0)
     return _way(before, int(np.argmax(reached)), np.stack([columns, rows], axis=-1).astype(float))
 

@@ -66,7 +66,7 @@ def background(images: Sequence[np.ndarray]) -> np.ndarray:
     """The scene without moving bright things, (height, width) float32."""
     chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES).astype(int))
     stack = np.stack([images[int(i)] for i in chosen])
-    low, middle = (np.percentile(stack, level, axis=0).astype(np.float32) for level in (LEVEL, 50))
+    low, middle = np.percentile(stack, (LEVEL, 50), axis=0).astype(np.float32)
     return low + np.median(middle - low)  # noise alone makes a low percentile darker than the scene
 
 
