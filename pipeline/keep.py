@@ -117,6 +117,13 @@ def end(result: Result) -> None:
     store.write_text(result.folder / ENDED, json.dumps(in_numbers(result), indent=2))
 
 
+def without_frames(result: Result) -> None:
+    """Remove the frames of a run that has ended; all that was read in them stays."""
+    for made in (result.folder / place_of(i.number, "execute") for i in result.iterations if "execute" in i.done):
+        for inside in (path for path in made.iterdir() if path.is_dir()):
+            disk.remove(inside)
+
+
 def _found(diagnosis: Diagnosis, result: Result) -> dict[str, Any]:
     """diagnosis.json, which also says where the motion lies that is to be performed next."""
     found: dict[str, Any] = json.loads(diagnosis.finding["diagnosis"].iloc[0])

@@ -1,0 +1,1 @@
+from pipeline.sweep.finish import finish
