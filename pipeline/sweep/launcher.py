@@ -30,8 +30,9 @@ WHERE = "conf/hydra/launcher or the command line"
 
 
 class LedgerLauncher(Launcher):
-    """by: the function that runs jobs. finish: the one that makes table and page of a sweep's folder. retry: run those that failed again. ahead: jobs that run before the others,
-    so that machine code is compiled once, not by many at a time. settings: of the function `by`."""
+    """by: the function that runs jobs. finish: the one that makes table and page of a sweep's folder. retry: run those
+    that failed again. ahead: jobs that run before the others, so that machine code is compiled once, not by many at a
+    time. settings: of the function `by`."""
 
     launched: tuple[Path, Callable[[Path], list[Job]]] | None = None  # this process' sweep, and what finishes it
 
