@@ -28,16 +28,17 @@ def finish(folder: Path) -> list[Job]:
         write_table(table, tables[table.name], folder / f"{table.name}.parquet", {"step": "paper"} | made)
     write_table(NUMBERS, tables["numbers"], folder / "numbers.parquet", {"step": "paper"} | made)
     record = PaperRecord(tables, len(jobs), common(jobs), {"seed": "of each run"} | made)
-    for name, picture in figures(record).items():
+    drawn = figures(record)
+    for name, picture in drawn.items():
         picture.figure.savefig(folder / f"{name}.png", dpi=150, facecolor="white")
-    write_text(folder / "report.html", paper_report(record))
+    write_text(folder / "report.html", paper_report(record, drawn))
     return jobs
 
 
 def collected(ledger: Ledger, jobs: list[Job]) -> dict[str, pd.DataFrame]:
     """Every table by its name."""
     of_runs = scores.runs(ledger, jobs)
-    of_casts = scores.casts(ledger, of_runs)
-    tables = {"runs": of_runs, "casts": of_casts, "rates": scores.rates(of_runs), "needed": scores.needed(of_runs)}
+    of_casts, counted = scores.casts(ledger, of_runs), scores.pooled(of_runs)
+    tables = {"runs": of_runs, "casts": of_casts, "rates": scores.rates(counted), "needed": scores.needed(counted)}
     tables |= {"parameters": shown.parameters(ledger.folder, of_runs), "numbers": numbers()}
     return tables | shown.shown(ledger.folder, shown.typical(of_runs), of_casts)

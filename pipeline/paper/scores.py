@@ -17,8 +17,11 @@ from pipeline.study.scores import counted
 from pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
 from pipeline.sweep.table import factors
 
+NINE = tuple(f"{string}_{target}" for string in "ABC" for target in ("300_900", "400_700", "500_900"))
 CONDITION = "experiment/paper"  # the setting that names a job's experiment
-_EXPERIMENT = Column("condition", "", "experiment of conf/experiment/paper", "text")
+_EXPERIMENT = Column(
+    "condition", "", "experiment of conf/experiment/paper; nine: three strings to three targets", "text"
+)
 _SEED = Column("seed", "1", "of the run", "int")
 RUNS = Table(
     "runs",
@@ -83,6 +86,11 @@ def runs(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
     named = zip(jobs, asked[CONDITION], strict=True)
     rows = [_run(ledger, job, condition) for job, condition in named if job.state in (DONE, FAILED)]
     return RUNS.check(pd.DataFrame(rows)) if rows else RUNS.empty()
+
+
+def pooled(of_runs: pd.DataFrame) -> pd.DataFrame:
+    """Table RUNS with those of three strings to three targets once more, as one experiment."""
+    return pd.concat([of_runs, of_runs[of_runs["condition"].isin(NINE)].assign(condition="nine")], ignore_index=True)
 
 
 def casts(ledger: Ledger, of_runs: pd.DataFrame) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from pipeline.settings import CONF, composed
 from stages.model.string import String
 from stages.report.paper.record import LABELS
 
+EXPERIMENTS = [name for name in LABELS if name != "nine"]
 SYMBOLS = {p.name: p.symbol for p in String(0.3, points=10).parameters}
 
 
@@ -76,9 +77,9 @@ def test_every_experiment_is_swept_shown_and_what_its_name_says():
         hydra = compose("config", ["+experiment=paper"], return_hydra_config=True).hydra
     swept = hydra.sweeper.params
     assert get_object(hydra.launcher.finish) is finish
-    assert swept["+experiment/paper"].replace(" ", "").split(",") == list(LABELS)
-    assert {file.stem for file in (CONF / "experiment" / "paper").glob("*.yaml")} == set(LABELS)
-    for name in LABELS:
+    assert swept["+experiment/paper"].replace(" ", "").split(",") == EXPERIMENTS
+    assert {file.stem for file in (CONF / "experiment" / "paper").glob("*.yaml")} == set(EXPERIMENTS)
+    for name in EXPERIMENTS:
         config = composed([f"+experiment/paper={name}"])
         assert config["name"] == name
         if name[1:2] == "_":
@@ -87,4 +88,4 @@ def test_every_experiment_is_swept_shown_and_what_its_name_says():
             assert config["specimen"] == composed([f"specimen={letter}"])["specimen"]
     assert composed(["+experiment/paper=D_500_500"])["string"]["points"] == of("points")["string D"]
     assert len(composed(["+experiment/paper=wall"])["obstacles"]["boxes"]) == 1
-    assert pd.Series(of("hit_at")).index.isin(list(LABELS)).all()
+    assert pd.Series(of("hit_at")).index.isin(EXPERIMENTS).all()

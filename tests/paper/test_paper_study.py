@@ -48,6 +48,15 @@ def test_experiments_are_counted_apart():
     assert table.loc[("D_500_500", 1), ["right", "count"]].tolist() == [0, 1]
 
 
+def test_the_nine_are_counted_together_and_nothing_else_with_them():
+    table = scores.rates(
+        scores.pooled(runs(A_300_900=[1, 3], C_500_900=[2], A_900_500=[1], one_motion_A=[1], wall=[1]))
+    )
+    together = table[table["condition"] == "nine"].set_index("within")
+    assert together["right"].tolist() == [1, 2, 3, 3, 3]
+    assert (together["count"] == 3).all()
+
+
 def test_the_median_bears_runs_that_never_hit():
     """Of six values the least and the largest hold the median with 1 - 2 / 64 = 97 %, of five with 94 %: no interval."""
     six = scores.median(np.array([INF, 1, 2, 2, 3, INF]))
@@ -174,5 +183,6 @@ def test_figures_show_what_the_runs_stored(study):
         assert len(axes.patches) == 2  # target and wall
     measured = first.lines[-1]
     assert measured.get_ydata() == pytest.approx((0.8 - S + 0.9 * 0.2) * 1e3)
+    assert "E is 0.400 in manipulation 1, 0.400 in manipulation 2: not higher" in drawn["fig_14"].alt
     curves = [line for line in drawn["fig_14"].figure.axes[0].lines if len(line.get_xdata()) == len(T)]
     assert len(curves) == 2

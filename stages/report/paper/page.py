@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
 from matplotlib import style
 
-from stages.report.paper.figures import ONE_MOTION, TARGETS, figures
-from stages.report.paper.record import LABELS, PaperRecord
+from stages.report.paper.figures import ONE_MOTION
+from stages.report.paper.record import LABELS, Drawn, PaperRecord
 from stages.report.picture import STYLE, Picture, vector
 from stages.report.template import template
 
@@ -19,7 +20,7 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "fig_09": ("Fig. 9: string B to (400, 700)", ("B_400_700",), "The first manipulation misses, the second hits."),
     "fig_10": (
         "Fig. 10: way of the hand",
-        TARGETS,
+        (),
         "To (300, 900) and (400, 700) the arm swings up, to (900, 500) it swings down.",
     ),
     "fig_11": (
@@ -29,22 +30,21 @@ SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {
     ),
     "table_4": (
         "Table 4: estimated parameters",
-        ONE_MOTION,
+        (),
         "k_h and c_h are found at an end of their ranges, k_ph and c_ph in between.",
     ),
     "fig_12": ("Fig. 12: string D, n = 25", ("D_500_500",), "It hits; in which manipulation is not said."),
     "fig_13": ("Fig. 13: around a wall", ("wall",), "It hits in the fifth manipulation."),
     "fig_14": (
         "Fig. 14: E over time, around the wall",
-        ("wall",),
+        (),
         "E of the fourth manipulation is higher than that of the first around the moment of the hit.",
     ),
 }
 
 
-def paper_report(record: PaperRecord) -> str:
-    """The page as text; the same record gives the same page."""
-    drawn = figures(record)
+def paper_report(record: PaperRecord, drawn: Mapping[str, Drawn]) -> str:
+    """The page as text; the same record gives the same page. drawn: its `figures`."""
     with style.context(STYLE):
         pictures = {name: vector(one.figure, one.alt) for name, one in drawn.items()}
     return template("paper/page.html.j2", share).render(
@@ -67,7 +67,7 @@ def _section(record: PaperRecord, name: str, picture: Picture) -> dict[str, Any]
     """A figure, with what the paper says and what came out here."""
     title, conditions, paper = SECTIONS[name]
     here = [outcome(record, condition) for condition in conditions if condition in record.conditions]
-    return {"title": title, "picture": picture, "paper": paper, "here": " ".join(here), "seen": picture.alt}
+    return {"title": title, "picture": picture, "paper": paper, "here": " ".join([*here, picture.alt])}
 
 
 def outcome(record: PaperRecord, condition: str) -> str:

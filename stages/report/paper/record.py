@@ -19,13 +19,14 @@ LABELS = {
     "C_300_900": "C to (300, 900)",
     "C_400_700": "C to (400, 700)",
     "C_500_900": "C to (500, 900)",
+    "nine": "all nine together",
     "A_900_500": "A to (900, 500)",
     "one_motion_A": "A, one first motion",
     "one_motion_B": "B, one first motion",
     "one_motion_C": "C, one first motion",
     "D_500_500": "D to (500, 500)",
     "wall": "A around the wall",
-}  # every experiment, in the order in which they are shown
+}  # every experiment, in the order in which they are shown, and those of three strings to three targets as one
 
 
 @dataclass(frozen=True)
@@ -69,4 +70,4 @@ class PaperRecord:
     @property
     def conditions(self) -> list[str]:
         """Experiments of which a run has ended, in their order."""
-        return [name for name in LABELS if name in set(self.tables["runs"]["condition"])]
+        return [name for name in LABELS if name in set(self.tables["rates"]["condition"])]

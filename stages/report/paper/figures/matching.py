@@ -7,8 +7,10 @@ from matplotlib.figure import Figure
 
 from stages.report.paper.record import Drawn, PaperRecord
 from stages.report.picture import LIGHT, MM
+from stages.report.words import rate
 
 LATER = 4  # the manipulation that the paper compares with the first
+AROUND = 0.05  # [s] each side of the closest approach, over which E_f is averaged for comparison
 
 
 def matching(record: PaperRecord, condition: str) -> Drawn | None:
@@ -18,15 +20,24 @@ def matching(record: PaperRecord, condition: str) -> Drawn | None:
         return None
     figure = Figure(figsize=(5.4, 3.0))
     axes = figure.subplots()
-    means = []
+    near: dict[int, float] = {}
     for number, colour in zip(dict.fromkeys([made[0], compared(made)]), ("before", "after"), strict=False):
         table = record.cast("matching", condition, number).sort_values("t")
         axes.plot(table["t"] * MM, table["before"], color=LIGHT[colour], label=f"manipulation {number}")
-        axes.axvline(record.verdict(condition, number)["t_closest"] * MM, color=LIGHT[colour], lw=1, ls="--")
-        means.append(f"{np.nanmean(table['before']):.3f} in manipulation {number}")
+        closest = record.verdict(condition, number)["t_closest"]
+        axes.axvline(closest * MM, color=LIGHT[colour], lw=1, ls="--")
+        near[number] = float(np.nanmean(table.loc[(table["t"] - closest).abs() <= AROUND, "before"]))
     axes.set(xlabel="time [ms]", ylabel="matching rate E$_f$ [1]", ylim=(0, 1.02))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
-    return Drawn(figure, f"Matching rate over time: on average {', '.join(means)}.")
+    return Drawn(figure, _words(near))
+
+
+def _words(near: dict[int, float]) -> str:
+    """E_f around the closest approach, by manipulation, and whether it grew."""
+    said = ", ".join(f"{rate(mean)} in manipulation {number}" for number, mean in near.items())
+    first, last = next(iter(near.values())), list(near.values())[-1]
+    grew = "" if len(near) < 2 else ": higher, as in the paper" if last > first else ": not higher, unlike in the paper"
+    return f"Around the closest approach, 50 ms each side, E is {said}{grew}."
 
 
 def compared(made: list[int]) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,6 +12,7 @@ from matplotlib.ticker import NullLocator
 
 from stages.report.paper.record import Drawn, PaperRecord
 from stages.report.picture import LIGHT, powers
+from stages.report.words import significant
 
 SYMBOLS = ("k_h", "c_h", "k_ph", "c_ph")
 
@@ -27,7 +29,19 @@ def parameters(record: PaperRecord, conditions: Sequence[str]) -> Drawn | None:
         axes.set_title(f"${symbol.replace('_', '_{')}}}$", fontsize=10)
     axes = figure.axes[0]
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
-    return Drawn(figure, f"Estimated {', '.join(SYMBOLS)} of strings A, B and C, ours and the paper's.")
+    return Drawn(figure, " ".join(_words(found[found["symbol"] == symbol], record) for symbol in SYMBOLS))
+
+
+def _words(found: pd.DataFrame, record: PaperRecord) -> str:
+    """Medians of one parameter, string by string, and how often it lies at an end of its range."""
+    symbol, printed = found["symbol"].iloc[0], record.tables["numbers"]
+    theirs = printed[printed["of"] == symbol].set_index("what")["value"]
+    said = [
+        f"{name[-1]} {significant(some['value'].median())} (the paper {significant(theirs[f'string {name[-1]}'])})"
+        for name, some in found.groupby("condition")
+    ]
+    ends = np.isclose(found["value"], found["minimum"]) | np.isclose(found["value"], found["maximum"])
+    return f"{symbol}: {', '.join(said)}; at an end of its range in {ends.sum()} of {len(found)} runs."
 
 
 def _panel(axes: Axes, found: pd.DataFrame, printed: pd.DataFrame, conditions: Sequence[str]) -> None:

@@ -8,12 +8,11 @@ from matplotlib.figure import Figure
 from stages.report.paper.record import LABELS, Drawn, PaperRecord
 from stages.report.picture import LIGHT
 
-GOALS = dict.fromkeys(LABELS, (2, 0.95)) | {"D_500_500": (3, 0.95), "wall": (5, 0.90)}  # within, share
 SHOWN = {1: ("before", "o"), 2: ("after", "s"), 3: ("measured", "D"), 5: ("target", "^")}
 
 
 def rates(record: PaperRecord) -> Drawn | None:
-    """A row an experiment; bars are 95 % intervals, and a line ends where the goal is."""
+    """A row an experiment; bars are 95 % intervals."""
     if not record.conditions:
         return None
     figure = Figure(figsize=(5.4, 1.1 + 0.42 * len(record.conditions)))
@@ -27,7 +26,7 @@ def rates(record: PaperRecord) -> Drawn | None:
                 axes.hlines(place, one["low"], one["high"], color=LIGHT[colour], lw=2.5, alpha=0.3)
                 label = f"within {within}" if row == 0 else None
                 axes.plot(one["share"], place, marker, color=LIGHT[colour], ms=4.5, ls="none", label=label)
-    labels = [f"{LABELS[name]}  (n = {len(record.of('runs', name))})" for name in record.conditions]
+    labels = [f"{LABELS[name]}  (n = {record.of('rates', name)['count'].iloc[0]})" for name in record.conditions]
     axes.set_yticks(range(len(labels)), labels)
     axes.set(xlim=(-0.02, 1.02), ylim=(len(labels) - 0.5, -0.5), xlabel="share of runs that hit, with 95 % interval")
     axes.set_xticks(np.linspace(0, 1, 6), ["0", "20 %", "40 %", "60 %", "80 %", "100 %"])

@@ -35,7 +35,7 @@ def shapes(record: PaperRecord, casts: Sequence[tuple[str, int]]) -> Drawn | Non
     panels[0].set_ylabel("y [mm]")
     figure.legend(*_legend(panels[0]), loc="outside upper left", ncols=3)
     said = [_title(record, *cast).replace("\n", ", ") for cast in casts]
-    return Drawn(figure, f"Arm and string from the start to the closest approach. {'; '.join(said)}.")
+    return Drawn(figure, f"Drawn are {'; '.join(said)}.")
 
 
 def boxes(axes: Axes, of: pd.DataFrame) -> None:
