@@ -176,7 +176,7 @@ def test_figures_show_what_the_runs_stored(study):
     assert set(drawn) == {"hit_rates", "fig_13", "fig_14"}
     assert all((ledger.folder / f"{name}.png").stat().st_size > 5000 for name in drawn)
     first, last = drawn["fig_13"].figure.axes
-    assert "manipulation 1, missed: 50 mm" in first.get_title()
+    assert "manipulation 1, missed by 50 mm" in first.get_title()
     assert "manipulation 2, hit" in last.get_title()
     for axes in (first, last):
         assert len(axes.lines) == 3 * shown.MOMENTS

@@ -79,7 +79,8 @@ def outcome(record: PaperRecord, condition: str) -> str:
     said = f"{LABELS[condition]}: {one['right']:.0f} of {one['count']:.0f} runs hit within {within}"
     if needed["paper"] != needed["paper"]:
         return f"{said}."
-    return f"{said}, {'as in the paper' if one['share'] >= 0.5 else 'less often than the paper lets expect'}."
+    alike = "as in the paper" if one["share"] >= 0.5 else "unlike the paper's one run"
+    return f"{said}, {alike}."
 
 
 def _row(record: PaperRecord, condition: str) -> dict[str, Any]:

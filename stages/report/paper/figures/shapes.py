@@ -64,7 +64,7 @@ def _panel(axes: Axes, record: PaperRecord, condition: str, number: int) -> None
 
 def _title(record: PaperRecord, condition: str, number: int) -> str:
     verdict = record.verdict(condition, number)
-    ended = "hit" if verdict["hit"] else f"missed: {mm(verdict['miss_m'])} from the centre"
+    ended = "hit" if verdict["hit"] else f"missed by {mm(verdict['miss_m'])}"
     return f"{LABELS[condition]}\nmanipulation {number}, {ended}"
 
 
