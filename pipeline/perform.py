@@ -33,7 +33,7 @@ def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
                 report.write(here, result)
         keep.end(result)
     if "frames" not in here.config["leave"]:
-        keep.without_frames(result)
+        keep.without_frames(here, result)
     console.print(summary(result))
     return result
 

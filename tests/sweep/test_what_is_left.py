@@ -21,6 +21,10 @@ def test_the_time_left_is_at_the_pace_so_far():
     assert left(60.0, waiting=0, of=12) == ""
 
 
+def on(lab):
+    return SimpleNamespace(config={"hardware": {"_target_": lab}})
+
+
 def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     place = tmp_path / "iterations" / "01" / "trial" / "images"
     place.mkdir(parents=True)
@@ -38,7 +42,10 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
         write_table(dataset.with_trial(table), frame, tmp_path / f"{table.name}.parquet", {})
     write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
     assert dataset.read(tmp_path).films
-    keep.without_frames(Result(tmp_path, (Iteration(1, {"execute": SimpleNamespace()}),), ""))
+    ended = Result(tmp_path, (Iteration(1, {"execute": SimpleNamespace()}),), "")
+    keep.without_frames(on("hardware.serial.lab.open_lab"), ended)
+    assert place.exists()  # nobody can film them again
+    keep.without_frames(on("hardware.virtual.open_lab"), ended)
     assert not place.exists()
     again = dataset.read(tmp_path)
     assert not again.films
