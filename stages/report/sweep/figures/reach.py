@@ -25,7 +25,7 @@ def reach(jobs: pd.DataFrame, most: int) -> Picture:
     axes = figure.subplots()
     for (x, y), casts in median.items():
         _mark(axes, x * MM, y * MM, casts, most)
-    axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]", aspect="equal")
+    axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]", aspect="equal", adjustable="datalim")
     axes.margins(0.12)
     return vector(figure, _words(median))
 
