@@ -20,7 +20,7 @@ from data import dataset, disk, store
 from data.artifacts import Diagnosis, Points, Trial
 from data.schema import DataError
 from pipeline.brought import EXTENDED, FROM_DATASETS
-from pipeline.fresh import Found, look, made_now, performed, place_of
+from pipeline.fresh import Found, look, made_now, performed, place_of, repeatable
 from pipeline.origin import origin
 from pipeline.run import Iteration, Result, in_numbers
 from pipeline.show import Bar
@@ -117,6 +117,16 @@ def end(result: Result) -> None:
     if result.alignment is not None:
         store.write_text(result.folder / EXTENDED, result.alignment.extended)
     store.write_text(result.folder / ENDED, json.dumps(in_numbers(result), indent=2))
+
+
+def without_frames(world: World, result: Result) -> None:
+    """Remove the frames of a run that has ended; all that was read in them stays. A real camera's are kept: nobody can
+    film them again."""
+    if not repeatable(world, "execute"):
+        return
+    for made in (result.folder / place_of(i.number, "execute") for i in result.iterations if "execute" in i.done):
+        for inside in (path for path in made.iterdir() if path.is_dir()):
+            disk.remove(inside)
 
 
 def _found(diagnosis: Diagnosis, result: Result) -> dict[str, Any]:

@@ -41,9 +41,12 @@ def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
     """All but a study. The report comes before run.json, which says that all is there."""
     with bars(console) as bar:
         result = work(here, folder, keep.Keeper(here, folder, bar, lambda words: console.print(escape(words))))
-        with bar("report"):
-            report.write(here, result)
+        if "report" in here.config["leave"]:
+            with bar("report"):
+                report.write(here, result)
         keep.end(result)
+    if "frames" not in here.config["leave"]:
+        keep.without_frames(here, result)
     console.print(summary(result))
     return result
 

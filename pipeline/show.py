@@ -51,7 +51,9 @@ def summary(result: Result) -> Group:
     title = f"[bold {colour}]{escape(ended)}"
     below = [Text(more)] if more else []
     said = Panel(Group(table, "", words, *below), title=title, border_style=colour)
-    return Group(said, *map(Text, faults(result)), Text(f"{result.folder / 'report.html'}", overflow="fold"))
+    page = result.folder / "report.html"
+    place = page if page.exists() else result.folder
+    return Group(said, *map(Text, faults(result)), Text(str(place), overflow="fold"))
 
 
 def _found(result: Result) -> Group:

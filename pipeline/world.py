@@ -81,6 +81,7 @@ STAGES = ("generate", "excite", "execute", "extract", "estimate", "align", "diag
 CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
 STUDIES = (["study"], ["extraction_study"], ["hit_study"])
 AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"], ["align"])
+LEFT = ("frames", "report")
 DECIDE = ["diagnose", "execute", "extract", "diagnose"]
 
 
@@ -91,6 +92,9 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
             raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
     if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
+    if not isinstance(config["leave"], list) or not set(config["leave"]) <= set(LEFT):
+        choices = ", ".join(LEFT)
+        raise UserError(f"leave = {config['leave']} ({where('leave')}): it must be a list of {choices}. Change it.")
     allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, *STUDIES, ["align"], ["calibrate"])
     if config["steps"] not in allowed:
         rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"

@@ -46,10 +46,10 @@ def render(camera: Camera, look: Look, joints: np.ndarray, strings: np.ndarray, 
     joints: (K, J + 1, 2) and strings: (K, n, 2), arm and string [m] at K moments of the
     exposure, whose mean is what the shutter sees. wall: `scenery`.
     """
-    arms = np.mean([cover(camera, j, look.arm_width) for j in joints], axis=0)
-    cords = np.mean([cover(camera, s, look.string_width) for s in strings], axis=0)
-    frame = wall + arms * (look.arm - wall)
-    return frame + cords * (look.string - frame)
+    frame = wall.copy()
+    _paint(frame, camera.pixels(joints), look.arm_width * camera.px_per_m, look.arm)
+    _paint(frame, camera.pixels(strings), look.string_width * camera.px_per_m, look.string)
+    return frame
 
 
 def noisy(frame: np.ndarray, look: Look, rng: np.random.Generator) -> np.ndarray:
@@ -60,8 +60,24 @@ def noisy(frame: np.ndarray, look: Look, rng: np.random.Generator) -> np.ndarray
 
 def cover(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:
     """Share of each pixel covered by a polyline of a width [m], (height, width) float32 in [0, 1]."""
-    pixels = np.rint(camera.pixels(line) * FINER).astype(np.int32)
-    canvas = np.zeros((camera.height, camera.width), np.uint8)
-    thickness = max(round(width * camera.px_per_m), 1)
-    cv2.polylines(canvas, [pixels[:, None]], False, 255, thickness, cv2.LINE_AA, SHIFT)
+    return _cover((camera.height, camera.width), camera.pixels(line), max(round(width * camera.px_per_m), 1))
+
+
+def _paint(frame: np.ndarray, lines: np.ndarray, width: float, brightness: float) -> None:
+    """Draw the mean of polylines (K, n, 2) [px] of a width [px] into a frame, touching only the part they lie in."""
+    thickness = max(round(width), 1)
+    size = frame.shape[::-1]
+    low = np.clip(np.floor(lines.min(axis=(0, 1))).astype(int) - thickness - 2, 0, size)
+    high = np.clip(np.ceil(lines.max(axis=(0, 1))).astype(int) + thickness + 3, low, size)
+    part = frame[low[1] : high[1], low[0] : high[0]]
+    if part.size:
+        cover = np.mean([_cover(part.shape, line - low, thickness) for line in lines], axis=0)
+        part += cover * (brightness - part)
+
+
+def _cover(shape: tuple[int, ...], pixels: np.ndarray, thickness: int) -> np.ndarray:
+    """Share of each pixel covered by a polyline (n, 2) [px], float32 in [0, 1]."""
+    canvas = np.zeros(shape, np.uint8)
+    fine = np.rint(pixels * FINER).astype(np.int32)
+    cv2.polylines(canvas, [fine[:, None]], False, 255, thickness, cv2.LINE_AA, SHIFT)
     return canvas.astype(np.float32) / 255

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from pipeline.commands import board, check, diff, draw, index, lineage, resume, verify, why
+from pipeline.commands import board, check, diff, draw, index, lineage, pictures, resume, verify, why
 
 COMMANDS: dict[str, ModuleType] = {
     "check": check,
@@ -20,6 +20,7 @@ COMMANDS: dict[str, ModuleType] = {
     "why": why,
     "diff": diff,
     "lineage": lineage,
+    "pictures": pictures,
 }
 
 

@@ -7,7 +7,8 @@ given to the function that the config names.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -15,28 +16,29 @@ from typing import Any
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
+from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from pipeline.settings import UserError, stage
 from pipeline.show import bars
 from pipeline.sweep.attempt import Attempt
-from pipeline.sweep.finish import finish
 from pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
-from pipeline.sweep.show import line, summary
+from pipeline.sweep.show import left, line, summary
 
 WHERE = "conf/hydra/launcher or the command line"
 
 
 class LedgerLauncher(Launcher):
-    """by: the function that runs jobs. retry: run those that failed again. ahead: jobs that run before the others,
-    so that machine code is compiled once, not by many at a time. settings: of the function `by`."""
+    """by: the function that runs jobs. finish: the one that makes table and page of a sweep's folder. retry: run those
+    that failed again. ahead: jobs that run before the others, so that machine code is compiled once, not by many at a
+    time. settings: of the function `by`."""
 
-    launched: Path | None = None  # the folder of this process' sweep
+    launched: tuple[Path, Callable[[Path], list[Job]]] | None = None  # this process' sweep, and what finishes it
 
-    def __init__(self, by: str, retry: bool, ahead: int, **settings: Any) -> None:
+    def __init__(self, by: str, finish: str, retry: bool, ahead: int, **settings: Any) -> None:
         """As the config has it; `setup` checks it, for Hydra hides what goes wrong here."""
-        self.by, self.retry, self.ahead, self.settings = by, retry, ahead, settings
+        self.by, self.finish, self.retry, self.ahead, self.settings = by, finish, retry, ahead, settings
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Take what Hydra hands over before `launch`, and check the settings; raises UserError."""
@@ -54,7 +56,7 @@ class LedgerLauncher(Launcher):
         jobs = [self._job(overrides, initial_job_idx + i) for i, overrides in enumerate(job_overrides)]
         for job in jobs:
             ledger.add(job)
-        LedgerLauncher.launched = ledger.folder
+        LedgerLauncher.launched = ledger.folder, get_object(self.finish)
         keys = [job.key for job in jobs]
         self._run(ledger, keys)
         ledger.settle(keys)  # not after an interruption, which is no failure
@@ -72,21 +74,23 @@ class LedgerLauncher(Launcher):
         waiting = [Attempt(ledger.folder, key) for key in ledger.waiting(keys, (FAILED,) if self.retry else ())]
         first = 0 if any(ledger.read(key).state == DONE for key in keys) else self.ahead
         console = Console(stderr=True)
-        ended = len(keys) - len(waiting)
+        ended, begun, left_at_first = len(keys) - len(waiting), time.monotonic(), len(waiting)
         with bars(console) as bar, bar("sweep") as progress:
             for batch in filter(None, (waiting[:first], waiting[first:])):
                 for key in self.launch_all(batch):
                     ended += 1
                     progress(ended / len(keys))
-                    console.print(line(ledger.read(key)), soft_wrap=True, highlight=False)
+                    said = left(time.monotonic() - begun, len(keys) - ended, left_at_first)
+                    console.print(line(ledger.read(key), said), soft_wrap=True, highlight=False)
 
 
 def ended() -> int:
     """Write table and page of this process' sweep, if it had one, and say how it stands: 0 if all its jobs are done."""
     if LedgerLauncher.launched is None:
         return 0
-    jobs = finish(LedgerLauncher.launched)
-    Console(stderr=True).print(summary(jobs, LedgerLauncher.launched), soft_wrap=True, highlight=False, markup=False)
+    folder, finish = LedgerLauncher.launched
+    jobs = finish(folder)
+    Console(stderr=True).print(summary(jobs, folder), soft_wrap=True, highlight=False, markup=False)
     return int(any(job.state != DONE for job in jobs))
 
 

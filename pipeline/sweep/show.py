@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from datetime import timedelta
 from pathlib import Path
 
 from rich.text import Text
@@ -13,11 +14,17 @@ from pipeline.sweep.ledger import DONE, FAILED, Job
 COLOUR = {DONE: "green", FAILED: "red"}
 
 
-def line(job: Job) -> Text:
-    """How a job ended."""
+def line(job: Job, left: str) -> Text:
+    """How a job ended, and how much is left."""
     said = Text.assemble((f"{job.state:<8}", COLOUR.get(job.state, "yellow")), f"{job.seconds:7.1f} s  ")
-    said.append(" ".join(job.overrides))
+    said.append(f"{' '.join(job.overrides)}  {left}")
     return said.append(f"\n         {first(job.error)}", "red") if job.error else said
+
+
+def left(seconds: float, waiting: int, of: int) -> str:
+    """How many of the jobs that had to run still wait, and how long at the pace so far. seconds: since the first."""
+    ahead = timedelta(seconds=round(seconds / max(of - waiting, 1) * waiting))
+    return f"({waiting} left, about {ahead})" if waiting else ""
 
 
 def summary(jobs: Sequence[Job], folder: Path) -> str:

@@ -59,9 +59,9 @@ def trace(
     distance = np.hypot(columns - grasp[0], rows - grasp[1])
     if distance[inside].min() > start_radius:
         raise UnreadableError("no string at the grasp")
-    depth, before = dijkstra(
-        _graph(difference, mask, allowed), indices=int(np.argmin(distance)), return_predecessors=True
-    )
+    near = np.s_[rows[0] : rows[-1] + 1, columns.min() : columns.max() + 1]  # all that is allowed
+    graph = _graph(difference[near], mask[near], allowed[near])
+    depth, before = dijkstra(graph, indices=int(np.argmin(distance)), return_predecessors=True)
     ends = _ends(np.where(np.isfinite(depth) & inside, depth, -1.0), mask, rows, columns)
     way = max((_way(before, end) for end in ends), key=lambda way: np.sum(np.where(inside[way], 1, -1)))
     return np.stack([columns, rows], axis=-1).astype(float)[way]

@@ -1,6 +1,5 @@
 """Trials made by other simulations than the diagnosis' own: of mass points, as Eq. 1 has them."""
 
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -103,3 +103,28 @@ def test_one_setting_one_seed_and_no_casts():
     page = sweep_report(record(table, ("experiment", BETA)))
     assert "With one seed nobody can say" in page
     assert "hit rate" not in page.split("<section", 1)[1]
+
+
+def reached():
+    """Three targets, two seeds each: hit in casts 1 and 3, hit by neither, and one whose jobs failed."""
+    rows = [
+        (0.1, 0, "done", 1.0, 1.0),
+        (0.1, 1, "done", 1.0, 3.0),
+        (0.4, 0, "done", 0.0, 5.0),
+        (0.4, 1, "done", 0.0, 5.0),
+        (0.7, 0, "failed", np.nan, np.nan),
+        (0.7, 1, "failed", np.nan, np.nan),
+    ]
+    named = pd.DataFrame(rows, columns=["target.x", "seed", "state", "hit", "manipulations"])
+    return swept(betas=(0.99,), targets=("near",), seeds=range(6)).drop(columns=["target", "seed"]).assign(**named)
+
+
+def test_the_map_of_the_workspace_says_what_became_of_each_target():
+    table = pd.concat([reached().assign(**{"target.y": y}) for y in (0.2, 0.5)], ignore_index=True)
+    page = sweep_report(record(table, ("target.x", "target.y", "seed")))
+    assert "Where it hits" in page
+    assert "Of 6 targets 2 were hit, 2 in the first cast; 2 were not, 2 did not run." in page
+    twice = pd.concat([table.assign(specimen=name) for name in "AB"], ignore_index=True)
+    page = sweep_report(record(twice, ("specimen", "target.x", "target.y", "seed")))
+    assert page.count("Of 6 targets") == 2 * 2  # alt and caption of either string's map
+    assert "Where it hits" not in sweep_report(record(swept()))

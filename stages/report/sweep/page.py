@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import combinations
 from typing import Any
 
@@ -10,6 +11,7 @@ from matplotlib import style
 from stages.report.picture import STYLE, Picture
 from stages.report.sweep.figures.curve import curve
 from stages.report.sweep.figures.plane import plane
+from stages.report.sweep.figures.reach import PLACE, reach
 from stages.report.sweep.outcomes import Outcome, response
 from stages.report.sweep.record import SweepRecord
 from stages.report.template import template
@@ -26,6 +28,7 @@ def sweep_report(record: SweepRecord) -> str:
             whole=[(outcome, _overall(record, outcome)) for outcome in record.outcomes if outcome.name in MAPPED],
             curves={factor: list(_curves(record, factor)) for factor in record.factors},
             planes=list(_planes(record)),
+            reaches=list(_reaches(record)),
             settings=_settings(record),
             jobs=record.table.to_dict("records"),
         )
@@ -54,6 +57,17 @@ def _planes(record: SweepRecord) -> list[tuple[Outcome, Picture]]:
     pairs = list(combinations(record.factors, 2))
     drawn = [(o, plane(record.done, o, *pair)) for pair in pairs for o in record.outcomes if o.name in MAPPED]
     return [(outcome, picture) for outcome, picture in drawn if picture is not None]
+
+
+def _reaches(record: SweepRecord) -> Iterator[tuple[str, Picture]]:
+    """A map of the workspace for each combination of the other settings, where the target's place was varied."""
+    ended = record.table[record.table["state"].isin(["done", "failed"])]
+    if not set(PLACE) <= set(record.factors) or record.done.empty:
+        return
+    most = int(record.done["manipulations"].max())
+    others = [name for name in record.factors if name not in PLACE]
+    for level, some in ended.groupby(others) if others else [((), ended)]:
+        yield ", ".join(f"{name} {value}" for name, value in zip(others, level, strict=True)), reach(some, most)
 
 
 def _settings(record: SweepRecord) -> list[dict[str, Any]]:

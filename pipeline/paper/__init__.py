@@ -1,0 +1,1 @@
+"""The paper's experiments again, on the virtual lab: its numbers beside ours."""

@@ -1,0 +1,44 @@
+"""What the study leaves: its tables, its figures, and one page with the paper's numbers beside ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from data.schema import Table
+from data.store import write_table, write_text
+from pipeline.origin import PACKAGES, code, versions
+from pipeline.paper import scores, shown
+from pipeline.paper.numbers import NUMBERS, numbers
+from pipeline.sweep.finish import common
+from pipeline.sweep.ledger import Job, Ledger
+from stages.report.paper import PaperRecord, figures, paper_report
+
+TABLES: tuple[Table, ...] = (scores.RUNS, scores.CASTS, scores.RATES, scores.NEEDED, shown.PARAMETERS, *shown.TABLES)
+
+
+def finish(folder: Path) -> list[Job]:
+    """Write tables, figures and `report.html` from the ledger as it is now. Returns its jobs."""
+    ledger = Ledger(folder)
+    jobs = ledger.jobs()
+    tables = collected(ledger, jobs)
+    made = {"code": code(), "packages": versions(PACKAGES)}
+    for table in TABLES:
+        write_table(table, tables[table.name], folder / f"{table.name}.parquet", {"step": "paper"} | made)
+    write_table(NUMBERS, tables["numbers"], folder / "numbers.parquet", {"step": "paper"} | made)
+    record = PaperRecord(tables, len(jobs), common(jobs), {"seed": "of each run"} | made)
+    drawn = figures(record)
+    for name, picture in drawn.items():
+        picture.figure.savefig(folder / f"{name}.png", dpi=150, facecolor="white")
+    write_text(folder / "report.html", paper_report(record, drawn))
+    return jobs
+
+
+def collected(ledger: Ledger, jobs: list[Job]) -> dict[str, pd.DataFrame]:
+    """Every table by its name."""
+    of_runs = scores.runs(ledger, jobs)
+    of_casts, counted = scores.casts(ledger, of_runs), scores.pooled(of_runs)
+    tables = {"runs": of_runs, "casts": of_casts, "rates": scores.rates(counted), "needed": scores.needed(counted)}
+    tables |= {"parameters": shown.parameters(ledger.folder, of_runs), "numbers": numbers()}
+    return tables | shown.shown(ledger.folder, shown.typical(of_runs), of_casts)

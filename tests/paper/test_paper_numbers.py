@@ -1,0 +1,91 @@
+"""The paper's numbers: whole, with their places, and those that the configuration is said to take from the paper."""
+
+import pandas as pd
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.utils import get_object
+
+from pipeline.paper.finish import finish
+from pipeline.paper.numbers import numbers, of
+from pipeline.settings import CONF, composed
+from stages.model.string import String
+from stages.report.paper.record import LABELS
+
+EXPERIMENTS = [name for name in LABELS if name != "nine"]
+SYMBOLS = {p.name: p.symbol for p in String(0.3, points=10).parameters}
+
+
+def test_every_number_stands_once_with_a_place():
+    table = numbers()
+    assert len(table) == 51
+    assert not table.duplicated(["what", "of"]).any()
+    assert (table[["unit", "place"]] != "").all(axis=None)
+    assert (table["value"] > 0).all()
+
+
+def test_table_3_is_what_is_searched():
+    ranges = composed()["string"]["ranges"]
+    assert of("minimum") == {SYMBOLS[name]: block["low"] for name, block in ranges.items()}
+    assert of("maximum") == {SYMBOLS[name]: block["high"] for name, block in ranges.items()}
+    assert all(block["start"] == block["low"] for block in ranges.values())
+
+
+def test_table_4_contradicts_table_3_where_the_page_says_so_and_nowhere_else():
+    low, high = of("minimum"), of("maximum")
+    columns = ("initial", "string A", "string B", "string C")
+    outside = {(what, name) for what in columns for name, v in of(what).items() if not low[name] <= v <= high[name]}
+    assert outside == {("initial", "c_h"), ("initial", "c_ph"), ("string A", "k_ph")}
+
+
+def test_the_ranges_of_table_4_hold_it_and_begin_with_its_initial_values():
+    ranges = {SYMBOLS[name]: block for name, block in composed(["string=table_4"])["string"]["ranges"].items()}
+    for name, start in of("initial").items():
+        assert ranges[name]["start"] == start
+        assert all(ranges[name]["low"] <= of(f"string {s}")[name] <= ranges[name]["high"] for s in "ABC")
+
+
+def test_units_are_the_same_in_both_tables():
+    table = numbers()
+    units = table[table["place"].isin(["Table 3", "Table 4"])].groupby("of")["unit"].nunique()
+    assert (units == 1).all()
+    assert len(units) == 8
+
+
+def test_settings_are_those_of_the_paper():
+    table, config = numbers().set_index(["what", "of"])["value"], composed()
+    pairs = {
+        ("beta", "estimation"): config["estimate"]["beta"],
+        ("chi_0", "estimation"): config["estimate"]["chi_0"],
+        ("delta_w", "estimation"): config["estimate"]["matching"]["delta_w"],
+        ("tip_step", "estimation"): config["estimate"]["matching"]["tip_step_px"],
+        ("shortest", "T"): config["generate"]["shortest"],
+        ("longest", "T"): config["generate"]["longest"],
+        ("filmed", "before and after T"): config["execute"]["before"],
+        ("length", "string"): config["string"]["length"],
+        ("points", "string"): config["string"]["points"],
+        ("tick", "arm"): config["arm"]["tick"],
+        ("hand_speed", "arm"): config["arm"]["hand_speed"],
+        ("link_length", "arm"): sum(config["arm"]["links"]),
+        ("width", "target"): config["target"]["w"],
+        ("height", "target"): config["target"]["h"],
+    }
+    assert {name: table[name] for name in pairs} == pytest.approx(pairs)
+
+
+def test_every_experiment_is_swept_shown_and_what_its_name_says():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        hydra = compose("config", ["+experiment=paper"], return_hydra_config=True).hydra
+    swept = hydra.sweeper.params
+    assert get_object(hydra.launcher.finish) is finish
+    assert swept["+experiment/paper"].replace(" ", "").split(",") == EXPERIMENTS
+    assert {file.stem for file in (CONF / "experiment" / "paper").glob("*.yaml")} == set(EXPERIMENTS)
+    for name in EXPERIMENTS:
+        config = composed([f"+experiment/paper={name}"])
+        assert config["name"] == name
+        if name[1:2] == "_":
+            letter, x, y = name.split("_")
+            assert (config["target"]["x"], config["target"]["y"]) == (int(x) / 1000, int(y) / 1000)
+            assert config["specimen"] == composed([f"specimen={letter}"])["specimen"]
+    assert composed(["+experiment/paper=D_500_500"])["string"]["points"] == of("points")["string D"]
+    assert len(composed(["+experiment/paper=wall"])["obstacles"]["boxes"]) == 1
+    assert pd.Series(of("hit_at")).index.isin(EXPERIMENTS).all()

@@ -1,0 +1,34 @@
+"""The pictures of a page as files: each there, whole, and named after the headings above it."""
+
+import base64
+
+import pytest
+
+from pipeline.commands.pictures import main, pictures
+from pipeline.settings import UserError
+
+
+def image(kind, content):
+    return f'<img alt="x" src="data:image/{kind};base64,{base64.b64encode(content).decode()}">'
+
+
+PAGE = f"""<h2>Cast 1 <span>hit</span></h2><figure><h3>At the closest approach</h3>{image("webp", b"one")}</figure>
+<figure><h3>Joint angles</h3>{image("svg+xml", b"<svg/>")}{image("svg+xml", b"<svg>2</svg>")}</figure>
+<h2>Cast 2</h2>{image("png", b"four")}<img src="elsewhere.png">"""
+
+
+def test_each_picture_has_its_name_and_content():
+    assert dict(pictures(PAGE)) == {
+        "01-cast-1-hit-at-the-closest-approach.webp": b"one",
+        "02-cast-1-hit-joint-angles.svg": b"<svg/>",
+        "03-cast-1-hit-joint-angles.svg": b"<svg>2</svg>",
+        "04-cast-2.png": b"four",
+    }
+
+
+def test_they_are_written(tmp_path):
+    (tmp_path / "report.html").write_text(PAGE)
+    assert main([str(tmp_path / "report.html"), str(tmp_path / "out")]) == 0
+    assert len(list((tmp_path / "out").iterdir())) == 4
+    with pytest.raises(UserError, match=r"nothing.html: there is no such page"):
+        main([str(tmp_path / "nothing.html"), str(tmp_path / "out")])

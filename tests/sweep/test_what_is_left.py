@@ -1,0 +1,60 @@
+"""What a sweep says while it runs, and what its runs leave on the disk."""
+
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from data import dataset
+from data.artifacts import ARM, FRAMES, POINTS
+from data.images import png
+from data.store import write_table, write_text
+from pipeline import keep
+from pipeline.run import Iteration, Result
+from pipeline.settings import UserError, composed
+from pipeline.sweep.show import left
+from pipeline.world import LEFT, _check_run
+
+
+def test_the_time_left_is_at_the_pace_so_far():
+    assert left(60.0, waiting=9, of=12) == "(9 left, about 0:03:00)"
+    assert left(60.0, waiting=0, of=12) == ""
+
+
+def on(lab):
+    return SimpleNamespace(config={"hardware": {"_target_": lab}})
+
+
+def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
+    place = tmp_path / "iterations" / "01" / "trial" / "images"
+    place.mkdir(parents=True)
+    t = [0.0, 0.1, 0.2]
+    files = [f"iterations/01/trial/images/{i}.png" for i in range(3)]
+    for file in files:
+        (tmp_path / file).write_bytes(png(pd.DataFrame([[0, 1], [2, 3]]).to_numpy("uint8")))
+    tables = {
+        ARM: {"t": t, "q1": t, "q2": t, "q3": t},
+        FRAMES: {"frame": [0, 1, 2], "t": t, "file": files},
+        POINTS: {"t": t, "s": [0.0, 0.1, 0.2], "x": t, "y": t},
+    }
+    for table, columns in tables.items():
+        frame = pd.DataFrame(columns).assign(trial="t01")
+        write_table(dataset.with_trial(table), frame, tmp_path / f"{table.name}.parquet", {})
+    write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
+    assert dataset.read(tmp_path).films
+    ended = Result(tmp_path, (Iteration(1, {"execute": SimpleNamespace()}),), "")
+    keep.without_frames(on("hardware.serial.lab.open_lab"), ended)
+    assert place.exists()  # nobody can film them again
+    keep.without_frames(on("hardware.virtual.open_lab"), ended)
+    assert not place.exists()
+    again = dataset.read(tmp_path)
+    assert not again.films
+    assert len(again.trials["t01"].points) == 3
+
+
+def test_what_a_run_may_leave_is_named():
+    config = composed()
+    assert config["leave"] == list(LEFT)
+    for wrong in (["pictures"], "frames"):
+        with pytest.raises(UserError, match=r"leave = .*\[?.*frames, report\. Change it"):
+            _check_run(config | {"leave": wrong}, lambda block: "conf/config.yaml")
