@@ -158,7 +158,7 @@ def forget(folder: Path) -> None:
 def publish(world: World, made_of: Mapping[str, str], to: Path, iterations: list[Iteration]) -> None:
     """Write the trials of a run as a dataset to a folder. made_of: `trial_hashes`."""
     trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
-    camera = {k: v for k, v in world.config["camera"].items() if k in FROM_DATASETS["camera"]}
+    camera = {k: world.config["camera"][k] for k in FROM_DATASETS["camera"] if k in world.config["camera"]}
     about = {
         "name": world.config["name"],
         "string": {"length": world.string.length},

@@ -141,7 +141,7 @@ def test_a_trial_left_out_is_predicted_by_a_right_cause_and_not_by_a_wrong_one(a
 
 def test_a_cause_that_does_not_explain_the_only_trial_is_not_confirmed_by_it(arm, model):
     evidence = measured(arm, model, {"tip_mass.ratio": 0.1}, trials=1)
-    court = Court(evidence, evidence, evidence, (14, 20), model, library(), 0)
+    court = Court(evidence, evidence, evidence, model, library(), 0)
     court.hear(base(model, evidence))
     court.fit(frozenset({"wind"}), frozenset())
     assert moved(evidence, court.tried[frozenset()], court.tried[frozenset({"wind"})]).max() > MATTERS
