@@ -132,7 +132,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
     [
         ("stages/estimate/random_search.py", {"estimate"}),
         ("stages/estimate/cma_es.py", set()),
-        ("stages/model/string.py", {"generate", "execute", "extract", "estimate"}),  # what is seen is put right by the model
+        ("stages/model/string.py", {"generate", "execute", "extract", "estimate"}),  # through what was measured
         ("hardware/virtual/render.py", {"execute"}),
         ("pipeline/steps.py", {"generate", "execute", "extract", "estimate"}),
         ("pipeline/report.py", set()),
