@@ -34,9 +34,9 @@ class Wind(StringEffect):
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """An arrow in the direction of the flow."""
+        reach = 1.3 * max(np.hypot(values["along_x"], values["along_y"]), 0.01)
         axes.quiver(0, 0, values["along_x"], values["along_y"], angles="xy", scale_units="xy", scale=1)
-        axes.set_xlim(-5, 5)
-        axes.set_ylim(-5, 5)
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
         axes.set_xlabel("air to the right / (m/s)")
         axes.set_ylabel("air upwards / (m/s)")
 
