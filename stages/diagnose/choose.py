@@ -12,6 +12,7 @@ from stages.diagnose.closing import PROBES, closed_in, closer
 from stages.diagnose.compare import HeldOut, blocks, held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
+from stages.diagnose.intervals import present
 from stages.diagnose.noise import CLEAR, mismatch, visible
 from stages.diagnose.resolve import refined
 from stages.diagnose.screen import Probe, screened, spread
@@ -204,13 +205,14 @@ def _needed(court: Court, best: Causes) -> Causes:
 
 
 def earns(court: Court, without: Causes, causes: Causes) -> bool:
-    """Whether a cause moves something by enough to matter, and predicts trials that it was not fitted to.
+    """Whether causes move something by enough to matter, cannot be absent, and predict trials not fitted to.
 
     Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise.
     """
     plain, fit = court.tried[without], court.tried[causes]
     acts = moved(court.evidence, plain, fit)
-    if acts.max() < MATTERS:
+    new = [court.library[name] for name in causes - without]
+    if acts.max() < MATTERS or not all(present(court.evidence, fit, effect) for effect in new):
         return False
     explained = court.tried[frozenset()].cost - fit.cost
     least = max(GAIN * noisiness(court.evidence, fit), court.by_chance(causes), INEXACT * explained)

@@ -89,12 +89,15 @@ def prepared(
 
 
 def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
-    """The ground with the model exactly as configured, mass points and all: right for data that are made of such."""
+    """The ground with the mass points that are configured, which stand for data that are made of such; the steps in
+    time are not theirs, but exact enough."""
     plain = ground.configured.theory
-    evidence = replace(ground.undoubted, segments=(plain.model.string.points - 1,))
-    theory = whole(plain.model, candidates(plain.model, library, evidence))
+    string = replace(plain.model.string, integrator=ground.model.string.integrator, largest_step=STEP)
+    model = replace(plain.model, string=string)
+    evidence = replace(ground.undoubted, segments=(string.points - 1,))
+    theory = whole(model, candidates(model, library, evidence))
     base = _best(evidence, theory, [plain.named(ground.configured.chi)])
-    return Ground(plain.model, evidence, evidence, base, ground.configured)
+    return Ground(model, evidence, evidence, base, ground.configured)
 
 
 def plain_theory(model: Model) -> Theory:

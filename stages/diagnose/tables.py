@@ -11,8 +11,9 @@ from data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
 from stages.diagnose.choose import Causes, Court
 from stages.diagnose.compare import moved
 from stages.diagnose.fit import Fit
+from stages.diagnose.intervals import interval
 from stages.diagnose.noise import parts, systematic
-from stages.diagnose.verdict import Judgement, interval
+from stages.diagnose.verdict import Judgement
 from stages.model.effect import Effect, ModelChange
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
@@ -126,7 +127,7 @@ def _with(court: Court, chosen: Causes, judgement: Judgement, name: str) -> Caus
 
 
 def _parameters(court: Court, fit: Fit, effect: type[Effect]) -> list[dict[str, object]]:
-    low, high = interval(court, fit)
+    low, high = interval(court.evidence, fit)
     places = {int(place): number for number, place in enumerate(fit.theory.free)}
     rows = []
     for parameter in effect.parameters:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
-from scipy.stats import t as student
 
 from stages.diagnose.choose import INEXACT, Causes, Court, noisiness
 from stages.diagnose.compare import blocks
@@ -19,9 +18,6 @@ PARAMETER = 2.0  # of the log-likelihood: what a further parameter must gain
 ALIKE = 0.05  # of the likeliest: sets of causes at least as likely as this cannot be told from it
 STUBBORN = 0.01  # probability kept for each thing that was not foreseen
 COARSE = 2.0  # mean square at the configured number of mass points over that at enough of them
-# What noise alone makes of a parameter is less than what mass points, logs of the arm and pieces of time that go on
-# make of it: of 75 parameters on 100 sealed benches (seeds from 94) the plain intervals held 55 %, these 96 %.
-WIDER = 2.0
 STEEP = 4.0  # of the odds of something that the library does not hold, with what is left
 LEFT = 0.06  # share of the misfit that a right cause may leave where something is still to be seen
 CLEAN = 0.5  # of the logarithm of a mismatch: as far below 0 nothing is left, whatever its share, as far above much is
@@ -152,17 +148,3 @@ def _needed(court: Court, causes: Causes, name: str, probability: Mapping[str, f
     """By what the cost rises without a cause; its look-alikes come after it, by probability."""
     rise = court.fit(causes - {name}, causes).cost - court.tried[causes].cost if name in causes else 0.0
     return rise, probability.get(name, 0.0)
-
-
-def interval(court: Court, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """95 % intervals of the free chi, (free,) each: sandwich over pieces of time (White 1980)."""
-    piece = blocks(court.evidence)
-    count = int(piece.max()) + 1
-    gradient = fit.slopes * fit.residual[:, None]
-    sums = np.stack([np.bincount(piece, column, count) for column in gradient.T], axis=1)
-    bread = np.linalg.inv(fit.normal)
-    few = count / max(count - len(fit.theory.free), 1)
-    deviation = np.sqrt(np.diag(bread @ (few * sums.T @ sums) @ bread))
-    reach = WIDER * student.ppf(0.975, max(count - len(fit.theory.free), 1)) * deviation
-    chi = fit.chi[fit.theory.free]
-    return np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)

@@ -1,5 +1,7 @@
 """Trials made by other simulations than the diagnosis' own: of mass points, as Eq. 1 has them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -65,3 +67,11 @@ def test_what_is_hidden_in_such_a_chain_has_the_size_it_has_there(arm, eq1):
     found = said.causes[said.causes["parameter"] == "tip_mass.ratio"].iloc[0]
     assert set(said.causes["effect"]) == {"tip_mass"}
     assert found["low"] < 0.1 < found["high"]
+
+
+def test_a_chain_of_other_points_than_ours_is_a_matter_of_resolution(arm, eq1):
+    """Its last point stands for half a segment too much: in gentle swings that may also be a tip mass."""
+    other = replace(eq1, string=replace(eq1.string, points=30))
+    said = verdict(eq1, list(measured(arm, other, TRUTH, np.random.default_rng(2))))
+    assert said.verdict in ("effect", "ambiguous"), said.sentence
+    assert "resolution" in set(said.causes["effect"]) <= {"resolution", "tip_mass"}

@@ -12,6 +12,7 @@ from stages.model.camera import Camera
 from stages.model.effects.arm_lag import ArmLag
 from stages.model.effects.backlash import Backlash
 from stages.model.effects.contact import Contact
+from stages.model.effects.equal_points import EqualPoints
 from stages.model.effects.grasp_slip import GraspSlip
 from stages.model.effects.internal_friction import InternalFriction
 from stages.model.effects.nonlinear_bending import NonlinearBending
@@ -426,3 +427,15 @@ def test_more_mass_points_are_nearer_to_the_string():
     steps = [tip(coarse), tip(coarse.with_effects(Resolution)), tip(finer)]
     near, far = np.abs(steps[1] - steps[2]).mean(), np.abs(steps[0] - steps[2]).mean()
     assert near < 0.6 * far
+
+
+def test_the_last_of_equal_points_is_half_a_segment_too_much():
+    """A chain of Eq. 1 is one with half a point at its end, and the excess of its number of points: mass and drag."""
+    equal, known, motion = views()
+    half = replace(equal, string=replace(equal.string, tip_cell=0.5)).with_effects(EqualPoints)
+    t, excess = np.linspace(0, 0.9, 31), 0.5 / (equal.string.points - 1)
+    tip = equal.true(motion, equal.values(known)[None], t).tip
+    same = half.true(motion, half.values(known | {"equal_points.excess": excess})[None], t).tip
+    np.testing.assert_allclose(same, tip, atol=1e-9)
+    assert np.abs(half.true(motion, half.values(known)[None], t).tip - tip).max() > 1e-3
+    assert f"about {equal.string.points} equal" in EqualPoints.words({"excess": excess})

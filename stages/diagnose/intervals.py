@@ -1,0 +1,40 @@
+"""How sure fitted parameters are, and whether a cause could as well be absent."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import t as student
+
+from stages.diagnose.compare import blocks
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit
+from stages.model.effect import Effect
+
+# What noise alone makes of a parameter is less than what mass points, logs of the arm and pieces of time that go on
+# make of it: of 75 parameters on 100 sealed benches (seeds from 94) the plain intervals held 55 %, these 96 %.
+WIDER = 2.0
+
+
+def interval(evidence: Evidence, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """95 % intervals of the free chi, (free,) each: sandwich over pieces of time (White 1980)."""
+    piece = blocks(evidence)
+    count = int(piece.max()) + 1
+    gradient = fit.slopes * fit.residual[:, None]
+    sums = np.stack([np.bincount(piece, column, count) for column in gradient.T], axis=1)
+    bread = np.linalg.inv(fit.normal)
+    few = count / max(count - len(fit.theory.free), 1)
+    deviation = np.sqrt(np.diag(bread @ (few * sums.T @ sums) @ bread))
+    reach = WIDER * student.ppf(0.975, max(count - len(fit.theory.free), 1)) * deviation
+    chi = fit.chi[fit.theory.free]
+    return np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)
+
+
+def present(evidence: Evidence, fit: Fit, effect: type[Effect]) -> bool:
+    """Whether the interval of an effect's size does not hold that it is absent: of its first parameter, or of others
+    in the same unit, which are the other components of a vector."""
+    low, high = interval(evidence, fit)
+    absent = fit.theory.start[fit.theory.free]
+    names = [fit.theory.model.names[place] for place in fit.theory.free]
+    sizes = [effect.qualified(p) for p in effect.parameters if p.unit == effect.parameters[0].unit]
+    places = [names.index(name) for name in sizes]
+    return any(not low[k] <= absent[k] <= high[k] for k in places)
