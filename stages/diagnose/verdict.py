@@ -51,13 +51,20 @@ def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
         return _nothing(seen, coarse, left, chances)
     dirty = float(np.clip(seen / CLEAN + 1, 0, 1))
     strange = float(expit(STEEP * (min(seen, CLEAN) + dirty * np.log(max(left, 1e-3) / LEFT))))
-    probability = _probability(court, chances, strange)
-    if strange > 0.5:
-        return Judgement("unknown", (), probability, (), chances, left)
     groups = _groups(chances, causes)
+    probability = _probability(chances, _silent(court, causes, groups), strange)
+    if strange > 0.5:
+        return _told(court, Judgement("unknown", (), probability, (), chances, left))
     need = {name: _needed(court, causes, name, probability) for name in causes.union(*groups)}
     ordered = tuple(sorted(need, key=lambda name: need[name], reverse=True))
     return _told(court, Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left))
+
+
+def _silent(court: Court, causes: Causes, groups: tuple[tuple[str, ...], ...]) -> frozenset[str]:
+    """What is used beside causes of the string, and not named: of a simulation, and nobody's look-alike."""
+    grouped = {name for group in groups for name in group}
+    quiet = frozenset(name for name in causes - grouped if not court.library[name].of_string)
+    return frozenset() if quiet == causes else quiet
 
 
 def _told(court: Court, judgement: Judgement) -> Judgement:
@@ -121,13 +128,13 @@ def weighed(piece: np.ndarray, explained: np.ndarray | float, chance: float) -> 
     return np.sign(ratio) * np.minimum(np.abs(plain), 2 * ratio**2)
 
 
-def _probability(court: Court, chances: Mapping[Causes, float], strange: float) -> dict[str, float]:
-    """Of each effect, shared among those of the string that a set needs together; of none and unknown."""
+def _probability(chances: Mapping[Causes, float], silent: frozenset[str], strange: float) -> dict[str, float]:
+    """Of each effect, shared among those that a set needs together, but for the silent; of none and unknown."""
     strange = float(np.clip(strange, STUBBORN, 1 - STUBBORN))
     none = STUBBORN * (1 - strange)
     result = {"unknown": strange, "none": none}
     for some, chance in chances.items():
-        named = [name for name in some if court.library[name].of_string] or list(some)
+        named = some - silent or some
         for name in named:
             result[name] = result.get(name, 0.0) + chance * (1 - strange - none) / len(named)
     return result
