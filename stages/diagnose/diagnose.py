@@ -76,14 +76,17 @@ def diagnose(
 def _heard(ground: Ground, data: _Data, seed: int, progress: Progress) -> tuple[Ground, Court, Causes]:
     """The causes chosen, and what they were chosen from.
 
-    Mass points that do not matter come first. Where the model as it is configured is nearer to the data, they may
-    come from another simulation of its kind: then both are heard, and what leaves less stands.
+    Where the model as it is configured is nearer to the data than one whose mass points do not matter, they may come
+    from another simulation of its kind: it is heard first, and the other only if it leaves something to be seen. What
+    leaves less stands.
     """
-    grounds = [ground]
-    if ground.configured.mean_square < ground.beside_noise:
-        grounds.append(literal(ground, data.library))
-    parts = [partial(_share_of, progress, number, len(grounds)) for number in range(len(grounds))]
-    heard = [(each, *chosen(_court(each, data, seed), part)) for each, part in zip(grounds, parts, strict=True)]
+    nearer = ground.configured.mean_square < ground.beside_noise
+    grounds = [literal(ground, data.library), ground] if nearer else [ground]
+    heard: list[tuple[Ground, Court, Causes]] = []
+    for number, each in enumerate(grounds):
+        heard.append((each, *chosen(_court(each, data, seed), partial(_share_of, progress, number, len(grounds)))))
+        if heard[-1][1].mismatch(heard[-1][2]) < 0:
+            break
     return min(heard, key=lambda one: _left(one[1], one[2]))
 
 
