@@ -36,28 +36,23 @@ FROM_TRIALS = (
 
 def extended_model(folder: Path) -> dict[str, Any]:
     """Settings of the model that a run made: `string`, `effects`, `known`. folder: of a diagnosis or an alignment."""
-    path = folder / EXTENDED if folder.is_dir() else folder
-    remedy = "Name the run folder of a diagnosis or an alignment."
-    try:
-        made = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise UserError(f"extended={folder}: {path} cannot be read ({error}). {remedy}") from error
-    if not isinstance(made, dict):
-        raise UserError(f"extended={folder}: {path} must hold settings. {remedy}")
-    return made
+    return _left(folder, EXTENDED, "extended", "settings", "Name the run folder of a diagnosis or an alignment.")
 
 
 def measured_camera(folder: Path) -> dict[str, Any]:
     """The camera that a calibration measured, as settings. folder: the calibration's run, or the file itself."""
-    path = folder / CAMERA if folder.is_dir() else folder
+    return _left(folder, CAMERA, "calibrated", "a camera's settings", "Name the run folder of a good calibration.")
+
+
+def _left(folder: Path, file: str, setting: str, what: str, remedy: str) -> dict[str, Any]:
+    """Settings that a run left in a file, given by a setting as its folder or the file itself. Raises UserError."""
+    path = folder / file if folder.is_dir() else folder
     try:
         made = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError) as error:
-        raise UserError(
-            f"calibrated={folder}: {path} cannot be read ({error}). Name the run folder of a good calibration."
-        ) from error
+        raise UserError(f"{setting}={folder}: {path} cannot be read ({error}). {remedy}") from error
     if not isinstance(made, dict):
-        raise UserError(f"calibrated={folder}: {path} must hold a camera's settings. Name a calibration's run folder.")
+        raise UserError(f"{setting}={folder}: {path} must hold {what}. {remedy}")
     return made
 
 

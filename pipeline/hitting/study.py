@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,7 +18,7 @@ from pipeline.hitting.pictures import picture
 from pipeline.hitting.scores import TABLES, scores, sentence
 from pipeline.origin import origin
 from pipeline.settings import build
-from pipeline.study.benches import ONE_THREAD, end_with_parent, environment
+from pipeline.study.benches import workers
 from pipeline.world import World
 
 Count = Annotated[int, Field(ge=1)]
@@ -58,7 +56,7 @@ def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
     asked = build(Hits, here.config["hits"], "hits", "conf/experiment/hit_study.yaml")
     seeds = range(asked.first, asked.first + asked.seeds)
     jobs = [Job(case, method, seed) for seed in seeds for case in asked.cases for method in asked.methods]
-    _all_made(jobs, here.config, folder, asked.processes or os.cpu_count() or 1, progress)
+    _all_made(jobs, here.config, folder, asked.processes, progress)
     tables = scores(_table(jobs, folder), asked.casts)
     for name, frame in tables.items():
         store.write_table(TABLES[name], frame, folder / f"{name}.parquet", origin(here.config, "hit_study", 0, {}))
@@ -70,8 +68,7 @@ def _all_made(
     jobs: list[Job], config: Mapping[str, Any], folder: Path, processes: int, progress: Callable[[float], object]
 ) -> None:
     """Rows of every job on disk."""
-    context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
-    with environment(ONE_THREAD), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
+    with workers(processes) as pool:
         made = [pool.submit(make, job, config, folder) for job in jobs if not job.kept(folder).exists()]
         for number, future in enumerate(as_completed(made)):
             future.result()

@@ -48,8 +48,7 @@ def study(
 
     draw, diagnose: functions that can be pickled; see `one_bench`. Rows that are in `folder` already are read.
     """
-    context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
-    with environment(ONE_THREAD), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
+    with workers(processes) as pool:
         made = {pool.submit(one_bench, seed, folder, draw, diagnose): seed for seed in seeds}
         rows: dict[int, Row] = {}
         for future in as_completed(made):
@@ -88,6 +87,15 @@ def _diagnosed(diagnose: Diagnose, dataset: Path) -> Mapping[str, Any]:
         return {"verdict": FAILED, "error": f"{type(error).__name__}: {error}"}
 
 
+@contextmanager
+def workers(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes of one thread each, that end with this one; 0 is one for each core."""
+    context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
+    count = processes or os.cpu_count() or 1
+    with _environment(ONE_THREAD), ProcessPoolExecutor(count, context, end_with_parent) as pool:
+        yield pool
+
+
 def end_with_parent() -> None:
     """Have this process end when its parent does, however that was killed; it would go on for hours."""
     threading.Thread(target=_follow, daemon=True).start()
@@ -101,7 +109,7 @@ def _follow() -> None:
 
 
 @contextmanager
-def environment(variables: Mapping[str, str]) -> Iterator[None]:
+def _environment(variables: Mapping[str, str]) -> Iterator[None]:
     """Environment variables for the processes that are begun meanwhile."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -40,8 +39,7 @@ def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
     asked = build(Study, here.config["study"], "study", "conf/config.yaml")
     seeds = range(asked.first, asked.first + asked.benches)
     drawn, asks = partial(draw, arm=here.arm, camera=here.camera), partial(diagnosed, config=here.config)
-    processes = asked.processes or os.cpu_count() or 1
-    rows = study(seeds, folder, drawn, asks, processes=processes, progress=progress)
+    rows = study(seeds, folder, drawn, asks, processes=asked.processes, progress=progress)
     tables = scores(rows)
     for name, frame in tables.items():
         store.write_table(TABLES[name], frame, folder / f"{name}.parquet", origin(here.config, "study", 0, {}))

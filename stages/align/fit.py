@@ -18,6 +18,7 @@ from scipy.stats import t as student
 from stages.align.sightings import Sighted
 from stages.model.library import named
 from stages.model.model import Model
+from stages.spread import spread
 
 ALWAYS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
 SOUGHT = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
@@ -187,7 +188,7 @@ def fitted(
 
 def robust(residual: np.ndarray) -> float:
     """Robust standard deviation about zero."""
-    return 1.4826 * float(np.median(np.abs(residual))) + 1e-12
+    return float(spread(residual)) + 1e-12
 
 
 def chosen(problem: Problem) -> Fit:

@@ -9,6 +9,7 @@ from data.schema import DataError
 from stages.align.sightings import Sighted, Sightings
 from stages.model.arm import Arm
 from stages.model.hand import joint_motion
+from stages.spread import spread
 
 NEAR = 1e-3  # [m] of arc length: a point as near to the grasp as that is the grasp
 TOLD = 1e-5  # [m] a point nearer than that to where the joints have it was not measured
@@ -42,8 +43,8 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
 
 def noise(off: np.ndarray) -> float:
     """One standard deviation [m] of what goes on evenly from frame to frame but for it. off: (K, 2)."""
-    jumps = np.abs(np.diff(off, 2, axis=0))
-    return max(1.4826 * float(np.median(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
+    jumps = np.diff(off, 2, axis=0)
+    return max(float(spread(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
 
 
 def at_hand(t: np.ndarray, seen: np.ndarray, sigma: np.ndarray, links: int) -> Sightings:

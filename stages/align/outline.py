@@ -17,6 +17,8 @@ from data.artifacts import JOINTS, Film
 from data.schema import DataError
 from stages.align.fit import ALWAYS, Problem, fitted
 from stages.align.sightings import Sighted, Sightings
+from stages.extract.isolate import darkest
+from stages.extract.steady import samples
 from stages.model.body import arm_seen
 from stages.model.hand import JointMotion, joint_motion
 from stages.model.model import Model
@@ -32,8 +34,6 @@ NEAR = 1.0  # the same at the end
 CLEAR = 0.8  # arm widths that the middle of another link must be away from a piece's edges
 WHOLE = (0.85, 1.15)  # times the usual number of pixels: a piece with others is hidden, or hides something
 SHARP = 0.1  # [px] one standard deviation of a sighting
-SAMPLES = 120  # frames from which the scene is learnt
-LEVEL = 3  # percentile over time: a pixel shows the scene when the arm has left it at least this often
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     assert film.arm is not None
     motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy())
     chosen = np.unique(np.linspace(0, len(film.t) - 1, MOST).astype(int))
-    scene = background(film.images)
+    scene = darkest(np.stack([film.images[i] for i in samples(len(film.images))]))
     level = contrast(film, chosen[:: max(len(chosen) // COARSE, 1)], scene) / 2
     round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))
     pixels = []
@@ -84,14 +84,6 @@ def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
         rows, columns = np.nonzero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, round_))
         pixels.append(np.stack([columns, rows], axis=-1).astype(float))
     return Silhouettes(name, motion, film.t[chosen], pixels)
-
-
-def background(images: Sequence[np.ndarray]) -> np.ndarray:
-    """The scene without an arm that moves and is bright, (height, width) float32."""
-    chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES).astype(int))
-    stack = np.stack([images[int(i)] for i in chosen])
-    low, middle = (np.percentile(stack, level, axis=0).astype(np.float32) for level in (LEVEL, 50))
-    return low + np.median(middle - low)  # noise alone makes a low percentile darker than the scene
 
 
 def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:

@@ -13,6 +13,7 @@ from data.artifacts import JOINTS, Observation
 from data.dataset import Dataset
 from stages.model.arm import Arm
 from stages.model.camera import Camera
+from stages.spread import spread
 
 STILL = 3  # frames that tell where the string is at first
 MOVED = 0.03  # of the string's length: who has gone so far has left his place
@@ -82,7 +83,7 @@ class Seen:
         """One standard deviation of a coordinate [m], from fourth differences in time, which smooth motion hardly has;
         NaN where frames are too few."""
         rough = [np.diff(xy, 4, axis=0).ravel() for _, xy in self.tracks]
-        return float(1.4826 * np.median(np.abs(np.concatenate(rough))) / np.sqrt(70)) if rough else float("nan")
+        return float(spread(np.concatenate(rough)) / np.sqrt(70)) if rough else float("nan")
 
     @cached_property
     def hand_onset(self) -> float | None:

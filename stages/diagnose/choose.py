@@ -212,7 +212,7 @@ def earns(court: Court, without: Causes, causes: Causes) -> bool:
     plain, fit = court.tried[without], court.tried[causes]
     acts = moved(court.evidence, plain, fit)
     new = [court.library[name] for name in causes - without]
-    if acts.max() < MATTERS or not all(present(court.evidence, fit, effect) for effect in new):
+    if acts.max() < MATTERS or not present(court.evidence, fit, new):
         return False
     explained = court.tried[frozenset()].cost - fit.cost
     least = max(GAIN * noisiness(court.evidence, fit), court.by_chance(causes), INEXACT * explained)

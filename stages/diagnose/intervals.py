@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.stats import t as student
 
@@ -29,12 +31,10 @@ def interval(evidence: Evidence, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)
 
 
-def present(evidence: Evidence, fit: Fit, effect: type[Effect]) -> bool:
-    """Whether the interval of an effect's size does not hold that it is absent: of its first parameter, or of others
-    in the same unit, which are the other components of a vector."""
+def present(evidence: Evidence, fit: Fit, effects: Iterable[type[Effect]]) -> bool:
+    """Whether no effect's size has an interval that holds its absence: its first parameter, or another in the same
+    unit, which is another component of a vector."""
     low, high = interval(evidence, fit)
     absent = fit.theory.start[fit.theory.free]
-    names = [fit.theory.model.names[place] for place in fit.theory.free]
-    sizes = [effect.qualified(p) for p in effect.parameters if p.unit == effect.parameters[0].unit]
-    places = [names.index(name) for name in sizes]
-    return any(not low[k] <= absent[k] <= high[k] for k in places)
+    beyond = {fit.theory.model.names[p]: not low[k] <= absent[k] <= high[k] for k, p in enumerate(fit.theory.free)}
+    return all(any(beyond[e.qualified(p)] for p in e.parameters if p.unit == e.parameters[0].unit) for e in effects)

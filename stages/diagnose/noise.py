@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter1d
 
 from stages.diagnose.evidence import Evidence
 from stages.estimate.forward import Case
+from stages.spread import spread
 
 FEWEST = 30  # second differences from which a noise can be told
 CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames
@@ -21,7 +22,6 @@ COMMON = 0.15  # mean square that frames of a right model may have in common: ma
 FAINT = 0.02  # less in common than this is nothing
 SMOOTH = 3  # frames whose residuals are averaged to see what they share
 FAR = 6.0  # noises from its neighbours in time at which a point is left out
-NORMAL = 1.4826  # standard deviation over median magnitude
 
 
 def tracks(case: Case) -> Iterator[np.ndarray]:
@@ -36,8 +36,8 @@ def estimated(evidence: Evidence, residual: np.ndarray) -> float:
     pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
     rough = np.concatenate([_second_differences(case, part) for case, part in pairs])
     if len(rough) < FEWEST:
-        return float(NORMAL * np.median(np.abs(residual)))
-    return float(NORMAL * np.median(np.abs(rough)) / np.sqrt(6))
+        return float(spread(residual))
+    return float(spread(rough) / np.sqrt(6))
 
 
 def parts(evidence: Evidence, residual: np.ndarray) -> list[np.ndarray]:

@@ -30,6 +30,7 @@ from stages.estimate.matching import Matching, Target, matching_rate, targets
 from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
 from stages.estimate.settle import settled
 from stages.model.model import Model
+from stages.spread import spread
 
 STEP = 1e-4  # of chi, for the central difference
 HUBER = 2.0  # robust scales beyond which a residual counts less
@@ -225,7 +226,7 @@ def _costs(cases: Sequence[Case], chi: np.ndarray, limit: np.ndarray | float) ->
 
 def _limit(residual: np.ndarray) -> np.ndarray:
     """HUBER robust standard deviations of residuals (..., N), (...)."""
-    return HUBER * 1.4826 * np.median(np.abs(residual), axis=-1) + 1e-12
+    return HUBER * spread(residual, axis=-1) + 1e-12
 
 
 def _huber(residual: np.ndarray, limit: np.ndarray) -> np.ndarray:

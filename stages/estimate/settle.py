@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 
 from stages.estimate.forward import Case
 from stages.model.state import State
+from stages.spread import spread
 
 SPAN = 0.5  # [s] of the trial's beginning that is looked at
 MODES = 4
@@ -30,7 +31,7 @@ def settled(ready: Case, values: np.ndarray) -> Case:
         return ready
     begin = ready.initial
     early = ready.until(min(SPAN / float(np.ptp(ready.times)), 1.0))
-    noise = 1.4826 * float(np.median(np.abs(_residual(early, values)))) + 1e-12
+    noise = float(spread(_residual(early, values))) + 1e-12
 
     def mismatch(change: np.ndarray) -> np.ndarray:
         moved = replace(early, initial=_changed(begin, change, ready.model.string.length))

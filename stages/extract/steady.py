@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from stages.spread import spread
+
 SAMPLES = 120  # frames whose median stands for the film
 PYRAMID = (8, 3, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
 MOVES = 3.0  # sigmas from which a pixel shows something that moves
@@ -83,12 +85,12 @@ def _closer(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int)
     inside = (slice(2, -2), slice(2, -2))
     columns = np.stack([part[inside].ravel() for part in (like, -found[0] * across / by, -found[0] * down / by)])
     rest = (image - found[0] * like)[inside].ravel()
-    spread = 1.4826 * float(np.median(np.abs(rest[::7]))) + 1e-3
-    still = np.abs(rest) < MOVES * spread
+    noise = float(spread(rest[::7])) + 1e-3
+    still = np.abs(rest) < MOVES * noise
     weighted = columns * still
     normal = weighted @ columns.T + 1e-6 * np.eye(3)
     step = np.linalg.solve(normal, weighted @ rest)
-    return found + step, spread * float(np.sqrt(np.linalg.inv(normal)[1:, 1:].trace()))
+    return found + step, noise * float(np.sqrt(np.linalg.inv(normal)[1:, 1:].trace()))
 
 
 def _moved(image: np.ndarray, shift: np.ndarray) -> np.ndarray:
