@@ -7,7 +7,7 @@ makes and keeps them (`pipeline.keep`), `verify` computes them again, `why` asks
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
@@ -100,9 +100,9 @@ def work(world: World, folder: Path, desk: Desk) -> Result:
     return again(world, folder, Path(world.config["trials"]), desk)
 
 
-def cast(world: World, folder: Path, desk: Desk) -> Result:
-    """Cast until it hits or the manipulations are spent."""
-    iterations: list[Iteration] = []
+def cast(world: World, folder: Path, desk: Desk, before: Sequence[Iteration] = ()) -> Result:
+    """Cast until it hits or the manipulations are spent. before: what was cast already, and counts as spent."""
+    iterations = list(before)
     while len(iterations) < world.config["manipulations"] and not (iterations and iterations[-1].hit):
         iterations.append(_iterate(world, iterations, desk))
         desk.publish(iterations)

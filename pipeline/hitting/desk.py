@@ -19,23 +19,32 @@ from pipeline.run import Iteration
 from pipeline.steps import STEPS, Past, step_seed
 from pipeline.world import World
 from stages.execute import padded
+from stages.judge import Verdict, judge
 
+FINE = 1e-3  # [s] between moments at which it is looked up what really happened
 PLACES = 2  # every so manieth point of the bench's string is measured
 
 
 @dataclass
 class PointDesk:
-    """Steps are made in memory. noise: of a measured coordinate, one sigma [m]. seconds: that planning took, each."""
+    """Steps are made in memory. noise: of a measured coordinate, one sigma [m]. seconds: that planning took, and
+    the bench, by number of the cast."""
 
     world: World
     noise: float
-    seconds: list[float] = field(default_factory=list)
+    seconds: dict[int, float] = field(default_factory=dict)
     benches: dict[int, Bench] = field(default_factory=dict)
 
     def step(self, name: str, past: Past) -> Any:
         """The artifact of a step."""
         own = {"generate": self._generate, "execute": self._execute, "extract": self._extract}
         return own[name](past) if name in own else self._made(name, past)
+
+    def real(self, number: int, duration: float) -> Verdict:
+        """What really became of a cast, whatever was seen of it. duration: of its movement [s]."""
+        t = np.arange(0, duration + FINE, FINE)
+        bench = self.benches[number]
+        return judge(read(bench, t, bench.string_at(t), 0.0), self.world.target, self.world.obstacles, duration)
 
     def publish(self, iterations: list[Iteration]) -> None:
         """Nobody reads along."""
@@ -47,7 +56,7 @@ class PointDesk:
     def _generate(self, past: Past) -> Motion:
         begun = time.process_time()
         motion: Motion = self._made("generate", past)
-        self.seconds.append(time.process_time() - begun)
+        self.seconds[past.number] = time.process_time() - begun
         return motion
 
     def _execute(self, past: Past) -> Trial:
@@ -68,12 +77,16 @@ class PointDesk:
 
 
 def measured(bench: Bench, t: np.ndarray, noise: float, rng: np.random.Generator) -> Points:
-    """What extraction would read of a bench's string at times (F,) [s]."""
-    true = bench.in_view(bench.string_at, t)[:, ::-PLACES][:, ::-1]
-    s = bench.specimen.string().arc_lengths()[::-PLACES][::-1]
-    seen = true + noise * rng.standard_normal(true.shape)
+    """What extraction would read of a bench's string at times (F,) [s]. noise: of a coordinate, one sigma [m]."""
+    seen = bench.in_view(bench.string_at, t)
+    return read(bench, t, seen + noise * rng.standard_normal(seen.shape), noise)
+
+
+def read(bench: Bench, t: np.ndarray, string: np.ndarray, sigma: float) -> Points:
+    """A bench's string (F, n, 2) [m] at times (F,) [s] as points. sigma: stated of a coordinate [m]."""
+    string, s = string[:, ::-PLACES][:, ::-1], bench.specimen.string().arc_lengths()[::-PLACES][::-1]
     columns: dict[str, Any] = {"t": t.repeat(len(s)), "s": np.tile(s, len(t))}
-    columns |= {"x": seen[..., 0].ravel(), "y": seen[..., 1].ravel(), "sigma": noise, "valid": True}
-    read: dict[str, Any] = {"frame": np.arange(len(t)), "t": t, "valid": True, "reason": ""}
-    read |= {"tip_x": seen[:, -1, 0], "tip_y": seen[:, -1, 1], "tip_sigma": noise, "length": bench.specimen.length}
-    return Points(POINTS.check(pd.DataFrame(columns)), READINGS.check(pd.DataFrame(read)), MASKS.empty())
+    columns |= {"x": string[..., 0].ravel(), "y": string[..., 1].ravel(), "sigma": sigma, "valid": True}
+    tips: dict[str, Any] = {"frame": np.arange(len(t)), "t": t, "valid": True, "reason": ""}
+    tips |= {"tip_x": string[:, -1, 0], "tip_y": string[:, -1, 1], "tip_sigma": sigma, "length": bench.specimen.length}
+    return Points(POINTS.check(pd.DataFrame(columns)), READINGS.check(pd.DataFrame(tips)), MASKS.empty())

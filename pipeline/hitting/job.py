@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from hardware.virtual.bench import Bench
 from pipeline.hitting.desk import PointDesk
+from pipeline.hitting.lessons import estimated, lessons, model_found
 from pipeline.run import Iteration, cast
 from pipeline.world import World, world
 from stages.generate.curves import Curves, first_curves
@@ -24,41 +25,68 @@ REFERENCE_ALPHA = 75.0  # [rad/s^2]
 
 
 def settings(config: Config, case: Config, method: Config, seed: int, casts: int) -> dict[str, Any]:
-    """Settings of one run. case: `specimen`, `target`, `obstacles` and what differs of `string`. method: `generate`,
-    `estimate`, `memory`, and what differs of `string`."""
-    own = copy.deepcopy(dict(config)) | {name: method[name] for name in ("generate", "estimate", "memory")}
-    own |= {name: case[name] for name in ("specimen", "target", "obstacles")}
-    own["string"] = {**own["string"], **case["string"], **method["string"]}
-    own["hardware"] = own["hardware"] | {"specimen": case["specimen"]}
-    own["hardware"]["obstacles"] = own["hardware"]["obstacles"] | {"boxes": case["obstacles"]["boxes"]}
+    """Settings of one run: those of the study, with what differs in the case (such as `specimen`) and in the method
+    (such as `generate`)."""
+    own = {name: value for name, value in config.items() if name != "hits"}
+    for block, differs in (*case.items(), *method.items()):
+        own[block] = _changed(own[block], differs)
+    bench = {"specimen": own["specimen"], "obstacles": {**own["hardware"]["obstacles"], **own["obstacles"]}}
+    own["hardware"] = {**own["hardware"], **bench}
     return own | {"seed": seed, "manipulations": casts, "steps": ["generate", "execute", "extract", "estimate"]}
 
 
-def casts_of(own: Config, noise: float) -> list[dict[str, Any]]:
-    """A row for each cast until one hits."""
-    here = world(own, lambda block: f"conf/{block}")
-    desk = PointDesk(here, noise)
+def _changed(block: Any, differs: Any) -> Any:
+    """A block of settings with what differs; another stage comes with all of its own."""
+    if not (isinstance(differs, Mapping) and isinstance(block, Mapping)) or "_target_" in differs:
+        return differs
+    return {**block, **{name: _changed(block.get(name), value) for name, value in differs.items()}}
+
+
+def casts_of(config: Config, case: Config, method: Config, seed: int) -> list[dict[str, Any]]:
+    """A row for each cast that counts, until the loop believes that one has hit. config: settings of the study; its
+    `hits.lessons` are cast before, the same for all methods. A method with settings of a stage `diagnose` goes on with
+    the model that this makes of them."""
+    hits = config["hits"]
+    count, noise = hits["lessons"]["casts"], hits["noise"]
+    plain = settings(config, case, {"generate": hits["lessons"]["generate"]}, seed, hits["casts"])
+    own = settings(config, case, method, seed, hits["casts"] + count)
     try:
-        made: Sequence[Iteration] = cast(here, Path(), desk).iterations
+        taught = lessons(PointDesk(world(plain, named), noise), count)
+        if "diagnose" in method:
+            found = model_found({**plain, "diagnose": method["diagnose"]}, taught)
+            own |= {block: _changed(own[block], value) for block, value in found.items()}
+        here = world(own, named)
+        desk = PointDesk(here, noise)
+        if taught:
+            estimated(desk, taught)
+        made = cast(here, Path(), desk, taught).iterations[count:]
     except MotionNotFoundError as error:
         return [{"cast": 1, "hit": False, "reason": str(error)}]  # the run counts as one that never hits
-    truth = References(here, desk.benches[1])
-    return [_row(i, seconds, truth) for i, seconds in zip(made, desk.seconds, strict=True)]
+    truth = References(here, next(iter(desk.benches.values())))
+    return [_row(i, i.number - count, desk, truth) for i in made]
 
 
-def _row(iteration: Iteration, seconds: float, truth: References) -> dict[str, Any]:
+def named(block: str) -> str:
+    """Where a block of the settings comes from."""
+    return f"conf/{block}"
+
+
+def _row(iteration: Iteration, number: int, desk: PointDesk, truth: References) -> dict[str, Any]:
     assert iteration.verdict is not None
     plan, estimate = iteration.done["generate"].outcome.iloc[0], iteration.done["estimate"]
+    real = desk.real(iteration.number, float(plan["duration"]))
     row = {
-        "cast": iteration.number,
-        "hit": iteration.hit,
-        "distance": iteration.verdict.distance,
+        "cast": number,
+        "hit": real.hit,
+        "believed": iteration.hit,
+        "distance": real.distance,
         "chance": float(plan.get("chance", np.nan)),
-        "planning": seconds,
+        "planning": desk.seconds[iteration.number],
         "residual": float(estimate.fit["rms_after"].iloc[0]),
         "foretelling": truth.off(estimate.values()),
+        "effects": " ".join(desk.world.config["effects"]),
     }
-    return {name: value if np.isfinite(value) else None for name, value in row.items()}
+    return {name: None if pd.isna(value) else value for name, value in row.items()}  # JSON has no NaN
 
 
 class References:

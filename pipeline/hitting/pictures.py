@@ -13,19 +13,24 @@ from matplotlib.axes import Axes
 from pipeline.hitting.scores import ALL, WANTED
 from stages.report.picture import LIGHT, MM, STYLE
 
+ACROSS = 5  # pictures side by side
+
 
 def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
     """Write it. tables: of `scores`."""
     cases = [ALL, *(case for case in tables["rates"]["case"].unique() if case != ALL)]
+    rows = -(-(len(cases) + 2) // ACROSS)
     with plt.style.context(STYLE):
-        figure, axes = plt.subplots(2, max(len(cases), 2), figsize=(2.4 * max(len(cases), 2), 5.4), squeeze=False)
-        for place, case in zip(axes[0], cases, strict=False):
+        figure, axes = plt.subplots(rows, ACROSS, figsize=(2.4 * ACROSS, 2.7 * rows), squeeze=False)
+        places = list(axes.ravel())
+        for place, case in zip(places, cases, strict=False):
             _hits(place, tables["rates"][tables["rates"]["case"] == case], case)
-        _learned(axes[1, 0], tables["learned"][tables["learned"]["case"] == ALL])
-        _calibration(axes[1, 1], tables["calibration"], list(tables["rates"]["method"].unique()))
-        for place in (*axes[0, len(cases) :], *axes[1, 2:]):
+        learned, foretold, *empty = places[len(cases) :]
+        _learned(learned, tables["learned"][tables["learned"]["case"] == ALL])
+        _calibration(foretold, tables["calibration"], list(tables["rates"]["method"].unique()))
+        for place in empty:
             place.set_axis_off()
-        axes[0, 0].legend(loc="lower right")
+        places[0].legend(loc="lower right")
         figure.savefig(path, dpi=150, facecolor="white")
         plt.close(figure)
 

@@ -28,12 +28,16 @@ CASTS = Table(
         *_WHICH,
         Column("seed", "1", "of the run; the same for all methods", "int"),
         Column("cast", "1", "its number, from 1", "int"),
-        Column("hit", "", "the measured tip entered the box during the movement, clear of obstacles", "bool"),
-        Column("distance", "m", "of the tip from the box's centre, the least"),
+        Column("hit", "", "the real tip entered the box during the movement, clear of obstacles", "bool"),
+        Column(
+            "believed", "", "so did the measured tip as the method's model sees it, so that it casts no more", "bool"
+        ),
+        Column("distance", "m", "of the real tip from the box's centre, the least"),
         Column("chance", "1", "of hitting, foretold; NaN where the method foretells none"),
         Column("planning", "s", "processor time that planning took"),
         Column("residual", "m", "between simulated and measured string after estimation, root mean square"),
         Column("foretelling", "m", "of the tip on casts nobody learned from, after estimation, root mean square"),
+        Column("effects", "", "beyond the paper's that the method's model knows", "text"),
     ),
 )
 RATES = Table(

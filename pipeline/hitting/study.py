@@ -13,7 +13,7 @@ import pandas as pd
 from pydantic import Field
 
 from data import store
-from pipeline.hitting.job import casts_of, settings
+from pipeline.hitting.job import casts_of
 from pipeline.hitting.pictures import picture
 from pipeline.hitting.scores import TABLES, scores, sentence
 from pipeline.origin import origin
@@ -25,12 +25,22 @@ Count = Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True)
+class Lessons:
+    """casts: how many. generate: settings of the stage that makes their motions."""
+
+    casts: Annotated[int, Field(ge=0)]
+    generate: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class Hits:
-    """seeds: how many, from `first`; the same for all methods. casts: at most. processes: 0 is one for each core.
-    noise: of a measured coordinate, one sigma [m]. methods, cases: settings that differ; see `job.settings`."""
+    """seeds: how many, from `first`; the same for all methods. lessons: casts that all learn from before theirs are
+    counted. casts: these, at most. processes: 0 is one for each core. noise: of a measured coordinate, one sigma [m].
+    methods, cases: settings that differ; see `job.casts_of`."""
 
     seeds: Count
     first: Annotated[int, Field(ge=0)]
+    lessons: Lessons
     casts: Count
     processes: Annotated[int, Field(ge=0)]
     noise: Annotated[float, Field(gt=0)]
@@ -78,8 +88,8 @@ def _all_made(
 def make(job: Job, config: Mapping[str, Any], folder: Path) -> None:
     """Cast, and keep the rows."""
     hits = config["hits"]
-    own = settings(config, hits["cases"][job.case], hits["methods"][job.method], job.seed, hits["casts"])
-    store.write_text(job.kept(folder), json.dumps(casts_of(own, hits["noise"])))
+    rows = casts_of(config, hits["cases"][job.case], hits["methods"][job.method], job.seed)
+    store.write_text(job.kept(folder), json.dumps(rows))
 
 
 def _table(jobs: list[Job], folder: Path) -> pd.DataFrame:

@@ -1,18 +1,24 @@
 """The hit study: what its desk measures, and what its tables count."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from conftest import specimen, swing
+from omegaconf import OmegaConf
 
 from data.artifacts import JOINTS
 from hardware.virtual.bench import Bench, VirtualArm
-from pipeline.hitting.desk import measured
+from pipeline.hitting.desk import PointDesk, measured
 from pipeline.hitting.job import settings
+from pipeline.hitting.lessons import lessons, model_found
 from pipeline.hitting.scores import TABLES, scores, sentence
 from pipeline.settings import composed
+from pipeline.world import world
+from stages.judge import judge
 
 
 def test_points_are_those_of_the_bench_with_noise_of_the_size_told(arm, camera):
@@ -73,3 +79,60 @@ def test_a_run_takes_its_settings_from_case_and_method():
     assert paper["string"]["points"] == paper["string"]["reference_points"] == 25
     assert (ours["string"]["points"], ours["string"]["reference_points"]) == (20, 10)
     assert "ImplicitLeapfrog" in ours["string"]["integrator"]["_target_"]
+
+
+def test_a_case_says_only_what_differs_and_another_stage_comes_whole():
+    config = composed(["+experiment=gain_study"])
+    hits = config["hits"]
+    lagging = settings(config, hits["cases"]["arm_lag"], hits["methods"]["diagnosed"], 3, 2)
+    assert lagging["hardware"]["specimen"]["hidden"] == {"arm_lag": {"time_constant": 0.015}}
+    assert lagging["hardware"]["specimen"]["parameters"] == config["specimen"]["parameters"]
+    assert config["specimen"]["hidden"] == {}
+    practice = settings(config, {}, {"generate": hits["lessons"]["generate"]}, 3, 2)
+    assert practice["generate"] == composed()["generate"]
+
+
+@pytest.fixture
+def turned():
+    """A desk whose bench has a camera that is rolled by more than the target is wide."""
+    config = OmegaConf.to_container(OmegaConf.create(composed(["+experiment=quick"])), resolve=True)
+    hidden = {"specimen": {"hidden": {"camera_rotation": {"angle": 0.1}}}}
+    here = world(settings(config, hidden, {}, 0, 1), lambda block: f"conf/{block}")
+    return PointDesk(here, noise=1e-6)
+
+
+def test_what_really_became_of_a_cast_is_told_whatever_the_camera_says(turned):
+    taught = lessons(turned, 1)[0]
+    duration = float(taught.done["generate"].outcome["duration"].iloc[0])
+    seen = judge(taught.done["extract"], turned.world.target, (), duration)
+    real = turned.real(1, duration)
+    away = np.hypot(turned.world.target.x, turned.world.target.y)
+    assert abs(seen.distance - real.distance) > 0.2 * 0.1 * away
+    bench = turned.benches[1]
+    t = np.linspace(0, duration, 2000)
+    true = np.hypot(*(bench.string_at(t)[:, -1] - [turned.world.target.x, turned.world.target.y]).T).min()
+    assert real.distance == pytest.approx(true, abs=1e-4)
+
+
+def test_lessons_are_first_casts_that_differ_and_are_the_same_again(turned):
+    one, two = lessons(turned, 2)
+    assert not one.done["generate"].commands.equals(two.done["generate"].commands)
+    again = lessons(PointDesk(turned.world, noise=1e-6), 1)[0]
+    pd.testing.assert_frame_equal(again.observation.points, one.observation.points)
+
+
+def test_a_diagnosis_of_the_lessons_makes_the_model_that_casts(turned, monkeypatch):
+    """What is asked is what the lessons showed; what is said is laid over the settings of the method."""
+    said = {"effects": ["camera_rotation"], "known": {"camera_rotation.angle": 0.1}, "string": {"points": 15}}
+    asked = []
+
+    def diagnose(model, observations, *rest, **settings):
+        asked.append([o.trial for o in observations])
+        finding = pd.DataFrame([{"extended": yaml.safe_dump(said)}])
+        return SimpleNamespace(finding=finding)
+
+    monkeypatch.setattr("stages.diagnose.diagnose.diagnose", diagnose)
+    taught = lessons(turned, 2)
+    config = {**turned.world.config, "diagnose": {"_target_": "stages.diagnose.diagnose.diagnose"}}
+    assert model_found(config, taught) == said
+    assert asked == [["t01", "t02"]]

@@ -1,0 +1,43 @@
+"""Casts before those that count: all methods of a study learn from them, and a diagnosis makes a model of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import yaml
+
+from data.artifacts import Diagnosis
+from pipeline.hitting.desk import PointDesk
+from pipeline.run import Iteration
+from pipeline.steps import Past
+from pipeline.world import world
+
+PERFORMED = ("generate", "execute", "extract")
+
+
+def lessons(desk: PointDesk, count: int) -> list[Iteration]:
+    """First casts, each as if nothing were known of the string."""
+    casts = [Iteration(number, {}) for number in range(1, count + 1)]
+    for current in casts:
+        for name in PERFORMED:
+            current.done[name] = desk.step(name, Past(current.number, current.done, None, None, ()))
+    return casts
+
+
+def estimated(desk: PointDesk, casts: list[Iteration]) -> None:
+    """What the desk's method makes of all lessons is known after the last."""
+    last = casts[-1]
+    last.done["estimate"] = desk.step("estimate", _seen(casts))
+
+
+def model_found(config: Mapping[str, Any], casts: list[Iteration]) -> dict[str, Any]:
+    """Settings of the model that a diagnosis of the lessons makes: what `extended=<its folder>` brings along."""
+    desk = PointDesk(world(config, lambda block: f"conf/{block}"), noise=0.0)
+    made: Diagnosis = desk.step("diagnose", _seen(casts))
+    said: dict[str, Any] = yaml.safe_load(made.finding["extended"].iloc[0])
+    return said
+
+
+def _seen(casts: list[Iteration]) -> Past:
+    return Past(casts[-1].number, casts[-1].done, None, None, tuple(cast.observation for cast in casts))
