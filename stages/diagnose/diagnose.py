@@ -140,9 +140,12 @@ def again(evidence: Evidence, fit: Fit) -> Fit:
 
 
 def coarse(ground: Ground) -> float:
-    """Mean square of the residual with the configured number of mass points, over that with enough of them."""
+    """Mean square of the residual with the configured number of mass points, over that with enough of them; 1 where
+    the simulation is too uncertain everywhere to tell."""
     noise = (ground.base.residual * ground.evidence.sigma / ground.floor) ** 2
     trusted = ground.evidence.sigma < DOUBTFUL * ground.floor
+    if not trusted.any():
+        return 1.0
     return float(np.mean(ground.configured.residual[trusted] ** 2) / max(np.mean(noise[trusted]), 1e-12))
 
 

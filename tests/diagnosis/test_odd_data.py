@@ -11,6 +11,7 @@ import pytest
 from data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
 from stages.diagnose import choose
 from stages.diagnose.describe import gain, without_nan
+from stages.diagnose.diagnose import coarse
 from stages.diagnose.gain import FRAMES, _rate, thinned
 from stages.diagnose.prepare import usable
 from stages.estimate.forward import case
@@ -103,6 +104,16 @@ def test_the_gain_is_json_that_everybody_can_read():
     assert said["matching_rate"] == {"base": pytest.approx(0.003), "extended": None}
     assert said["log_likelihood_per_trial"]["standard_error"] is None
     assert without_nan({"a": [(1, "b", float("inf"))]}) == {"a": [[1, "b", None]]}
+
+
+def test_mass_points_are_not_judged_where_the_simulation_is_uncertain_everywhere():
+    """Of no point that is trusted the mean would be NaN, and so the probability of `resolution`."""
+    left, noise = np.full(4, 2.0), np.ones(4)
+    doubted = SimpleNamespace(base=SimpleNamespace(residual=noise), configured=SimpleNamespace(residual=left))
+    doubted.floor, doubted.evidence = noise, SimpleNamespace(sigma=np.array([1.0, 1.0, 9.0, 9.0]))
+    assert coarse(doubted) == pytest.approx(4.0)
+    doubted.evidence = SimpleNamespace(sigma=np.full(4, 9.0))
+    assert coarse(doubted) == 1.0
 
 
 def test_causes_stay_where_nothing_promises_to_take_the_place_of_one():
