@@ -212,8 +212,9 @@ def _fault(current: Iteration) -> str:
 def _concluded(past: Past) -> str:
     """The verdict, what was left out, and what to do next."""
     assert past.diagnosis is not None
-    following = json.loads(past.diagnosis.finding["diagnosis"].iloc[0])["next_experiment"]
-    left = f"Left out: {_reasons(past.rejected)}." if past.rejected else ""
+    found = json.loads(past.diagnosis.finding["diagnosis"].iloc[0])
+    rejected, following = found["trials"]["rejected"], found["next_experiment"]
+    left = f"Left out: {_reasons(rejected)}." if rejected else ""
     return " ".join(filter(None, (past.diagnosis.sentence, left, following and following["sentence"])))
 
 

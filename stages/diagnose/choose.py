@@ -187,8 +187,7 @@ def _settled(court: Court, best: Causes) -> Causes:
     for cause in court.tried[best].theory.names[:-1]:
         context = best - {cause}
         if context in court.tried:
-            fits = court.extended(context)
-            other = context | {min(fits, key=lambda name: fits[name].cost)}
+            other = _added(court, context)
             better = court.tried[other].cost < court.tried[best].cost
             best = other if better and earns(court, context, other) else best
     return best

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,26 +59,35 @@ def _cause(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def gain(held_out: pd.DataFrame) -> dict[str, Any]:
-    """Base against extended over all trials left out in turn."""
-    if held_out.empty:
-        return {"held_out_trials": []}
+    """Base against extended over all trials left out; NaN for what no trial tells."""
 
-    def rms(column: str) -> float:
-        return float(np.sqrt(np.mean(held_out[column] ** 2)))
+    def sides(column: str, mean: Callable[[pd.Series], float]) -> dict[str, float]:
+        return {side: float(mean(held_out[f"{column}_{side}"])) for side in ("base", "extended")}
 
     difference = held_out["log_likelihood_difference"]
-    error = float(difference.std(ddof=1) / np.sqrt(len(difference))) if len(difference) > 1 else None
-    floor = rms("noise_floor")
     return {
         "held_out_trials": held_out["trial"].tolist(),
-        "rms_m": {"base": rms("rms_base"), "extended": rms("rms_extended"), "noise_floor": floor},
-        "tip_rms_m": {"base": rms("tip_rms_base"), "extended": rms("tip_rms_extended")},
-        "matching_rate": {
-            "base": float(held_out["E_base"].mean()),
-            "extended": float(held_out["E_extended"].mean()),
+        "rms_m": {**sides("rms", _rms), "noise_floor": _rms(held_out["noise_floor"])},
+        "tip_rms_m": sides("tip_rms", _rms),
+        "matching_rate": sides("E", pd.Series.mean),
+        "log_likelihood_per_trial": {
+            "difference": float(difference.mean()),
+            "standard_error": float(difference.sem()),
         },
-        "log_likelihood_per_trial": {"difference": float(difference.mean()), "standard_error": error},
     }
+
+
+def _rms(values: pd.Series) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def without_nan(said: Any) -> Any:
+    """The same with None for every number that is not finite, of which JSON knows nothing."""
+    if isinstance(said, Mapping):
+        return {name: without_nan(value) for name, value in said.items()}
+    if isinstance(said, list | tuple):
+        return [without_nan(value) for value in said]
+    return None if isinstance(said, float) and not np.isfinite(said) else said
 
 
 def sentence(judgement: Judgement, causes: pd.DataFrame) -> str:

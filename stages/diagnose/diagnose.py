@@ -18,13 +18,13 @@ from data.schema import DataError
 from stages.diagnose import tables
 from stages.diagnose.casts import Design
 from stages.diagnose.choose import Causes, Court, chosen
-from stages.diagnose.describe import document, sentence
+from stages.diagnose.describe import document, sentence, without_nan
 from stages.diagnose.differing import differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import extended_settings, held_out_table, unseen
 from stages.diagnose.missing import missing, unexplained
-from stages.diagnose.prepare import Ground, literal, prepared
+from stages.diagnose.prepare import Ground, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
 from stages.diagnose.verdict import Judgement, judged
@@ -37,7 +37,7 @@ from stages.model.model import Model
 Progress = Callable[[float], object]
 AGAIN = 20  # steps of a fit to other trials
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
-ALONE = "there is one trial only: a cause found in it could not be checked on a trial that it has not seen"
+ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
 
 
 def diagnose(
@@ -61,10 +61,13 @@ def diagnose(
     look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises DataError where no trial
     can be used.
     """
-    if not observations:
-        raise DataError("there is no trial that can be used. Look at the reasons given for each.")
-    data = _Data(model, observations, rejected, held_out, matching, library())
-    ground = prepared(model, observations, data.library, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
+    good, faults = usable(model, observations)
+    rejected = {**rejected, **faults}
+    if not good:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
+        raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
+    data = _Data(model, good, rejected, held_out, matching, library())
+    ground = prepared(model, good, data.library, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
     ground, court, causes = _heard(ground, data, seed, lambda share: progress((1 + 2 * share) / 3))
     judgement = judged(court, causes, coarse(ground))
     if len(data.kept) == 1 and causes:
@@ -137,9 +140,12 @@ def again(evidence: Evidence, fit: Fit) -> Fit:
 
 
 def coarse(ground: Ground) -> float:
-    """Mean square of the residual with the configured number of mass points, over that with enough of them."""
+    """Mean square of the residual with the configured number of mass points, over that with enough of them; 1 where
+    the simulation is too uncertain everywhere to tell."""
     noise = (ground.base.residual * ground.evidence.sigma / ground.floor) ** 2
     trusted = ground.evidence.sigma < DOUBTFUL * ground.floor
+    if not trusted.any():
+        return 1.0
     return float(np.mean(ground.configured.residual[trusted] ** 2) / max(np.mean(noise[trusted]), 1e-12))
 
 
@@ -161,7 +167,7 @@ def _written(
     text = document(court, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
     settings = extended_settings(data.model, court, causes)
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
-    row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(text, indent=2)}
+    row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
     return Diagnosis(
         FINDING.check(pd.DataFrame([row | {"extended": yaml.safe_dump(settings, sort_keys=False)}])),
         named,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data.artifacts import Observation
+from data.schema import DataError
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import cleaned, estimated, tracks
@@ -59,6 +60,18 @@ class Ground:
     def beside_noise(self) -> float:
         """Mean square of what the base model leaves, over the noise alone."""
         return float(np.mean((self.base.residual * self.evidence.sigma / self.floor) ** 2))
+
+
+def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
+    """The trials that can be made ready, and why the others cannot, by name."""
+    good, faults = [], {}
+    for observation in observations:
+        try:
+            case(model, observation)
+            good.append(observation)
+        except DataError as error:
+            faults[observation.trial] = str(error).removeprefix(f"trial {observation.trial}: ")
+    return good, faults
 
 
 def prepared(

@@ -22,10 +22,10 @@ from stages.diagnose.choose import Causes, Court, noisiness
 from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.foretell import DECIDED, Outlook, Prospect, again
-from stages.diagnose.noise import parts
 from stages.diagnose.resolve import SEGMENTS, finer
 from stages.diagnose.verdict import Judgement
 from stages.estimate.forward import Case
+from stages.estimate.result import values_of
 from stages.generate.curves import Curves
 from stages.generate.generate import commands_of, control_points_of
 from stages.model.box import Box
@@ -175,15 +175,17 @@ def promising(rivals: Contest, cases: Sequence[Case], like: Case, obstacles: Seq
     seen = [every.residuals(fit.theory.model, fit.chi[None])[0] for fit in rivals.fits]
     apart = np.min([np.bincount(every.trial, (a - b) ** 2) for a, b in combinations(seen, 2)], axis=0)
     failed = np.bincount(every.trial, np.any(np.array(seen) == LOST, axis=0)) > 0
-    lines = parts(every, seen[int(np.argmax(rivals.chances))] * every.sigma)
-    struck = np.array([_touches(line, case, obstacles) for line, case in zip(lines, cases, strict=True)])
+    struck = np.array([_touches(rivals.likeliest, case, obstacles) for case in cases])
     allowed = np.flatnonzero(~failed & ~struck)
     return [int(i) for i in allowed[np.argsort(-apart[allowed], kind="stable")][:PROMISING]]
 
 
-def _touches(points: np.ndarray, case: Case, obstacles: Sequence[Box]) -> bool:
-    """Whether a string (N, 2) is ever in an obstacle."""
-    line = points.reshape(len(case.times), -1, 2)
+def _touches(fit: Fit, case: Case, obstacles: Sequence[Box]) -> bool:
+    """Whether the string is ever in an obstacle: all of it, wherever it would be measured."""
+    if not obstacles:
+        return False
+    model = fit.theory.model.divided(SEGMENTS[0][0])
+    line = model.true(case.motion, values_of(model.parameters, fit.chi[None]), case.times, case.initial).points[0]
     return any(bool(box.crossed(line[:, :-1], line[:, 1:]).any()) for box in obstacles)
 
 

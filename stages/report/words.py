@@ -16,9 +16,9 @@ from stages.report.picture import superscript
 UNKNOWN = "not known"
 
 
-def mm(metres: float, digits: int = 0) -> str:
+def mm(metres: float | None, digits: int = 0) -> str:
     """A length in millimetres."""
-    return f"{metres * 1e3:.{digits}f} mm" if np.isfinite(metres) else UNKNOWN
+    return f"{metres * 1e3:.{digits}f} mm" if metres is not None and np.isfinite(metres) else UNKNOWN
 
 
 def ms(seconds: float, digits: int = 0) -> str:
@@ -26,9 +26,9 @@ def ms(seconds: float, digits: int = 0) -> str:
     return f"{seconds * 1e3:.{digits}f} ms" if np.isfinite(seconds) else UNKNOWN
 
 
-def rate(share: float) -> str:
+def rate(share: float | None) -> str:
     """A matching rate."""
-    return f"{share:.3f}" if np.isfinite(share) else UNKNOWN
+    return f"{share:.3f}" if share is not None and np.isfinite(share) else UNKNOWN
 
 
 def significant(value: float) -> str:

@@ -59,6 +59,9 @@ def test_what_hangs_still_is_looked_at_once():
     kept = awake(ready)
     assert kept.times[-1] == pytest.approx(last + RESTING, abs=0.011)
     assert len(kept.points) == ALONG * len(kept.times)
+    # the rest that counts is that at the end, wherever the string was for most of the time
+    before = replace(ready, points=ready.points + 0.1 * (ready.times[ready.frame] < 6.0)[:, None])
+    assert awake(before).times[-1] == pytest.approx(6.0 + RESTING, abs=0.011)
     # a string that still moves at the end is left as it is, one that never moves is looked at shortly
     assert len(awake(replace(ready, points=ready.points * 1e3)).times) == len(times)
     assert awake(replace(ready, points=ready.points * 1e-3)).times[-1] == pytest.approx(RESTING, abs=0.011)

@@ -10,7 +10,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
 from stages.diagnose.foretell import DECIDED, _bounded_step
 from stages.diagnose.prepare import resolved
-from stages.diagnose.separate import Contest, proposed, trusted
+from stages.diagnose.separate import Contest, promising, proposed, trusted
 from stages.diagnose.theory import Theory, joined
 from stages.generate.curves import Curves
 from stages.generate.generate import arm_faults
@@ -114,6 +114,20 @@ def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves
     sampled = around.sampled(arm.tick, float(around.duration.max()))
     assert (arm_faults(arm, (wall,), *sampled) == "").all()
     assert not (arm_faults(arm, (wall,), *curves.sampled(arm.tick, float(curves.duration.max()))) == "").all()
+
+
+def test_no_motion_takes_any_part_of_the_string_through_an_obstacle(contest, curves, model):
+    """Not even where the tip alone is measured, which passes by it."""
+    tip = _Like(np.array([0.3]))
+    cases = [imagined(model, curves.only(np.array([i])), tip, DESIGN) for i in range(3)]
+    fit = contest.likeliest
+    values = fit.theory.model.values(fit.values)[None]
+    line = fit.theory.model.true(cases[1].motion, values, cases[1].times).points[0]
+    post = Box(*line[0, line.shape[1] // 4], 0.02, 0.02)
+    assert not post.crossed(line[:-1, -1], line[1:, -1]).any()
+    like = contest.evidence.cases[0]
+    assert 1 in promising(contest, cases, like, ())
+    assert 1 not in promising(contest, cases, like, (post,))
 
 
 def test_the_motion_proposed_separates_better_than_others_and_than_what_was_done(contest, curves, proposal):

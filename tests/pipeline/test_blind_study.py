@@ -88,6 +88,10 @@ def test_right_answers(name):
     assert correct(RIGHT[name])
 
 
+def test_a_cause_named_beside_unknown_is_no_right_answer():
+    assert not correct(row("outside", ["gust"], "unknown", [WIND]))
+
+
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_answers(name):
     assert not correct(WRONG[name])
@@ -119,6 +123,9 @@ def test_calibration_error_by_hand():
     """0.9 said four times and right three times is off by 0.15; 0.5 said twice and right once is not off."""
     p, right = np.array([0.9] * 4 + [0.5] * 2), np.array([1, 1, 1, 0, 1, 0])
     assert calibration_error(p, right) == pytest.approx(0.15 * 4 / 6)
+    # too sure in one bin and not sure enough in another: the two do not make up for each other
+    p, right = np.array([0.9] * 4 + [0.5] * 4), np.array([1, 1, 1, 0, 1, 1, 1, 0])
+    assert calibration_error(p, right) == pytest.approx((0.15 * 4 + 0.25 * 4) / 8)
 
 
 def test_tables_of_known_rows():
@@ -142,6 +149,9 @@ def test_coverage_counts_parameters_of_true_causes_only():
     other["diagnosis"]["causes"][0]["parameters"] = {"tip_mass.ratio": {"value": 0.1, "low": 0.0, "high": 0.2}}
     coverage = scores([hit, other])["rates"].set_index("name").loc["parameter in its interval"]
     assert (coverage["right"], coverage["count"]) == (1, 2)
+    above = row("effect", ["wind"], "effect", [WIND], wind__along_x=(1.3, 0.9, 1.2))
+    coverage = scores([hit, above])["rates"].set_index("name").loc["parameter in its interval"]
+    assert (coverage["right"], coverage["count"]) == (1, 3)
 
 
 def test_pictures_are_drawn_even_of_one_row(tmp_path):

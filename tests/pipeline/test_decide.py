@@ -29,7 +29,7 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
     """A diagnosis that wants a swing until it has seen one performed."""
     SEEN.append([o.trial for o in observations])
     wanted = not any(o.trial.startswith("performed") for o in observations)
-    text = {"verdict": "ambiguous" if wanted else "effect"}
+    text = {"verdict": "ambiguous" if wanted else "effect", "trials": {"rejected": {**rejected, "t99": "no light"}}}
     text["next_experiment"] = {"sentence": "Swing.", "between": ["a", "b"]} if wanted else None
     row = {"verdict": text["verdict"], "sentence": "So.", "diagnosis": json.dumps(text), "extended": "effects: []"}
     tables = {name: table.empty() for name, table in Diagnosis.TABLES.items()} | {"finding": pd.DataFrame([row])}
@@ -96,4 +96,4 @@ def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(data, tmp_path):
     motion = load(Motion, tmp_path / said["motion"])
     assert motion.duration == pytest.approx(0.2)
     assert not list((tmp_path / "iterations").rglob("trial"))
-    assert result.sentence == "So. Swing."
+    assert result.sentence == "So. Left out: t99: no light. Swing."

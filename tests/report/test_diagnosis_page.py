@@ -395,3 +395,16 @@ def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(writ
     assert "No motion." in hopeless
     assert "The proposed motion" not in hopeless
     assert "What to try next" not in write(VERDICTS["effect"]())
+
+
+def test_it_says_which_trials_the_gain_is_of(write):
+    """Set aside, or left out of the fit in turn; and what is not known is no number."""
+    turn = Page(write(diagnosed("effect", ["tip_mass"]))).text
+    assert "Each trial was predicted by both models after they were fitted to the others." in turn
+    assert "chosen from all of them" in turn
+    unknown = {"matching_rate": {"base": None, "extended": None}}
+    told = GAIN | {"held_out_trials": ["t07"]} | unknown
+    aside = Page(write(diagnosed("effect", ["tip_mass"], gain=told))).text
+    assert "These trials were set aside, and predicted by both models after they were fitted to the others." in aside
+    assert "chosen from all of them" not in aside
+    assert "E goes from not known to not known" in aside
