@@ -17,17 +17,17 @@ from data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
 from data.schema import DataError
 from stages.diagnose import tables
 from stages.diagnose.casts import Design
-from stages.diagnose.choose import Causes, Court, chosen
+from stages.diagnose.choose import Causes, Court, chosen, noisiness
 from stages.diagnose.describe import document, sentence, without_nan
 from stages.diagnose.differing import differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.gain import extended_settings, held_out_table, unseen
+from stages.diagnose.gain import configured, extended_settings, held_out_table, side
 from stages.diagnose.missing import missing, unexplained
 from stages.diagnose.prepare import Ground, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
-from stages.diagnose.verdict import Judgement, judged
+from stages.diagnose.verdict import RESOLUTION, Judgement, judged
 from stages.estimate.matching import Matching
 from stages.model.box import Box
 from stages.model.effect import Effect
@@ -70,7 +70,7 @@ def diagnose(
     ground = prepared(model, good, data.library, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
     ground, court, causes = _heard(ground, data, seed, lambda share: progress((1 + 2 * share) / 3))
     judgement = judged(court, causes, coarse(ground))
-    if len(data.kept) == 1 and causes:
+    if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
         judgement = replace(judgement, verdict="insufficient", causes=(), groups=())
     proposal = separated(court, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))
     return _written(court, ground, causes, judgement, data, proposal)
@@ -149,6 +149,15 @@ def coarse(ground: Ground) -> float:
     return float(np.mean(ground.configured.residual[trusted] ** 2) / max(np.mean(noise[trusted]), 1e-12))
 
 
+def _gained(court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data) -> pd.DataFrame:
+    """Table HELD_OUT. Where too few mass points are what is wrong, that is what the base model has."""
+    few = judgement.causes == (RESOLUTION,) and not causes
+    base = configured(ground, data.kept, data.rest) if few else side(court, ground, frozenset(), data.kept, data.rest)
+    extended, chance = side(court, ground, causes, data.kept, data.rest), noisiness(court.evidence, court.tried[causes])
+    numbers = data.rest or data.kept
+    return held_out_table(base, extended, numbers, ground.floor, chance, data.observations, data.matching)
+
+
 def _written(
     court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data, proposal: Proposal
 ) -> Diagnosis:
@@ -159,10 +168,7 @@ def _written(
     left = unexplained(court, fit, judgement.left, found, differs)
     if judgement.verdict == "insufficient":
         left["sentence"] = ALONE
-    gains = HELD_OUT.empty()
-    if len(data.observations) > 1:
-        trials = unseen(court, causes, data.kept, data.rest)
-        gains = held_out_table(court, ground, causes, trials, data.observations, data.matching)
+    gains = _gained(court, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
     named = tables.causes(court, causes, judgement, data.library)
     text = document(court, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
     settings = extended_settings(data.model, court, causes)

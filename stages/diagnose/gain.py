@@ -9,54 +9,76 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import HELD_OUT, Observation
-from stages.diagnose.choose import Causes, Court, noisiness
+from stages.diagnose.choose import Causes, Court
+from stages.diagnose.compare import held_out
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import fitted
 from stages.diagnose.prepare import Ground
 from stages.estimate.forward import Case
 from stages.estimate.matching import Matching, targets
 from stages.estimate.result import values_of
 from stages.model.model import Model
 
+AGAIN = 3  # steps of a fit to fewer trials
 FRAMES = 20  # of a trial, from which E is counted
 
 
 @dataclass(frozen=True)
-class Unseen:
-    """A trial that neither model was fitted to. chi: (P,) of the base and of the extended model."""
+class Side:
+    """One of the two models that are compared. evidence: all trials, with its numbers of segments. chi: (K, P), for
+    each trial of the table from a fit that has not seen it."""
 
-    number: int
-    chi: tuple[np.ndarray, np.ndarray]
+    model: Model
+    evidence: Evidence
+    chi: Sequence[np.ndarray]
+
+    def residual(self, row: int, number: int) -> np.ndarray:
+        """Of the trial of a number, which is in a row of the table, over sigma, (n,)."""
+        return self.evidence.only([number]).residuals(self.model, self.chi[row][None])[0]
+
+    @property
+    def finest(self) -> Model:
+        """With the larger number of segments."""
+        return self.model.divided(self.evidence.segments[-1])
 
 
-def unseen(court: Court, causes: Causes, kept: Sequence[int], rest: Sequence[int]) -> list[Unseen]:
-    """The trials that were set aside; where there are none, each in turn, left out of both fits."""
-    if rest:
-        return [Unseen(k, (court.tried[frozenset()].chi, court.tried[causes].chi)) for k in rest]
-    both = (court.held(frozenset()), court.held(causes))
-    return [Unseen(k, (both[0].chi[i], both[1].chi[i])) for i, k in enumerate(kept)]
+def side(court: Court, ground: Ground, causes: Causes, kept: Sequence[int], rest: Sequence[int]) -> Side:
+    """The model with these causes. rest: numbers of the trials set aside; without any, each of the kept is left out in
+    turn."""
+    fit, evidence = court.tried[causes], replace(ground.evidence, segments=court.evidence.segments)
+    chi = [fit.chi] * len(rest) if rest else list(court.held(causes).chi)
+    return Side(fit.theory.model, evidence, chi)
+
+
+def configured(ground: Ground, kept: Sequence[int], rest: Sequence[int]) -> Side:
+    """The model with the mass points that are configured."""
+    own = ground.configured
+    evidence = replace(ground.evidence, segments=(own.theory.model.string.points - 1,))
+    fit = fitted(evidence.only(kept), [own.theory], [own.chi], AGAIN)[0]
+    chi = [fit.chi] * len(rest) if rest else list(held_out(evidence.only(kept), fit).chi)
+    return Side(own.theory.model, evidence, chi)
 
 
 def held_out_table(
-    court: Court,
-    ground: Ground,
-    causes: Causes,
-    trials: Sequence[Unseen],
+    base: Side,
+    extended: Side,
+    numbers: Sequence[int],
+    floor: np.ndarray,
+    chance: float,
     observations: Sequence[Observation],
     matching: Matching,
 ) -> pd.DataFrame:
-    """Table HELD_OUT. observations: of all trials of the ground's evidence."""
-    models = [court.tried[key].theory.model for key in (frozenset[str](), causes)]
-    chance = noisiness(court.evidence, court.tried[causes])
+    """Table HELD_OUT. numbers: of its trials among the observations. floor: noise of all residuals [m], (N,). chance:
+    how much less the likelihood counts because noise goes on from frame to frame; see `noisiness`."""
     rows = []
-    for trial in trials:
-        own = replace(ground.evidence, segments=court.evidence.segments).only([trial.number])
-        case, floor = own.cases[0], ground.floor[ground.evidence.trial == trial.number]
-        off = [own.residuals(m, chi[None])[0] for m, chi in zip(models, trial.chi, strict=True)]
-        row = {"trial": case.name, "noise_floor": float(np.sqrt(2 * np.mean(floor**2)))}
+    for place, number in enumerate(numbers):
+        case, own = base.evidence.cases[number], floor[base.evidence.trial == number]
+        off = [one.residual(place, number) for one in (base, extended)]
+        row = {"trial": case.name, "noise_floor": float(np.sqrt(2 * np.mean(own**2)))}
         row["log_likelihood_difference"] = float(np.sum(off[0] ** 2) - np.sum(off[1] ** 2)) / 2 / chance
-        for name, residual, model, chi in zip(("base", "extended"), off, models, trial.chi, strict=True):
+        for name, residual, one in zip(("base", "extended"), off, (base, extended), strict=True):
             row |= _measures(case, residual, name)
-            finest = model.divided(court.evidence.segments[-1])
-            row[f"E_{name}"] = _rate(finest, chi, case, observations[trial.number], matching)
+            row[f"E_{name}"] = _rate(one.finest, one.chi[place], case, observations[number], matching)
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
 

@@ -25,7 +25,7 @@ def interval(evidence: Evidence, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     sums = np.stack([np.bincount(piece, column, count) for column in gradient.T], axis=1)
     bread = np.linalg.inv(fit.normal)
     few = count / max(count - len(fit.theory.free), 1)
-    deviation = np.sqrt(np.diag(bread @ (few * sums.T @ sums) @ bread))
+    deviation = np.sqrt(few * np.sum((sums @ bread) ** 2, axis=0))
     reach = WIDER * student.ppf(0.975, max(count - len(fit.theory.free), 1)) * deviation
     chi = fit.chi[fit.theory.free]
     return np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)

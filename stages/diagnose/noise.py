@@ -20,6 +20,8 @@ FEWEST = 30  # second differences from which a noise can be told
 CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames
 COMMON = 0.15  # mean square that frames of a right model may have in common: mass points and doubt are not perfect
 FAINT = 0.02  # less in common than this is nothing
+GAP = 1.5  # times the usual time from point to point: more is a gap
+EXACT = 1e-9  # [m] points nearer than that are the same
 SMOOTH = 3  # frames whose residuals are averaged to see what they share
 FAR = 6.0  # noises from its neighbours in time at which a point is left out
 
@@ -32,12 +34,23 @@ def tracks(case: Case) -> Iterator[np.ndarray]:
 
 
 def estimated(evidence: Evidence, residual: np.ndarray) -> float:
-    """Noise over sigma, as residuals (N,) over sigma show it from frame to frame; their size where frames are few."""
+    """Noise over sigma, as residuals (N,) over sigma show it from frame to frame; their size where frames are few.
+
+    Never less than rounding makes of points that are told in steps.
+    """
     pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
     rough = np.concatenate([_second_differences(case, part) for case, part in pairs])
-    if len(rough) < FEWEST:
-        return float(spread(residual))
-    return float(spread(rough) / np.sqrt(6))
+    noise = spread(residual) if len(rough) < FEWEST else spread(rough) / np.sqrt(6)
+    return max(float(noise), rounding(evidence) / float(np.median(evidence.sigma)))
+
+
+def rounding(evidence: Evidence) -> float:
+    """Standard deviation of what rounding takes from points that are told in steps, such as whole pixels [m]; next to
+    nothing for others."""
+    points = np.concatenate([case.points for case in evidence.cases])
+    steps = [np.diff(np.unique(coordinate)) for coordinate in points.T]
+    real = [step[step > EXACT] for step in steps]
+    return min((float(step.min()) for step in real if step.size), default=0.0) / np.sqrt(12)
 
 
 def parts(evidence: Evidence, residual: np.ndarray) -> list[np.ndarray]:
@@ -47,14 +60,21 @@ def parts(evidence: Evidence, residual: np.ndarray) -> list[np.ndarray]:
 
 
 def _second_differences(case: Case, residual: np.ndarray) -> np.ndarray:
-    """Of residuals (n, 2) along each track, where frames follow one another evenly."""
+    """Of residuals (n, 2) along each track, where frames follow one another evenly and not all tell the same point."""
     found = [np.empty(0)]
     for track in tracks(case):
-        t, value = case.times[case.frame[track]], residual[track]
-        gap = np.diff(t)
-        even = np.isclose(gap[1:], gap[:-1], rtol=0.2) & (gap[1:] < 1.5 * np.median(np.diff(case.times)))
-        found.append((value[2:] - 2 * value[1:-1] + value[:-2])[even].ravel())
+        value, follows = residual[track], following(case, track)
+        gap = np.diff(case.times[case.frame[track]])
+        told = (np.diff(case.points[track], axis=0) != 0).any(axis=1)
+        fresh = follows[1:] & follows[:-1] & (told[1:] | told[:-1]) & np.isclose(gap[1:], gap[:-1], rtol=0.2)
+        found.append((value[2:] - 2 * value[1:-1] + value[:-2])[fresh].ravel())
     return np.concatenate(found)
+
+
+def following(case: Case, track: np.ndarray) -> np.ndarray:
+    """Whether each point of a track but the first follows the one before it without a gap, (n - 1,)."""
+    gap = np.diff(case.times[case.frame[track]])
+    return gap < GAP * np.median(gap) if gap.size else np.zeros(0, dtype=bool)
 
 
 def systematic(evidence: Evidence, residual: np.ndarray) -> float:
@@ -62,7 +82,7 @@ def systematic(evidence: Evidence, residual: np.ndarray) -> float:
     products, count = 0.0, 0
     for case, part in zip(evidence.cases, parts(evidence, residual), strict=True):
         for track in tracks(case):
-            follows = np.diff(case.frame[track]) == 1
+            follows = following(case, track)
             products += float(np.sum((part[track][1:] * part[track][:-1])[follows]))
             count += 2 * int(follows.sum())
     return max(products / max(count, 1), 0.0)

@@ -87,13 +87,12 @@ def _told(court: Court, judgement: Judgement) -> Judgement:
 def _nothing(seen: float, coarse: float, left: float, chances: Mapping[Causes, float]) -> Judgement:
     """No cause has earned its place: nothing is wrong, or too few mass points, or something unknown."""
     strange = float(expit(2 * STEEP * seen))
-    if strange > 0.5:
-        return Judgement("unknown", (), {"unknown": strange, "none": 1 - strange}, (), chances, left)
     few = float(expit(6 * np.log(coarse / COARSE)))
     probability = {"unknown": strange, RESOLUTION: (1 - strange) * few, "none": (1 - strange) * (1 - few)}
-    if few > 0.5:
+    likeliest = max(probability, key=lambda name: probability[name])
+    if likeliest == RESOLUTION:
         return Judgement("effect", (RESOLUTION,), probability, (), chances, 0.0)
-    return Judgement("none", (), probability, (), chances, 0.0)
+    return Judgement(likeliest, (), probability, (), chances, left if likeliest == "unknown" else 0.0)
 
 
 def _chances(court: Court, causes: Causes) -> dict[Causes, float]:

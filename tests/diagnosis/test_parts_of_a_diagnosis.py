@@ -10,8 +10,9 @@ from stages.diagnose.choose import MATTERS, Court, earns
 from stages.diagnose.compare import held_out, moved
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
+from stages.diagnose.gain import configured, side
 from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
-from stages.diagnose.prepare import pressed, resolved
+from stages.diagnose.prepare import Ground, pressed, resolved
 from stages.diagnose.screen import screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
 from stages.estimate.forward import Case
@@ -167,3 +168,18 @@ def test_grasp_poses_leave_out_what_acts_on_joints(arm, model):
     assert "joint_gain" not in names
     assert "arm_lag" in names
     assert "joint_gain" in {effect.name for effect in candidates(model, library(), evidence)}
+
+
+def test_mass_points_that_are_enough_gain_over_those_that_are_configured(arm, model):
+    """On trials that neither was fitted to: five points are far off, extrapolated ones are at the noise."""
+    evidence = measured(arm, model, trials=2)
+    fit, few = base(model, evidence), replace(model, string=replace(model.string, points=5))
+    theory = Theory(few, (), few.names)
+    plain = fitted(replace(evidence, segments=(4,)), [theory], [theory.at(TRUTH)], 10)[0]
+    court = Court(evidence, evidence, evidence, model, library(), 0)
+    court.hear(fit)
+    ground = Ground(model, evidence, evidence, fit, plain)
+    sides = configured(ground, [0, 1], []), side(court, ground, frozenset(), [0, 1], [])
+    off = np.array([[np.mean(one.residual(k, k) ** 2) for k in (0, 1)] for one in sides])
+    assert (off[0] > 1.5).all()
+    assert off[1] == pytest.approx([1, 1], abs=0.15)

@@ -1,0 +1,57 @@
+"""The noise floor of data as trackers tell them: in whole pixels, held at rest, and each point at a time of its own."""
+
+import numpy as np
+import pytest
+
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.noise import estimated, rounding, systematic
+from stages.estimate.forward import Case
+
+S = np.linspace(0.1, 0.3, 5)
+T = np.arange(0, 1.5, 0.005)
+
+
+def seen(points, late=0.0, sigma=1e-3):
+    """Evidence of one trial. points: (F, S, 2) [m]. late: by what each point is later than the one before it [s]."""
+    t = (T[:, None] + late * np.arange(len(S))).ravel()
+    order = np.argsort(t, kind="stable")
+    times, frame = np.unique(t[order], return_inverse=True)
+    where = np.tile(S, len(T))[order]
+    flat = points.reshape(-1, 2)[order]
+    return Evidence((Case("t", None, None, times, frame, where, flat, np.full(len(flat), sigma)),), (10,)), order
+
+
+def moving(noise, seed=0):
+    """Points that swing for half of the time and then rest, (F, S, 2) [m], and the noise in them."""
+    swing = np.where(T < 0.75, np.sin(8 * np.pi * T / 3), 0.0)[:, None, None] * S[:, None] * np.array([1.0, 0.3])
+    error = noise * np.random.default_rng(seed).standard_normal(swing.shape)
+    return swing + error, error
+
+
+def test_points_told_in_steps_have_the_noise_of_rounding():
+    """Half of the frames show the same rounded point again and again; of these nothing is learned."""
+    true, _ = moving(0.0)
+    step = 1e-3
+    rounded = np.round(true / step) * step
+    evidence, order = seen(rounded)
+    assert rounding(evidence) == pytest.approx(step / np.sqrt(12), rel=1e-6)
+    residual = ((rounded - true).reshape(-1, 2)[order] / 1e-3).ravel()
+    assert estimated(evidence, residual) * 1e-3 == pytest.approx(step / np.sqrt(12), rel=0.35)
+
+
+def test_what_is_not_told_in_steps_has_its_own_noise():
+    points, error = moving(7e-4)
+    evidence, order = seen(points)
+    assert rounding(evidence) < 1e-5
+    assert estimated(evidence, (error.reshape(-1, 2)[order] / 1e-3).ravel()) == pytest.approx(0.7, rel=0.05)
+
+
+@pytest.mark.parametrize("late", [0.0, 4e-4])
+def test_points_with_a_time_of_their_own_have_neighbours_all_the_same(late):
+    """As rows of a rolling shutter have."""
+    points, error = moving(7e-4)
+    evidence, order = seen(points, late)
+    lacking = 3e-3 * np.sin(4 * np.pi * T)[:, None, None] * np.ones(2) + error
+    residual = (lacking.reshape(-1, 2)[order] / 1e-3).ravel()
+    assert estimated(evidence, residual) == pytest.approx(0.7, rel=0.05)
+    assert systematic(evidence, residual) == pytest.approx(3.0**2 / 2, rel=0.1)
