@@ -14,6 +14,7 @@ from stages.model.hand import JointMotion
 from stages.model.model import Model
 
 TOGETHER = 1024  # strings simulated at once
+TOUCHING = 0.02  # of the worth of a draw that touches nothing: what is left to one that hardly touches anything
 
 
 @dataclass(frozen=True)
@@ -28,27 +29,30 @@ class Place:
 @dataclass(frozen=True)
 class Outcome:
     """What becomes of M motions under K draws. distance: (M, K) of the tip from the target's centre in half widths and
-    half heights, the least during the movement; infinite where something touches an obstacle or the simulation does
-    not stay finite. hit: (M, K) the tip enters the box, and nothing touches anything."""
+    half heights, the least during the movement; infinite where the simulation does not stay finite. clear: (M, K) share
+    of the movement in which nothing touches an obstacle. hit: (M, K) the tip enters the box, and all of it is clear."""
 
     distance: np.ndarray
+    clear: np.ndarray
     hit: np.ndarray
 
     @property
     def closeness(self) -> np.ndarray:
         """(M,) a smooth stand-in for the share of draws that hit: 1 / (1 + d^2) is 1 at the centre and 1/2 at the
-        inscribed ellipse, and still tells far from farther."""
-        return np.mean(1 / (1 + self.distance**2), axis=1)
+        inscribed ellipse, and still tells far from farther; so does what remains to a draw that touches something."""
+        worth = np.where(self.clear == 1, 1, TOUCHING * self.clear)
+        return np.mean(worth / (1 + self.distance**2), axis=1)
 
 
 def outcome(place: Place, curves: Curves, draws: Draws) -> Outcome:
     """Simulate every motion under every draw. Movements of like duration run together: none waits long for another."""
     count = len(curves.duration)
-    distance, hit = np.empty((count, len(draws))), np.empty((count, len(draws)), dtype=bool)
+    made = Outcome(*(np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool)))
     order = np.argsort(curves.duration, kind="stable")
     for some in np.array_split(order, -(-count * len(draws) // TOGETHER)):
-        distance[some], hit[some] = _together(place, curves.only(some), draws)
-    return Outcome(distance, hit)
+        part = _together(place, curves.only(some), draws)
+        made.distance[some], made.clear[some], made.hit[some] = part.distance, part.clear, part.hit
+    return made
 
 
 def simulated(model: Model, curves: Curves, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
@@ -66,18 +70,20 @@ def simulated(model: Model, curves: Curves, draws: Draws) -> tuple[np.ndarray, n
     return motion.angles, points + along[:, None] * every.off[:, None, None]
 
 
-def _together(place: Place, curves: Curves, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
-    """Distance and hit, (M, K) each."""
+def _together(place: Place, curves: Curves, draws: Draws) -> Outcome:
+    """All at once."""
     angles, points = simulated(place.model, curves, draws)
     shape = (len(curves.duration), len(draws))
     tick, end = place.model.arm.tick, (curves.duration[:, None] - draws.lag).ravel()
     moving = np.arange(points.shape[1]) * tick <= end[:, None] + 1e-9
     way = between(points[:, :, -1])
     counts = moving[:, 1:].repeat(2, axis=1)  # pieces of the way, two to a tick
-    failed = ~np.isfinite(way).all(axis=(1, 2)) | _touched(place, angles, points, moving)
+    finite = np.isfinite(way).all(axis=(1, 2))
+    clear = 1 - (_touching(place, angles, points) & moving).sum(axis=1) / moving.sum(axis=1)
     away = np.where(counts, _nearest(place.target, way), np.inf).min(axis=1)
     inside = (place.target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1)
-    return np.where(failed, np.inf, away).reshape(shape), (inside & ~failed).reshape(shape)
+    hit = inside & finite & (clear == 1)
+    return Outcome(np.where(finite, away, np.inf).reshape(shape), clear.reshape(shape), hit.reshape(shape))
 
 
 def between(tip: np.ndarray) -> np.ndarray:
@@ -90,15 +96,14 @@ def between(tip: np.ndarray) -> np.ndarray:
     return way
 
 
-def _touched(place: Place, angles: np.ndarray, points: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Whether arm, string or the tip's way touch an obstacle during the movement, (C,)."""
-    touched = np.zeros(len(points), dtype=bool)
+def _touching(place: Place, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """At which ticks the arm, the string or the tip's way from the tick before touch an obstacle, (C, T)."""
+    touching = np.zeros(points.shape[:2], dtype=bool)
+    joints = place.model.arm.joints(angles)
     for box in place.obstacles:
-        joints = place.model.arm.joints(angles)
-        way = box.crossed(points[:, :-1, -1], points[:, 1:, -1])
-        touched |= ((_lies_in(box, points) & moving).any(axis=1)) | (way & moving[:, 1:]).any(axis=1)
-        touched |= box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=(1, 2))
-    return touched
+        touching |= _lies_in(box, points) | box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
+        touching[:, 1:] |= box.crossed(points[:, :-1, -1], points[:, 1:, -1])
+    return touching
 
 
 def _lies_in(box: Box, points: np.ndarray) -> np.ndarray:

@@ -97,7 +97,7 @@ def choice(place: Place, curves: Curves, draws: Draws, informative: float) -> Cu
 def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:
     """The artifact of one movement, with its chance of hitting as these draws find it."""
     made = outcome(place, curve, draws)
-    hit, distance = made.hit[0], made.distance[0]
+    hit, distance = made.hit[0], np.where(made.clear[0] == 1, made.distance[0], np.inf)
     if np.isinf(distance).all():
         raise MotionNotFoundError(
             f"on the best motion found, each of {len(hit)} likely strings touches an obstacle or cannot be simulated. "
