@@ -58,8 +58,13 @@ def excite(
     joint. motions: drawn, of which the best is taken.
 
     The hand stays a string's length away from obstacles, so that no string in it can touch one however it swings.
-    Raises DataError where no motion drawn is allowed.
+    Raises DataError where no motion drawn is allowed, or no sine of `highest` fits into `duration`.
     """
+    if highest * duration < 1:
+        raise DataError(
+            f"excite.highest={highest:g} Hz (conf/excite) does not come round once in excite.duration={duration:g} s. "
+            "Raise one of them."
+        )
     rng = np.random.default_rng(seed)
     count: Counter[str] = Counter()
     best, most = None, -np.inf
@@ -92,11 +97,23 @@ def drawn(
     swing = np.sum(size * np.sin(2 * np.pi * frequency * t[:, None, None] + phase), axis=1)
     swing *= swell(t / t[-1])[:, None]
     rate = np.gradient(swing, arm.tick, axis=0)
+    share = _share(arm, middle, swing, rate, speed)
+    return middle + share * swing, share * rate
+
+
+def _share(arm: Arm, middle: np.ndarray, swing: np.ndarray, rate: np.ndarray, speed: float) -> float:
+    """By which a swing (K, J) [rad] about a pose (J,) is to be taken for the hand to reach `speed`, and never exceed
+    it. rate: of the swing (K, J) [rad/s]."""
+
+    def fastest(share: float) -> float:
+        return float(np.linalg.norm(arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1).max())
+
     share = 1.0
     for _ in range(3):  # the lever changes with the angles
-        hand = np.linalg.norm(arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1)
-        share *= 0.99 * speed / hand.max()
-    return middle + share * swing, share * rate
+        share *= 0.99 * speed / fastest(share)
+    while fastest(share) > speed:
+        share *= 0.99
+    return share
 
 
 def swell(u: np.ndarray) -> np.ndarray:
