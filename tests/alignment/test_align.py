@@ -1,6 +1,7 @@
 """Camera and clock against the arm: what is hidden is found, as surely as is said; what cannot be told is refused."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from data.schema import DataError
 from hardware.virtual.render import Look, noisy, render, scenery
 from stages.align import align
 from stages.align.fit import measuring
+from stages.align.lookalike import most_lag
 from stages.align.undo import in_arms_frame
 from stages.estimate.matching import Matching
 from stages.estimate.random_search import estimate
@@ -123,6 +125,11 @@ def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
     assert "would look the same" in made.sentence
     alike = made.likelihood.set_index("offset")["with_lag"]
     assert np.interp(OFF["time_offset.offset"], alike.index, alike) < 3.84
+
+
+def test_a_lag_that_would_show_at_once_is_told_smaller_than_the_first_that_is_tried():
+    table = pd.DataFrame({"lag": [0.0, 0.25e-3, 0.5e-3], "with_lag": [0.0, 38.4, 150.0]})
+    assert most_lag(table, SimpleNamespace(effects=("time_offset",))) == pytest.approx(0.025e-3)
 
 
 # --- what cannot be told is refused --------------------------------------------------------------------------------
