@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 
 import numpy as np
 import pytest
@@ -122,6 +123,18 @@ def test_any_exception_on_the_way_latches_stops_and_closes(error):
     with pytest.raises(error), driver(wire) as arm:
         arm.perform(movement())
     assert wire.said == ["open", "latch", "stop", "close"]
+
+
+@pytest.mark.parametrize("way", ["latch", "stop", "close"])
+def test_a_way_out_that_fails_keeps_none_of_the_others_from_being_taken(way):
+    """And signals do again what they did before."""
+    before = signal.getsignal(signal.SIGINT)
+    wire = Script(after(20, lambda answer: 1 // 0))
+    setattr(wire, way, lambda: (wire.said.append(way), {}["broken"]))
+    with pytest.raises(KeyError, match="broken"), driver(wire) as arm:
+        arm.perform(movement())
+    assert wire.said == ["open", "latch", "stop", "close"]
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_exception_at_rest_stops_and_closes_without_a_latch():
