@@ -2,8 +2,8 @@
 
 Each joint swings by a sum of sines that begins and ends at rest; of many drawn that the arm may do, the one is taken
 that tells the most about all parameters together (D-optimality; Swevers et al., Optimal robot excitation and
-identification, 1997). Changes of direction at several frequencies are what tells a lag, which swallows the quick ones,
-from a clock that is off.
+identification, 1997), and of these the clocks count more. Changes of direction at several frequencies are what tells a
+lag, which swallows the quick ones, from a clock that is off.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from data.artifacts import (
 from data.schema import DataError
 from stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
 from stages.align.grasp import at_hand
+from stages.align.lookalike import LAG, OFFSET
 from stages.align.sightings import Sighted
 from stages.generate.generate import arm_faults
 from stages.model.arm import Arm
@@ -38,7 +39,8 @@ from stages.model.model import Model
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm
-TYPICAL = {"arm_lag.time_constant": 0.005}  # where the design is judged: at no lag it would look like an offset
+CLOCKS = 2  # more times that the clocks count: what nobody sees, such as a faint rolling shutter, must not move them
+TYPICAL = {LAG: 0.005}  # where the design is judged: at no lag it would look like an offset
 SIGHTED = 0.01  # [s] between the sightings for which it is judged
 
 
@@ -136,7 +138,11 @@ def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np
 
 
 def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
-    """Logarithm of the determinant of what sightings of the hand tell of all parameters. angles, speeds: (K, J)."""
+    """What sightings of the hand tell. angles, speeds: (K, J).
+
+    Logarithm of the determinant of what is told of all parameters, and CLOCKS times that of the clocks, the others but
+    for a lag being unknown: with a lag, only the sum of the two is measured.
+    """
     motion = JointMotion(0.0, model.arm.tick, angles[None], speeds[None])
     times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTED)
     hand = at_hand(times, np.zeros((len(times), 2)), np.ones(len(times)), len(model.arm.links))  # wherever it is seen
@@ -144,7 +150,8 @@ def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
     names = problem.parameters((*ALWAYS, *SOUGHT))
     low, high = problem.ranges(names)
     slope = problem.slopes(names, np.array([TYPICAL.get(name, 0.0) for name in names])) * (high - low)
-    return float(np.linalg.slogdet(slope.T @ slope)[1])
+    clocks = np.linalg.pinv(np.delete(slope, names.index(LAG), axis=1))[names.index(OFFSET)]
+    return float(np.linalg.slogdet(slope.T @ slope)[1] - CLOCKS * np.log(np.sum(clocks**2)))
 
 
 def motion_of(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:

@@ -12,12 +12,14 @@ from data.artifacts import JOINTS, MASKS, POINTS, READINGS, Film, Observation, P
 from data.schema import DataError
 from hardware.virtual.render import Look, noisy, render, scenery
 from stages.align import align
-from stages.align.fit import measuring
+from stages.align.fit import ALWAYS, Problem, measuring
+from stages.align.grasp import at_hand
 from stages.align.lookalike import most_lag
+from stages.align.sightings import Sighted
 from stages.align.undo import in_arms_frame
 from stages.estimate.matching import Matching
 from stages.estimate.random_search import estimate
-from stages.excite import drawn, excite
+from stages.excite import drawn, excite, information
 from stages.extract import aligned_footage
 from stages.model.box import Box
 from stages.model.hand import joint_motion
@@ -296,6 +298,23 @@ def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
     for _ in range(40):
         angles, _ = drawn(arm, rng, duration=10.0, speed=5.0, highest=0.15, sines=3)
         assert hand_speed(arm, angles) < 1.001 * 5.0
+
+
+def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_count(model, monkeypatch):
+    """Against what sightings 10 ms apart say of the offset, all else but a lag unknown; drawn ones differ by half."""
+    monkeypatch.setattr("stages.excite.CLOCKS", 1e6)
+    told, known = [], []
+    for seed in range(6):
+        angles, speeds = drawn(model.arm, np.random.default_rng(seed), duration=3.0, speed=2.0, highest=2.5, sines=3)
+        told.append(information(model, angles, speeds))
+        t = np.arange(0, 3.0, 0.01)
+        hand = at_hand(t, np.zeros((len(t), 2)), np.ones(len(t)), 3)
+        problem = Problem(measuring(model), (Sighted("", joint_motion(np.arange(601) * 0.005, angles), hand),))
+        names = problem.parameters((*ALWAYS, "clock_drift", "rolling_shutter", "lens_distortion"))
+        slope = problem.slopes(names, np.zeros(len(names)))
+        known.append(np.linalg.inv(slope.T @ slope)[names.index("time_offset.offset")][0])
+    assert max(known) > 1.5 * min(known)
+    assert np.corrcoef(told, -np.log(known))[0, 1] > 0.99
 
 
 def test_a_swing_that_does_not_come_round_once_is_refused(model):
