@@ -62,14 +62,16 @@ def main(config: DictConfig) -> float | None:
 
 def run(config: DictConfig, console: Console) -> Result:
     """Check, run, report."""
-    here = world(with_trials_settings(config), where)
+    here = world(with_brought_settings(config, names_given(HydraConfig.get().overrides.task)), where)
     return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
 
 
-def with_trials_settings(config: DictConfig) -> Any:
-    """All settings. Stored trials bring some along; what is given on the command line stands."""
+def with_brought_settings(config: DictConfig, given: set[str]) -> Any:
+    """All settings. Folders of trials, of a model and of a calibration bring some along, and the later of these stands.
+
+    given: names on the command line, which stand above all.
+    """
     whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
-    given = names_given(HydraConfig.get().overrides.task)
     if config.trials is not None:
         if "execute" in config.steps:
             check_bench(Path(config.trials), given)

@@ -2,8 +2,8 @@
 
 Each joint swings by a sum of sines that begins and ends at rest; of many drawn that the arm may do, the one is taken
 that tells the most about all parameters together (D-optimality; Swevers et al., Optimal robot excitation and
-identification, 1997). Changes of direction at several frequencies are what tells a lag, which swallows the quick ones,
-from a clock that is off.
+identification, 1997), and of these the clocks count more. Changes of direction at several frequencies are what tells a
+lag, which swallows the quick ones, from a clock that is off.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from data.artifacts import (
 from data.schema import DataError
 from stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
 from stages.align.grasp import at_hand
+from stages.align.lookalike import LAG, OFFSET
 from stages.align.sightings import Sighted
 from stages.generate.generate import arm_faults
 from stages.model.arm import Arm
@@ -38,7 +39,8 @@ from stages.model.model import Model
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm
-TYPICAL = {"arm_lag.time_constant": 0.005}  # where the design is judged: at no lag it would look like an offset
+CLOCKS = 2  # more times that the clocks count: what nobody sees, such as a faint rolling shutter, must not move them
+TYPICAL = {LAG: 0.005}  # where the design is judged: at no lag it would look like an offset
 SIGHTED = 0.01  # [s] between the sightings for which it is judged
 
 
@@ -58,8 +60,13 @@ def excite(
     joint. motions: drawn, of which the best is taken.
 
     The hand stays a string's length away from obstacles, so that no string in it can touch one however it swings.
-    Raises DataError where no motion drawn is allowed.
+    Raises DataError where no motion drawn is allowed, or no sine of `highest` fits into `duration`.
     """
+    if highest * duration < 1:
+        raise DataError(
+            f"excite.highest={highest:g} Hz (conf/excite) does not come round once in excite.duration={duration:g} s. "
+            "Raise one of them."
+        )
     rng = np.random.default_rng(seed)
     count: Counter[str] = Counter()
     best, most = None, -np.inf
@@ -92,11 +99,23 @@ def drawn(
     swing = np.sum(size * np.sin(2 * np.pi * frequency * t[:, None, None] + phase), axis=1)
     swing *= swell(t / t[-1])[:, None]
     rate = np.gradient(swing, arm.tick, axis=0)
+    share = _share(arm, middle, swing, rate, speed)
+    return middle + share * swing, share * rate
+
+
+def _share(arm: Arm, middle: np.ndarray, swing: np.ndarray, rate: np.ndarray, speed: float) -> float:
+    """By which a swing (K, J) [rad] about a pose (J,) is to be taken for the hand to reach `speed`, and never exceed
+    it. rate: of the swing (K, J) [rad/s]."""
+
+    def fastest(share: float) -> float:
+        return float(np.linalg.norm(arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1).max())
+
     share = 1.0
     for _ in range(3):  # the lever changes with the angles
-        hand = np.linalg.norm(arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1)
-        share *= 0.99 * speed / hand.max()
-    return middle + share * swing, share * rate
+        share *= 0.99 * speed / fastest(share)
+    while fastest(share) > speed:
+        share *= 0.99
+    return share
 
 
 def swell(u: np.ndarray) -> np.ndarray:
@@ -119,7 +138,11 @@ def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np
 
 
 def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
-    """Logarithm of the determinant of what sightings of the hand tell of all parameters. angles, speeds: (K, J)."""
+    """What sightings of the hand tell. angles, speeds: (K, J).
+
+    Logarithm of the determinant of what is told of all parameters, and CLOCKS times that of the clocks, the others but
+    for a lag being unknown: with a lag, only the sum of the two is measured.
+    """
     motion = JointMotion(0.0, model.arm.tick, angles[None], speeds[None])
     times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTED)
     hand = at_hand(times, np.zeros((len(times), 2)), np.ones(len(times)), len(model.arm.links))  # wherever it is seen
@@ -127,7 +150,8 @@ def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
     names = problem.parameters((*ALWAYS, *SOUGHT))
     low, high = problem.ranges(names)
     slope = problem.slopes(names, np.array([TYPICAL.get(name, 0.0) for name in names])) * (high - low)
-    return float(np.linalg.slogdet(slope.T @ slope)[1])
+    clocks = np.linalg.pinv(np.delete(slope, names.index(LAG), axis=1))[names.index(OFFSET)]
+    return float(np.linalg.slogdet(slope.T @ slope)[1] - CLOCKS * np.log(np.sum(clocks**2)))
 
 
 def motion_of(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:

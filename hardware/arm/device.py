@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Annotated, Self
@@ -77,12 +78,13 @@ class VelocityArm:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop, whatever happened, and let go. A movement that did not come to its end is an emergency."""
-        with self.signals.ignored():
+        with ExitStack() as ways:  # from the last to the first, each whatever becomes of those before
+            ways.callback(self.signals.release)
+            ways.enter_context(self.signals.ignored())
+            ways.callback(self.wire.close)
+            ways.callback(self.wire.stop)
             if self.moving or self.latched:
-                self.wire.latch()
-            self.wire.stop()
-            self.wire.close()
-        self.signals.release()
+                ways.callback(self.wire.latch)
 
     def press(self, reason: str) -> None:
         """The emergency stop, from any thread: obeyed within a tick, and latched here and in the device."""

@@ -18,7 +18,6 @@ from stages.model.camera import Camera
 from stages.roles import HardwareError
 
 BUFFERED = 8  # frames that a driver may hold from before; V4L2 has 4
-WAITED = 0.001  # [s] that a read takes at least if its frame was not there before
 
 
 @dataclass(frozen=True)
@@ -104,20 +103,20 @@ class DeviceStream(Stream):
         self.capture, self.name = capture, name
 
     def begin(self) -> None:
-        """Let go of what the driver held: a frame that waited comes at once, one that is exposed now does not."""
+        """Let go of as many frames as the driver may hold from before, undecoded."""
         for _ in range(BUFFERED):
-            begun = time.monotonic()
-            if self.read() is None or time.monotonic() - begun > WAITED:
+            if not self.capture.grab():
                 return
 
     def read(self) -> Frame | None:
-        """The next frame, each in memory of its own."""
-        good, image = self.capture.read()
-        arrived = time.monotonic()
-        if not good:
-            return None
-        stamp = self.capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-        return Frame(arrived, stamp if stamp > 0 else float("nan"), image)
+        """The next frame, each in memory of its own. One that cannot be decoded is left out: it counts as dropped."""
+        while self.capture.grab():
+            arrived = time.monotonic()  # decoding takes now longer, now shorter, and comes after
+            good, image = self.capture.retrieve()
+            if good:
+                stamp = self.capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                return Frame(arrived, stamp if stamp > 0 else float("nan"), image)
+        return None
 
     def close(self) -> None:
         """Release the device."""

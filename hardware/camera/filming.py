@@ -12,7 +12,6 @@ from typing import Self
 import cv2
 import numpy as np
 
-from data.schema import DataError
 from hardware.camera.record import Film, recording
 from hardware.camera.source import Frame, Source, Stream
 from stages.model.camera import Camera
@@ -21,6 +20,7 @@ from stages.roles import HardwareError, Recording
 ROOM = 64  # frames that wait to be made grey; then one is lost, and counted, rather than all memory
 FIRST = 5.0  # [s] in which the first frame must come
 TAIL = 0.5  # [s] beyond the delay for which the last frames are waited for
+LAST = 2.0  # [s] that a read under way may take to end
 
 
 @dataclass
@@ -45,8 +45,9 @@ class FilmingCamera:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End filming and let go of the source."""
-        hangs = self.film is not None and not self.film.ended
-        if self.stream is not None and not hangs:  # to let go of a device that is being read can end the program
+        if self.film is not None:
+            self.film.close()
+        elif self.stream is not None:
             self.stream.close()
         self.film = self.stream = None
 
@@ -55,7 +56,8 @@ class FilmingCamera:
         assert self.stream is not None
         self.film = Filming(self.stream)
         if not self.film.wait_for(-np.inf, FIRST):
-            raise HardwareError(f"{self.source.name}: no frame came in {FIRST:g} s. Check the device and its cable.")
+            why = self.film.died or f"waited {FIRST:g} s"
+            raise HardwareError(f"{self.source.name}: no frame came ({why}). Check the device and its cable.")
 
     def stop(self, moved_at: float) -> Recording:
         """The frames, timed from the start of the movement, with those that were exposed until now."""
@@ -64,8 +66,6 @@ class FilmingCamera:
         until = time.monotonic()
         self.film.wait_for(until + self.source.delay, self.source.delay + TAIL)
         frames, died, overrun = self.film.end(), self.film.died, self.film.overrun
-        if not frames:
-            raise HardwareError(f"{self.source.name}: no frame came during the movement. Check the device.")
         remarks = (*self.stream.remarks, *([f"the host was too slow for {overrun} frame(s)"] if overrun else []))
         film = Film(frames, until - moved_at, died, remarks)
         return recording(film, moved_at, self.source.delay, 1 / self.camera.fps, self.most_lost)
@@ -73,12 +73,14 @@ class FilmingCamera:
 
 class Filming:
     """One film in the making. died: why no more frames come; empty if they do. overrun: frames for which there was no
-    room."""
+    room. reading: whether somebody may still be reading the stream, who lets go of it in the end if it was left to him.
+    over: no more frames are kept."""
 
     def __init__(self, stream: Stream) -> None:
         """It begins at once."""
         self.stream = stream
         self.died, self.overrun = "", 0
+        self.reading, self.left, self.over = True, False, False
         self.frames: list[Frame] = []
         self.more = threading.Event()
         self.more.set()
@@ -91,22 +93,26 @@ class Filming:
     def wait_for(self, arrival: float, most: float) -> bool:
         """Whether a frame has come that arrived at `arrival` (time.monotonic) or later, after waiting `most` [s]."""
         with self.came:
-            self.came.wait_for(lambda: self.died or (self.frames and self.frames[-1].arrived >= arrival), most)
+            self.came.wait_for(lambda: self.over or (self.frames and self.frames[-1].arrived >= arrival), most)
             return bool(self.frames) and self.frames[-1].arrived >= arrival
-
-    @property
-    def ended(self) -> bool:
-        """Whether nobody reads any more, after asking for it."""
-        self.end()
-        return not any(thread.is_alive() for thread in self.threads)
 
     def end(self) -> list[Frame]:
         """Film no more; what there is."""
         self.more.clear()
+        until = time.monotonic() + LAST
         for thread in self.threads:
-            thread.join(timeout=2.0)
+            thread.join(max(until - time.monotonic(), 0.0))
         with self.came:
             return list(self.frames)
+
+    def close(self) -> None:
+        """Film no more, and let go of the stream: here, or where it is still being read once that ends, for to let go
+        of a device that is being read can end the program."""
+        self.end()
+        with self.came:
+            self.left = self.reading
+            if not self.reading:
+                self.stream.close()
 
     def _take(self) -> None:
         """Take frames from the driver as they come, and nothing else: a frame that must wait there may be lost."""
@@ -118,8 +124,16 @@ class Filming:
                     self.died = "it gives no more frames"
                     break
                 self._hand_over(frame)
-        except (cv2.error, OSError, DataError, HardwareError) as error:
-            self.died = str(error)
+        except Exception as error:  # whatever it is: nobody else would hear of it
+            self.died = str(error) or type(error).__name__
+        finally:
+            self._read_no_more()
+
+    def _read_no_more(self) -> None:
+        with self.came:
+            self.reading = False
+            if self.left:
+                self.stream.close()
         self.waiting.put(None)
 
     def _hand_over(self, frame: Frame) -> None:
@@ -129,14 +143,22 @@ class Filming:
             self.overrun += 1
 
     def _keep(self) -> None:
-        """Make frames grey and keep them, until there are no more."""
-        while (frame := self.waiting.get()) is not None:
-            kept = replace(frame, image=grey(frame.image))
+        """Make frames grey and keep them, until there are no more, or one that cannot be."""
+        try:
+            while (frame := self.waiting.get()) is not None:
+                kept = replace(frame, image=grey(frame.image))
+                with self.came:
+                    self.frames.append(kept)
+                    self.came.notify_all()
+        except Exception as error:  # as above
+            self.died = str(error) or type(error).__name__
+            self.more.clear()
+            while self.waiting.get() is not None:  # who takes frames must not wait for room
+                pass
+        finally:
             with self.came:
-                self.frames.append(kept)
+                self.over = True
                 self.came.notify_all()
-        with self.came:
-            self.came.notify_all()
 
 
 def grey(image: np.ndarray) -> np.ndarray:

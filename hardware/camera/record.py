@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -69,7 +69,7 @@ def exposed(arrived: np.ndarray, stamps: np.ndarray, period: float) -> tuple[np.
         return arrived, Schedule(period, np.arange(len(arrived)), arrived, np.zeros(len(arrived)))
     if _clock(stamps, arrived, period):
         t = stamps + (arrived - stamps).min()
-        return t, fitted(t, period)
+        return t, replace(fitted(t, period), late=arrived - t)
     schedule = fitted(arrived, period)
     return schedule.due, schedule
 

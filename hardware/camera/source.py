@@ -13,8 +13,9 @@ from stages.model.camera import Camera
 
 @dataclass(frozen=True)
 class Frame:
-    """arrived: host time (time.monotonic) at which it was there [s]. stamp: the source's own time of it [s], on a
-    clock of its own; NaN if it gives none. image: as it came, uint8 (height, width) or (height, width, 3) BGR."""
+    """arrived: host time (time.monotonic) at which it was there, not decoded yet [s]. stamp: the source's own time of
+    it [s], on a clock of its own; NaN if it gives none. image: as it came, uint8 (height, width) or (height, width, 3)
+    BGR."""
 
     arrived: float
     stamp: float

@@ -27,6 +27,7 @@ def warmed(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
             f"{name}: {len(frames)} frame(s) came in {PATIENCE:g} s. Check the cable and the light, and that no other "
             "program uses it."
         )
+    _check_kind(frames[0], name)
     _check_size(frames[0], name, camera)
     _check_rate(frames, name, camera)
     if all(np.array_equal(frame.image, frames[0].image) for frame in frames[1:]):
@@ -47,6 +48,15 @@ def _looked(stream: Stream) -> Sequence[Frame]:
             break
         frames.append(frame)
     return frames
+
+
+def _check_kind(frame: Frame, name: str) -> None:
+    shape, kind = frame.image.shape, frame.image.dtype
+    if kind != np.uint8 or shape[2:] not in ((), (3,)):
+        raise HardwareError(
+            f"{name}: its images are {kind} of shape {shape}, neither grey nor BGR of 8 bits. Choose another format "
+            "(source.controls.FOURCC) or another source.backend."
+        )
 
 
 def _check_size(frame: Frame, name: str, camera: Camera) -> None:

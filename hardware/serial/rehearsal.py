@@ -76,8 +76,10 @@ class RehearsalArm:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop, then end the device."""
-        self.device.__exit__(kind, error, trace)
-        self.emulator.__exit__(kind, error, trace)
+        try:
+            self.device.__exit__(kind, error, trace)
+        finally:
+            self.emulator.__exit__(kind, error, trace)
 
     def angles(self) -> np.ndarray:
         """As the device reports them."""

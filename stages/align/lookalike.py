@@ -27,7 +27,8 @@ def most_lag(table: pd.DataFrame, fit: Fit) -> float:
     if "arm_lag" in fit.effects:
         return 0.0
     rising = table[table["lag"] > 0]
-    return float(np.interp(END, np.maximum.accumulate(rising["with_lag"]), rising["lag"]))
+    rise, lag = (np.concatenate([[0.0], rising[name]]) for name in ("with_lag", "lag"))
+    return float(np.interp(END, np.maximum.accumulate(rise), lag))
 
 
 def _without(problem: Problem, fit: Fit) -> pd.DataFrame:

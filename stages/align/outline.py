@@ -75,7 +75,7 @@ def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     assert film.arm is not None
     motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy())
     chosen = np.unique(np.linspace(0, len(film.t) - 1, MOST).astype(int))
-    scene = darkest(np.stack([film.images[i] for i in samples(len(film.images))]))
+    scene = without_arm(np.stack([film.images[i] for i in samples(len(film.images))]))
     level = contrast(film, chosen[:: max(len(chosen) // COARSE, 1)], scene) / 2
     round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))
     pixels = []
@@ -84,6 +84,18 @@ def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
         rows, columns = np.nonzero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, round_))
         pixels.append(np.stack([columns, rows], axis=-1).astype(float))
     return Silhouettes(name, motion, film.t[chosen], pixels)
+
+
+def without_arm(stack: np.ndarray) -> np.ndarray:
+    """The scene, (height, width) float32, before which an arm moves that is brighter or darker. stack: (F, h, w) uint8.
+
+    An arm is in few places of its swing at a time: taken for scene, it would differ from more of what is seen.
+    """
+
+    def off(scene: np.ndarray) -> float:
+        return float(np.mean([cv2.absdiff(frame.astype(np.float32), scene).mean() for frame in stack]))
+
+    return min(darkest(stack), 255 - darkest(255 - stack), key=off)
 
 
 def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:

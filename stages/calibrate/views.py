@@ -32,11 +32,11 @@ def look(number: int, image: np.ndarray, board: Board) -> View:
     pixels, corners, at, ids = _detector(board).detectBoard(grey)
     if ids is None or not len(ids):
         return View(number, grey, reason="no marker of the dictionary is seen")
-    reason = _another(board, np.array(at).reshape(-1, 4, 2), ids.ravel())
-    if reason or corners is None or len(corners) < FEWEST:
-        few = f"{0 if corners is None else len(corners)} corners are seen, {FEWEST} are needed"
-        return View(number, grey, reason=reason or few)
-    return View(number, grey, corners.ravel(), pixels.reshape(-1, 2).astype(float))
+    names = np.zeros(0, int) if corners is None else corners.ravel()
+    reason = _another(board, np.array(at).reshape(-1, 4, 2), ids.ravel()) or _few(board, names)
+    if reason:
+        return View(number, grey, reason=reason)
+    return View(number, grey, names, pixels.reshape(-1, 2).astype(float))
 
 
 def _detector(board: Board) -> cv2.aruco.CharucoDetector:
@@ -44,6 +44,16 @@ def _detector(board: Board) -> cv2.aruco.CharucoDetector:
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMinAccuracy = PRECISE
     return cv2.aruco.CharucoDetector(board.pattern, cv2.aruco.CharucoParameters(), how)
+
+
+def _few(board: Board, corners: np.ndarray) -> str:
+    """Why corners (N,) do not fix a board's place; empty if they do. It takes four, no three of them on a line."""
+    if len(corners) < FEWEST:
+        return f"{len(corners)} corners are seen, {FEWEST} are needed"
+    lines = np.divmod(corners, board.squares[0] - 1)
+    if min(len(corners) - np.bincount(line).max() for line in lines) < 2:
+        return f"the {len(corners)} corners that are seen are on one line"
+    return ""
 
 
 def _another(board: Board, at: np.ndarray, ids: np.ndarray) -> str:

@@ -86,10 +86,10 @@ def laid(fps: float) -> Model:
 
 @cache
 def swung(seed: int) -> Motion:
-    """A motion of the default settings, the best of fewer."""
+    """A motion of the default settings."""
     block = yaml.safe_load((ROOT / "conf/excite/sines.yaml").read_text())
     given = {name: value for name, value in block.items() if name != "_target_"}
-    return excite(laid(RATES[0]), (), seed=seed, **given | {"motions": 10})
+    return excite(laid(RATES[0]), (), seed=seed, **given)
 
 
 def drawn(seed: int) -> dict[str, float]:

@@ -184,6 +184,15 @@ def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
         made(*pictures, board=OTHERS[kind])
 
 
+def test_corners_on_one_line_do_not_fix_a_board(pictures):
+    """The rest is hidden: ten corners, more than enough, from which no pose follows."""
+    strip = cv2.copyMakeBorder(BOARD.drawn(40)[:, :80], 20, 20, 280, 280, cv2.BORDER_CONSTANT, value=255)
+    assert look(0, strip, BOARD).reason == "the 10 corners that are seen are on one line"
+    assert made([strip, *pictures[0]], pictures[1]).reason == ""
+    two = cv2.copyMakeBorder(BOARD.drawn(40)[:, :120], 20, 20, 260, 260, cv2.BORDER_CONSTANT, value=255)
+    assert look(0, two, BOARD).reason == ""
+
+
 def test_pictures_of_two_sizes_are_refused(pictures):
     with pytest.raises(DataError, match="pictures are 320x240 and 640x480 px"):
         made(pictures[0], cv2.resize(pictures[1], (320, 240)))

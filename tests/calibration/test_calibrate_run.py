@@ -12,6 +12,7 @@ from studio import BOARD, SIZE, TILTED, picture, pose, tilted
 from data import store
 from data.calibration import Calibration
 from pipeline import calibrate
+from pipeline.__main__ import with_brought_settings
 from pipeline.brought import measured_camera
 from pipeline.commands import board
 from pipeline.settings import UserError, build, composed
@@ -58,6 +59,14 @@ def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_pa
     assert page.count("<img") == len(TILTED) + 3
     assert "camera.lens.focal[0]" in page
     assert not re.search(r'(src|href)="http', page)
+
+
+def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_line_stands(tmp_path):
+    measured = {"width": 320, "height": 240, "px_per_m": 512.5, "origin_px": [1.5, 2.5], "fps": 50.0, "rotation": 0.01}
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(measured))
+    config = OmegaConf.create(composed([f"calibrated={tmp_path}", "camera.fps=60"]))
+    assert with_brought_settings(config, {"calibrated", "camera.fps"})["camera"] == measured | {"fps": 60}
+    assert with_brought_settings(OmegaConf.create(composed()), set())["camera"]["width"] == 640
 
 
 def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):

@@ -5,6 +5,8 @@ import time
 import cv2
 import numpy as np
 
+from hardware.camera.device import BUFFERED
+
 
 class Sensor:
     """Takes the place of cv2.VideoCapture. Frame k is exposed at `begun` + k / fps, whoever looks.
@@ -12,6 +14,7 @@ class Sensor:
     lost: numbers never delivered. again: numbers in whose place the frame before comes again. held: how late a number
     is delivered [s]. dies: the first number that does not come. stamps: whether it tells when a frame was exposed.
     obeys: what becomes of a property that is set. size: (width, height), whatever it is asked. quiet: without noise.
+    decoding: how long it takes to decode a frame of this number [s]. damaged: numbers that cannot be decoded.
     """
 
     def __init__(self, fps=50.0, size=(32, 24), lost=(), again=(), held=None, dies=None, stamps=False, quiet=False):
@@ -21,6 +24,7 @@ class Sensor:
         self.rng = np.random.default_rng(0)
         self.begun, self.next, self.seen, self.released = time.monotonic(), 0, None, False
         self.counting_from = None  # of the film, as tests number frames
+        self.decoding, self.damaged = lambda number: 0.0, set()
 
     def isOpened(self):  # noqa: N802
         return True
@@ -42,14 +46,14 @@ class Sensor:
         return 0.0 if key in self.dumb else self.properties.get(key, 0.0)
 
     def film(self):
-        """Numbers in `lost`, `again`, `held` and `dies` count from the next frame on."""
+        """Numbers in `lost`, `again`, `held` and `dies` count from the next frame on that is kept."""
         self.next = int((time.monotonic() - self.begun) * self.fps) + 1
-        self.counting_from = self.next
+        self.counting_from = self.next + BUFFERED
 
     def exposed_at(self, number):
         return self.begun + number / self.fps
 
-    def read(self):
+    def grab(self):
         now = int((time.monotonic() - self.begun) * self.fps)
         self.next = max(self.next, now - 3)  # a driver holds four frames
         number = self.next
@@ -57,12 +61,18 @@ class Sensor:
         while of_film in self.lost:
             number, of_film = number + 1, of_film + 1
         if self.dies is not None and of_film is not None and of_film >= self.dies:
-            return False, None
+            return False
         due = self.exposed_at(number) + self.held.get(of_film, 0.0)
         time.sleep(max(due - time.monotonic(), 0.0))
         self.last, self.next = number, number + 1
         if of_film not in self.again or self.seen is None:
             self.seen = self.picture(number)
+        return True
+
+    def retrieve(self):
+        time.sleep(self.decoding(self.last))
+        if self.counting_from is not None and self.last - self.counting_from in self.damaged:
+            return False, None
         return True, self.seen.copy()
 
     def picture(self, number):

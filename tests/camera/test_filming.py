@@ -57,6 +57,30 @@ def test_frames_have_the_times_at_which_they_were_exposed(plugged, stamps):
     assert made.summary["fps"] == pytest.approx(50, rel=2e-3)
 
 
+def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
+    """As with MJPG: now 4 ms, now 12. What the driver held before is let go although that is slow to decode too."""
+    sensor = Sensor()
+    sensor.decoding = lambda number: 0.004 + 0.008 * (number % 2)
+    with plugged(sensor) as camera:
+        time.sleep(0.2)  # the string settles, and the driver fills its buffers
+        begun = time.monotonic()
+        camera.start()
+        time.sleep(0.6)
+        made = camera.stop(begun)
+    truth = np.array([sensor.exposed_at(number_in(image)) - begun for image in made.images])
+    assert truth[0] > 0.02  # where frames that waited were kept: below 0
+    np.testing.assert_allclose(made.t, truth, atol=2e-3)  # measured with decoding counted in: 4 to 12 ms
+    assert made.fault == ""
+
+
+def test_a_frame_that_cannot_be_decoded_is_one_that_was_dropped(plugged):
+    sensor = Sensor()
+    sensor.damaged = {10, 20}
+    made, _ = film(plugged(sensor, most_lost=0.1), sensor)
+    assert made.summary["frames_dropped"] == 2
+    assert made.fault == ""
+
+
 def test_dropped_frames_are_found_and_too_many_refused(plugged):
     lost = {10, 11, 20, 25, 30, 31, 32}
     sensor = Sensor(lost=lost)
@@ -98,8 +122,51 @@ def test_a_camera_that_dies_before_the_first_frame_is_refused_before_anything_mo
     sensor = Sensor(dies=0)
     with plugged(sensor) as camera:
         sensor.film()
-        with pytest.raises(HardwareError, match="no frame came"):
+        with pytest.raises(HardwareError, match=r"no frame came \(it gives no more frames\)"):
             camera.start()
+
+
+@pytest.mark.parametrize("where", ["grab", "retrieve"])
+def test_whatever_goes_wrong_while_a_frame_is_taken_is_told(plugged, monkeypatch, where):
+    sensor = Sensor()
+    with plugged(sensor) as camera:
+        monkeypatch.setattr(sensor, where, lambda: 1 // 0)
+        with pytest.raises(HardwareError, match=r"no frame came \(integer division or modulo by zero\)"):
+            camera.start()
+    assert sensor.released
+
+
+def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(plugged, monkeypatch):
+    """And nobody waits for ever for room in the queue: whoever takes frames ends as well."""
+    monkeypatch.setattr(filming, "ROOM", 1)
+    sensor = Sensor()
+    with plugged(sensor) as camera:
+        sensor.film()
+        camera.start()
+        begun = time.monotonic()
+        monkeypatch.setattr(filming, "grey", lambda image: {}["format"])
+        time.sleep(0.3)
+        made, threads = camera.stop(begun), camera.film.threads
+        assert not any(thread.is_alive() for thread in threads)
+    assert made.fault.startswith("the camera saw nothing after")
+    assert made.fault.endswith("'format'")
+    assert sensor.released
+
+
+def test_a_device_that_hangs_is_let_go_of_once_it_does_not(plugged, monkeypatch):
+    monkeypatch.setattr(filming, "LAST", 0.1)
+    sensor = Sensor(held={5: 2.0})
+    with plugged(sensor) as camera:
+        sensor.film()
+        camera.start()
+        begun = time.monotonic()
+        time.sleep(0.2)
+        camera.stop(begun)
+        taker = camera.film.threads[0]
+    assert taker.is_alive()
+    assert not sensor.released  # it is being read
+    taker.join(3.0)
+    assert sensor.released
 
 
 def test_frames_exposed_until_the_end_are_waited_for_but_not_for_ever(plugged):
@@ -175,11 +242,17 @@ def test_exposure_that_is_still_changing_is_remarked_upon(plugged):
         assert "is exposure locked?" in camera.stream.remarks[0]
 
 
+class Deep(Sensor):
+    def picture(self, number):
+        return 256 * super().picture(number).astype(np.uint16)
+
+
 REFUSED = {
     "size": (Sensor(size=(64, 48)), "asked for 32x24 and gives 64x48. Set camera.width"),
     "rate": (Sensor(fps=30.0), r"[23]\d\.\d frames come in a second, camera.fps is 50"),
     "frozen": (Sensor(again=range(-10000, 10000)), "all the same to the bit"),
     "dead": (Sensor(dies=0), r"0 frame\(s\) came"),
+    "deep": (Deep(), r"images are uint16 of shape \(24, 32, 3\), neither grey nor BGR of 8 bits"),
 }
 
 
@@ -268,12 +341,15 @@ def test_a_counter_that_poses_as_a_clock_is_not_believed():
     assert made.summary["frames_dropped"] == 4
 
 
-def test_late_frames_are_put_where_they_were_exposed():
-    """Every fifth is 13 ms late by chance of the bus, of a period of 20 ms; late is not lost."""
+@pytest.mark.parametrize("clock", [np.nan, 100.0])
+def test_late_frames_are_put_where_they_were_exposed(clock):
+    """All come 30 ms after their exposure, every fifth 13 ms later by chance of the bus; late is not lost. clock: by
+    which the source stamps them, if it does."""
     due = np.arange(40) * 0.02
     held = np.where(np.arange(40) % 5 == 3, 0.013, 0.0)
-    frames = [Frame(7.0 + at, np.nan, np.full((2, 2), k, np.uint8)) for k, at in enumerate(due + held)]
-    made = recording(Film(frames, 0.785, "", ()), 7.0, 0.0, 0.02, 0.0)
+    came = zip(7.03 + due + held, clock + due, strict=True)
+    frames = [Frame(*when, np.full((2, 2), k, np.uint8)) for k, when in enumerate(came)]
+    made = recording(Film(frames, 0.785, "", ()), 7.0, 0.03, 0.02, 0.0)
     np.testing.assert_allclose(made.t, due, atol=1e-9)
     np.testing.assert_allclose(made.counts["late"], held, atol=1e-9)
     assert made.summary["frames_late"] == 8

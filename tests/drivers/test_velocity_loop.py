@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from rig import ARM, DRIVING, movement
 
 from hardware.arm import Answer, Driving, VelocityArm
 from hardware.arm.clock import undisturbed
+from hardware.arm.loop import blank
+from hardware.arm.record import performance
 from stages.roles import HardwareError
 
 
@@ -124,6 +127,18 @@ def test_any_exception_on_the_way_latches_stops_and_closes(error):
     assert wire.said == ["open", "latch", "stop", "close"]
 
 
+@pytest.mark.parametrize("way", ["latch", "stop", "close"])
+def test_a_way_out_that_fails_keeps_none_of_the_others_from_being_taken(way):
+    """And signals do again what they did before."""
+    before = signal.getsignal(signal.SIGINT)
+    wire = Script(after(20, lambda answer: 1 // 0))
+    setattr(wire, way, lambda: (wire.said.append(way), {}["broken"]))
+    with pytest.raises(KeyError, match="broken"), driver(wire) as arm:
+        arm.perform(movement())
+    assert wire.said == ["open", "latch", "stop", "close"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_an_exception_at_rest_stops_and_closes_without_a_latch():
     wire = Script()
     wire.pose = np.ones(3)
@@ -145,3 +160,13 @@ def test_the_loop_leaves_the_process_as_it_found_it(priority):
     with undisturbed(priority):
         assert not gc.isenabled()
     assert (os.sched_getscheduler(0), gc.isenabled()) == before
+
+
+def test_angles_have_the_time_in_the_middle_of_the_quickest_exchanges():
+    """2 ms there and back; every second answer is held up for 6 ms more, which says nothing of the clocks."""
+    log = blank(np.zeros(3), np.zeros((40, 3)), 0.005)
+    log.sent, log.carried, log.angles = log.due, log.asked, np.zeros((40, 3))
+    log.clock = 7.0 + log.sent + 0.001
+    log.acknowledged = log.sent + 0.002 + 0.006 * (np.arange(40) % 2)
+    made = performance(log, -0.2, late=0.0025, most_missed=0.0, trips=np.ones(1))
+    np.testing.assert_allclose(made.arm["t"], log.sent - 0.2 + 0.001, atol=1e-9)
