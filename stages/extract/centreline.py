@@ -74,20 +74,35 @@ def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float
     across. noise: one sigma [grey levels]. half: half the string's width [px].
     """
     kept = max(len(way) - int(np.ceil(1.5 * half)), 2)  # the deepest pixel of a wide end is its corner
-    smooth = _onward(gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest"), half)
+    rough = gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest")
+    first = _centred(light, outline, rough, noise, half)
+    firm = max(len(first.points) - 1 - int(np.ceil(half)), 2)  # an end cut aslant is not lit on both sides
+    return _centred(light, outline, _evenly(first.points[:firm]), noise, half)
+
+
+def _centred(light: np.ndarray, outline: np.ndarray, line: np.ndarray, noise: float, half: float) -> Line:
+    """One step of `refine`. line: (K, 2) [px], a pixel a point, up to near the string's end."""
+    smooth = _onward(line, half)
     tangent = np.gradient(smooth, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
     shift, sigma, total, blind = _across(light, outline, smooth, normal, noise, half)
     end, unsure = _end(total, blind, half)
     whole = int(end) + 1
-    firm = max(whole - int(np.ceil(half)), 1)  # an end cut aslant is not lit on both sides
+    firm = max(whole - int(np.ceil(half)), 1)
     shift = gaussian_filter1d(shift[:firm], max(1.0, half / 3), mode="nearest")
     shift = np.pad(shift, (0, whole - firm), mode="edge")
     tip = smooth[whole - 1] + (end % 1) * tangent[whole - 1] + shift[-1] * normal[whole - 1]
     points = np.concatenate([smooth[:whole] + shift[:, None] * normal[:whole], tip[None]])
     lit = np.where(blind, np.nan, total)[:whole]
     return Line(points, np.append(np.hypot(sigma[:whole], 0.2), np.hypot(unsure, 0.5)), np.append(lit, lit[-1]))
+
+
+def _evenly(line: np.ndarray) -> np.ndarray:
+    """The line again, a pixel a point. line: (K, 2) [px]."""
+    depth = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.linspace(0, depth[-1], max(round(depth[-1]) + 1, 2))
+    return np.stack([np.interp(at, depth, line[:, i]) for i in (0, 1)], axis=-1)
 
 
 def _across(
@@ -113,9 +128,10 @@ def _across(
 
 def _onward(line: np.ndarray, half: float) -> np.ndarray:
     """The line gone on straight, a pixel a point, beyond where the string can end."""
-    back = line[max(len(line) - 1 - int(max(6.0, 2 * half)), 0)]
-    ahead = (line[-1] - back) / max(float(np.linalg.norm(line[-1] - back)), 1e-9)
-    return np.concatenate([line, line[-1] + np.arange(1, 2 * half + 4)[:, None] * ahead])
+    last = line[-1 - int(max(6.0, 2 * half)) :]
+    ahead = np.polyfit(np.arange(len(last)), last, 1)[0]
+    ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
+    return np.concatenate([line, line[-1] + np.arange(1, 3 * half + 5)[:, None] * ahead])
 
 
 def _end(light: np.ndarray, blind: np.ndarray, half: float) -> tuple[float, float]:
