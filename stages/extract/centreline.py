@@ -47,7 +47,7 @@ class Line:
 def trace(
     difference: np.ndarray, mask: np.ndarray, limb: np.ndarray, grasp: np.ndarray, start_radius: float
 ) -> np.ndarray:
-    """Pixels (K, 2) as (u, v) from near the grasp to the tip. grasp: (2,) [px].
+    """Pixels (K, 2) as (u, v) from the grasp to the tip. grasp: (2,) [px].
 
     limb: (height, width) bool, where the arm is: the string may go on in front of it unseen.
     """
@@ -64,7 +64,7 @@ def trace(
     depth, before = dijkstra(graph, indices=int(np.argmin(distance)), return_predecessors=True)
     ends = _ends(np.where(np.isfinite(depth) & inside, depth, -1.0), mask, rows, columns)
     way = max((_way(before, end) for end in ends), key=lambda way: np.sum(np.where(inside[way], 1, -1)))
-    return np.stack([columns, rows], axis=-1).astype(float)[way]
+    return np.concatenate([grasp[None], np.stack([columns, rows], axis=-1)[way[1:]]])
 
 
 def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float, half: float) -> Line:
@@ -121,8 +121,8 @@ def _across(
     dark = total < 4 * noise
     lost = dark | (blind & (distance_transform_edt(dark | blind) < CARRIED))
     sigma[lost] = reach / 2
-    if not lost.all():
-        shift = np.interp(np.arange(len(shift)), np.flatnonzero(~lost), shift[~lost])
+    shift[0], known = 0.0, np.append(0, np.flatnonzero(~lost[1:]) + 1)  # the arm says where the string begins
+    shift = np.interp(np.arange(len(shift)), known, shift[known])
     return shift, sigma, total, blind
 
 
