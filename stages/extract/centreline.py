@@ -94,6 +94,8 @@ def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float
     kept = max(len(way) - int(np.ceil(1.5 * half)), 2)  # the deepest pixel of a wide end is its corner
     rough = gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest")
     first = _centred(light, outline, rough, noise, half)
+    if np.isnan(first.light[-1]):
+        return first  # its end is hidden: there is nothing to carry it on from
     firm = max(len(first.points) - 1 - int(np.ceil(half)), 2)  # an end cut aslant is not lit on both sides
     return _centred(light, outline, _evenly(first.points[:firm]), noise, half)
 
