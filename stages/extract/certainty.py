@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt
 
 PLACE = 0.005  # of half the width: the middle of the light is not the middle of the string
 FINEST = 0.03  # [px] what sampling by pixels leaves
+MEAN = 0.8  # of its noise that the shift keeps where it is averaged along the line
 GRAIN = 2.0  # [px] across over which noise of the blurred picture is the same
 TURN = 0.2  # [px/px] by how much the direction may change where nothing is seen
 AIM = 0.01  # [px/px] by how much the end's direction may be off
@@ -24,7 +25,7 @@ def centroid(bright: np.ndarray, across: np.ndarray, lost: np.ndarray, noise: fl
     """
     total = np.maximum(bright.sum(axis=1), 4 * noise)
     inside = np.abs(across) <= 1.3 * half + 1
-    own = noise * np.sqrt(np.sum(across[inside] ** 2) * GRAIN / (across[1] - across[0])) / total
+    own = MEAN * noise * np.sqrt(np.sum(across[inside] ** 2) * GRAIN / (across[1] - across[0])) / total
     drawn = (bright * across)[:, ~inside].sum(axis=1) / total
     beside = np.sqrt(np.mean(drawn[~lost] ** 2))
     carried = TURN * distance_transform_edt(lost)
