@@ -203,7 +203,7 @@ POINTS = Table(
         Column("s", "m", "arc length from the grasp"),
         Column("x", "m", "measured position"),
         Column("y", "m", "measured position"),
-        Column("sigma", "m", "one standard deviation of the position, across the string", optional=True),
+        Column("sigma", "m", "one standard deviation of a coordinate", optional=True),
         Column("valid", "", "the point can be used", "bool", optional=True),
     ),
 )
@@ -217,7 +217,7 @@ READINGS = Table(
         Column("reason", "", "why it could not; empty if it could", "text"),
         Column("tip_x", "m", "tip of the string; NaN if not read"),
         Column("tip_y", "m", "tip of the string; NaN if not read"),
-        Column("tip_sigma", "m", "one standard deviation of the tip"),
+        Column("tip_sigma", "m", "one standard deviation of a coordinate of the tip"),
         Column("length", "m", "length of the centre-line that was read"),
     ),
 )

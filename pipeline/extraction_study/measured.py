@@ -46,15 +46,15 @@ MEASURED = Table(
 )
 
 
-def strip(folder: Path, name: str) -> tuple[Footage, Camera, pd.DataFrame]:
-    """A film, its camera and the table of published points. name: such as 75mm_2."""
+def strip(folder: Path, name: str, every: int = EVERY) -> tuple[Footage, Camera, pd.DataFrame]:
+    """A film, every so many frames of it, its camera and the table of published points. name: such as 75mm_2."""
     table = pd.read_parquet(folder / "points.parquet").query("trial == @name")
     film, t = Video(folder / "videos" / f"{name}.mp4"), np.sort(table["t"].unique())
     images = [film[i] for i in range(len(t))]
     origin_px = (float((table["u"] - PX_PER_M * table["x"]).mean()), float((table["v"] + PX_PER_M * table["y"]).mean()))
     camera = Camera(640, 360, PX_PER_M, origin_px, 239.76)
-    every = np.arange(0, len(t), EVERY)
-    return Footage(t[every], [images[i] for i in every], np.tile([0, 0, -np.pi / 2], (len(every), 1))), camera, table
+    chosen = np.arange(0, len(t), every)
+    return Footage(t[chosen], [images[i] for i in chosen], np.tile([0, 0, -np.pi / 2], (len(chosen), 1))), camera, table
 
 
 def strip_row(folder: Path, name: str) -> dict[str, object]:

@@ -54,7 +54,7 @@ SHARES = Table(
         Column("line_px_95", "px", "95 % of what was accepted is below"),
         Column("tip_px", "px", "median of what was accepted"),
         Column("tip_px_95", "px", "95 % of what was accepted is below"),
-        Column("line_sigmas", "1", "RMS of what was accepted: 1 if the sigma stated is right"),
+        Column("line_sigmas", "1", "RMS of what was accepted, across alone; sigma is of a coordinate, along too"),
         Column("tip_sigmas", "1", "the same; 1.4 if u and v are each off by a sigma"),
         Column("reasons", "", "of refusals, the most frequent first", "text"),
     ),

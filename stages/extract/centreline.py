@@ -16,12 +16,16 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from stages.extract.certainty import centroid, sigmas
+from stages.spread import spread
+
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 GAP = 7  # [px] across which a broken string is joined
 FAINT = 3.0  # how much dearer the string's faintest pixel is than its brightest
 UNSEEN = 20.0  # how dear a pixel outside the mask is: a gap is bridged, a loop is not cut short
 END = 10.0  # [px] before the tip over which the string's light is compared with that beyond it
 CARRIED = 5.0  # [px] into an outline as far as which a line is better carried on than read
+SHAPE = 0.2  # [px] by how much light may end elsewhere than the string, for the shape of its end
 HALF = 4.0  # [px] least half width of the profile across the line
 
 
@@ -31,7 +35,7 @@ class UnreadableError(Exception):
 
 @dataclass(frozen=True)
 class Line:
-    """points: (K, 2) [px], from the grasp to the tip. sigma: (K,) across the line [px]. light: (K,) in all across the
+    """points: (K, 2) [px], from the grasp to the tip. sigma: (K,) of a coordinate [px]. light: (K,) in all across the
     line, which blur does not change [grey levels half pixels]; NaN where an outline may add to it."""
 
     points: np.ndarray
@@ -44,10 +48,24 @@ class Line:
         return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
 
 
+@dataclass(frozen=True)
+class Across:
+    """What is seen across a line, (K,) each. shift: of the string's middle and its sigma [px]. light: in all.
+
+    blind: an outline hides which light is the string's; lost: nothing is read there, and the line is carried on.
+    """
+
+    shift: np.ndarray
+    sigma: np.ndarray
+    light: np.ndarray
+    blind: np.ndarray
+    lost: np.ndarray
+
+
 def trace(
     difference: np.ndarray, mask: np.ndarray, limb: np.ndarray, grasp: np.ndarray, start_radius: float
 ) -> np.ndarray:
-    """Pixels (K, 2) as (u, v) from near the grasp to the tip. grasp: (2,) [px].
+    """Pixels (K, 2) as (u, v) from the grasp to the tip. grasp: (2,) [px].
 
     limb: (height, width) bool, where the arm is: the string may go on in front of it unseen.
     """
@@ -64,7 +82,7 @@ def trace(
     depth, before = dijkstra(graph, indices=int(np.argmin(distance)), return_predecessors=True)
     ends = _ends(np.where(np.isfinite(depth) & inside, depth, -1.0), mask, rows, columns)
     way = max((_way(before, end) for end in ends), key=lambda way: np.sum(np.where(inside[way], 1, -1)))
-    return np.stack([columns, rows], axis=-1).astype(float)[way]
+    return np.concatenate([grasp[None], np.stack([columns, rows], axis=-1)[way[1:]]])
 
 
 def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float, half: float) -> Line:
@@ -74,48 +92,65 @@ def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float
     across. noise: one sigma [grey levels]. half: half the string's width [px].
     """
     kept = max(len(way) - int(np.ceil(1.5 * half)), 2)  # the deepest pixel of a wide end is its corner
-    smooth = _onward(gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest"), half)
+    rough = gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest")
+    first = _centred(light, outline, rough, noise, half)
+    if np.isnan(first.light[-1]):
+        return first  # its end is hidden: there is nothing to carry it on from
+    firm = max(len(first.points) - 1 - int(np.ceil(half)), 2)  # an end cut aslant is not lit on both sides
+    return _centred(light, outline, _evenly(first.points[:firm]), noise, half)
+
+
+def _centred(light: np.ndarray, outline: np.ndarray, line: np.ndarray, noise: float, half: float) -> Line:
+    """One step of `refine`. line: (K, 2) [px], a pixel a point, up to near the string's end."""
+    smooth = _onward(line, half)
     tangent = np.gradient(smooth, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
-    shift, sigma, total, blind = _across(light, outline, smooth, normal, noise, half)
-    end, unsure = _end(total, blind, half)
+    seen = _across(light, outline, smooth, normal, noise, half)
+    end, unsure = _end(seen.light, seen.blind, half)
     whole = int(end) + 1
-    firm = max(whole - int(np.ceil(half)), 1)  # an end cut aslant is not lit on both sides
-    shift = gaussian_filter1d(shift[:firm], max(1.0, half / 3), mode="nearest")
+    firm = max(whole - int(np.ceil(half)), 1)
+    shift = gaussian_filter1d(seen.shift[:firm], max(1.0, half / 3), mode="nearest")
     shift = np.pad(shift, (0, whole - firm), mode="edge")
     tip = smooth[whole - 1] + (end % 1) * tangent[whole - 1] + shift[-1] * normal[whole - 1]
     points = np.concatenate([smooth[:whole] + shift[:, None] * normal[:whole], tip[None]])
-    lit = np.where(blind, np.nan, total)[:whole]
-    return Line(points, np.append(np.hypot(sigma[:whole], 0.2), np.hypot(unsure, 0.5)), np.append(lit, lit[-1]))
+    each = np.append(np.arange(whole), whole - 1)  # the tip is as the point before it
+    lit = np.where(seen.blind, np.nan, seen.light)[each]
+    return Line(points, sigmas(seen.sigma[each], seen.lost[each], firm, unsure), lit)
+
+
+def _evenly(line: np.ndarray) -> np.ndarray:
+    """The line again, a pixel a point. line: (K, 2) [px]."""
+    depth = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    at = np.linspace(0, depth[-1], max(round(depth[-1]) + 1, 2))
+    return np.stack([np.interp(at, depth, line[:, i]) for i in (0, 1)], axis=-1)
 
 
 def _across(
     light: np.ndarray, outline: np.ndarray, line: np.ndarray, normal: np.ndarray, noise: float, half: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Centroid across the line and its sigma [px], light in all, and whether an outline blinds it, (K,) each."""
+) -> Across:
+    """What is seen across the line at each of its points (K, 2) [px]."""
     reach = max(HALF, 1.8 * half + 2)
     across = np.arange(-reach, reach + 0.25, 0.5)
     u, v = np.moveaxis((line[:, None] + across[None, :, None] * normal[:, None]).astype(np.float32), -1, 0)
     bright = np.maximum(cv2.remap(light, u, v, cv2.INTER_LINEAR) - 2 * noise, 0)
     total = bright.sum(axis=1)
     shift = np.clip((bright * across).sum(axis=1) / np.maximum(total, 1e-9), -reach, reach)
-    sigma = 2 * noise * np.sqrt((across**2).sum() / 2) / np.maximum(total, 1e-9)
     covered = cv2.remap(outline.astype(np.float32), u, v, cv2.INTER_LINEAR)
     blind = covered[:, np.abs(across) <= half + 1].max(axis=1) > 0.5
     dark = total < 4 * noise
     lost = dark | (blind & (distance_transform_edt(dark | blind) < CARRIED))
-    sigma[lost] = reach / 2
-    if not lost.all():
-        shift = np.interp(np.arange(len(shift)), np.flatnonzero(~lost), shift[~lost])
-    return shift, sigma, total, blind
+    lost[0], shift[0] = False, 0.0  # the arm says where the string begins
+    shift = np.interp(np.arange(len(shift)), np.flatnonzero(~lost), shift[~lost])
+    return Across(shift, centroid(bright, across, lost, noise, half), total, blind, lost)
 
 
 def _onward(line: np.ndarray, half: float) -> np.ndarray:
     """The line gone on straight, a pixel a point, beyond where the string can end."""
-    back = line[max(len(line) - 1 - int(max(6.0, 2 * half)), 0)]
-    ahead = (line[-1] - back) / max(float(np.linalg.norm(line[-1] - back)), 1e-9)
-    return np.concatenate([line, line[-1] + np.arange(1, 2 * half + 4)[:, None] * ahead])
+    last = line[-1 - int(max(6.0, 2 * half)) :]
+    ahead = np.polyfit(np.arange(len(last)), last, 1)[0]
+    ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
+    return np.concatenate([line, line[-1] + np.arange(1, 3 * half + 5)[:, None] * ahead])
 
 
 def _end(light: np.ndarray, blind: np.ndarray, half: float) -> tuple[float, float]:
@@ -127,10 +162,12 @@ def _end(light: np.ndarray, blind: np.ndarray, half: float) -> tuple[float, floa
     first = max(len(light) - int(4 * half + 4 + END), 0)
     level = float(np.percentile(light[first:], 75)) / 2
     last = int(np.flatnonzero(light >= level)[-1])
+    even = light[first : max(last - int(2 * half), first + 1)]
     beyond = int(np.argmin(np.append(blind[last + 1 :], False)))
     if beyond or last + 1 == len(light):
         return last + beyond / 2, max(beyond, 1) / np.sqrt(12)
-    return last + float((light[last] - level) / (light[last] - light[last + 1])), 0.0
+    drop = float(light[last] - light[last + 1])
+    return last + float(light[last] - level) / drop, float(np.hypot(SHAPE, spread(even - 2 * level) / drop))
 
 
 def _graph(difference: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:

@@ -67,7 +67,10 @@ def isolate(
     rough = max(grain, noise(above[body])) if body.any() else grain
     mask = without_specks((above > sigmas * np.where(body, rough, grain)).astype(np.uint8))
     arm = silhouette(image.shape, moments, width + 4 + blur)
-    return Isolated(alike(above, seen, backdrop.string), mask, arm, outline, grain)
+    sure = ~body | (
+        cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0
+    )  # what is as bright as the arm is noise, made larger
+    return Isolated(sure * alike(above, seen, backdrop.string), mask, arm, outline, grain)
 
 
 def background(stack: np.ndarray, arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
@@ -129,18 +132,20 @@ def _level(ordered: np.ndarray, percent: float) -> np.ndarray:
 
 
 def uncovered(scene: np.ndarray, grasp: np.ndarray, length: float) -> np.ndarray:
-    """The scene with the string's ever-covered beginning replaced by what surrounds it.
+    """The scene with what the string never leaves replaced by what surrounds it.
 
-    grasp: (F, 2) [px], length: of the string [px]. Only where the grasp rests; a moving one
-    uncovers everything.
+    grasp: (F, 2) [px], length: of the string [px]. Only where the grasp rests; a moving one uncovers everything. What
+    outshines its surroundings and hangs together with what is at the grasp is taken for string.
     """
     if np.ptp(grasp, axis=0).max() > STILL:
         return scene
     width = min(int(length), WIDEST) // 2 * 2 + 1
     around = cv2.medianBlur(np.clip(scene, 0, 255).astype(np.uint8), width).astype(np.float32)
     v, u = np.indices(scene.shape)
-    near = np.hypot(u - grasp[0, 0], v - grasp[0, 1]) < STATIC * length
-    return np.where(near, np.minimum(scene, around), scene)
+    away = np.hypot(u - grasp[0, 0], v - grasp[0, 1])
+    patch = cv2.connectedComponents(((scene > around + SHADE) & (away < length)).astype(np.uint8))[1]
+    hangs = np.isin(patch, np.setdiff1d(patch[away < STATIC * length], 0))
+    return np.where(hangs, np.minimum(scene, around), scene)
 
 
 def expected(

@@ -16,11 +16,12 @@ import numpy as np
 from stages.spread import spread
 
 SAMPLES = 120  # frames whose median stands for the film
-PYRAMID = (8, 3, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
+PYRAMID = (8, 8, 3, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
 MOVES = 3.0  # sigmas from which a pixel shows something that moves
 TREMBLE = 0.1  # [px] RMS shift below which a camera stands still
 FLICKER = 0.01  # RMS relative brightness below which a lamp burns steadily
 SURE = 0.05  # [px] one sigma of a shift, above which there is too little texture to know it
+PARTS = 5  # across and down: what one of them alone says, such as a wide string that swings there, is not believed
 
 
 def samples(count: int) -> list[int]:
@@ -82,18 +83,22 @@ def _closer(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int)
     """One step of Gauss and Newton, and one sigma of the shift [px]."""
     like = _moved(template, found[1:] / by)
     across, down = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
-    inside = (slice(2, -2), slice(2, -2))
-    columns = np.stack([part[inside].ravel() for part in (like, -found[0] * across / by, -found[0] * down / by)])
-    rest = (image - found[0] * like)[inside].ravel()
-    noise = float(spread(rest[::7])) + 1e-3
-    still = np.abs(rest) < MOVES * noise
-    weighted = columns * still
-    normal = weighted @ columns.T + 1e-6 * np.eye(3)
-    step = np.linalg.solve(normal, weighted @ rest)
-    return found + step, noise * float(np.sqrt(np.linalg.inv(normal)[1:, 1:].trace()))
+    columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[:, 2:-2, 2:-2]
+    rest = (image - found[0] * like)[2:-2, 2:-2]
+    still = np.abs(rest) < MOVES * (float(spread(rest.ravel()[::7])) + 1e-3)
+    sums = _by_part(np.concatenate([columns, rest[None]]) * still)
+    steps = [np.linalg.solve(some[:3, :3] + 1e-6 * np.eye(3), some[:3, 3]) for some in (sums.sum(axis=0) - sums)]
+    scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))  # the jackknife: without each part in turn
+    return found + np.mean(steps, axis=0), float(np.linalg.norm(scatter[1:]))
+
+
+def _by_part(rows: np.ndarray) -> np.ndarray:
+    """Products of rows (4, height, width) summed over each part of the picture, (PARTS^2, 4, 4)."""
+    bands = (part for band in np.array_split(rows, PARTS, axis=1) for part in np.array_split(band, PARTS, axis=2))
+    return np.stack([(flat := part.reshape(len(rows), -1)) @ flat.T for part in bands])
 
 
 def _moved(image: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """The image shifted by (d_u, d_v) [px]."""
     to = np.array([[1, 0, shift[0]], [0, 1, shift[1]]])
-    return cv2.warpAffine(image, to, image.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(image, to, image.shape[::-1], flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)

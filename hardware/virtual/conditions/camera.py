@@ -55,7 +55,9 @@ class Shake(Condition):
         """The whole picture elsewhere. The truth stays: nobody measured where the camera was."""
         across, down = moment.rng.normal(0, self.sigma, 2)
         shift = np.array([[1, 0, across], [0, 1, down]])
-        return cv2.warpAffine(frame, shift, frame.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return cv2.warpAffine(
+            frame, shift, frame.shape[::-1], flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE
+        )
 
 
 @dataclass(frozen=True)
