@@ -93,16 +93,15 @@ def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float
     """
     kept = max(len(way) - int(np.ceil(1.5 * half)), 2)  # the deepest pixel of a wide end is its corner
     rough = gaussian_filter1d(way[:kept], max(2.0, half / 2), axis=0, mode="nearest")
-    first = _centred(light, outline, rough, noise, half)
+    first = _centred(light, outline, _onward(rough, half, 2 * half + 4), noise, half)
     if np.isnan(first.light[-1]):
         return first  # its end is hidden: there is nothing to carry it on from
     firm = max(len(first.points) - 1 - int(np.ceil(half)), 2)  # an end cut aslant is not lit on both sides
-    return _centred(light, outline, _evenly(first.points[:firm]), noise, half)
+    return _centred(light, outline, _onward(_evenly(first.points[:firm]), half, 3 * half + 5), noise, half)
 
 
-def _centred(light: np.ndarray, outline: np.ndarray, line: np.ndarray, noise: float, half: float) -> Line:
-    """One step of `refine`. line: (K, 2) [px], a pixel a point, up to near the string's end."""
-    smooth = _onward(line, half)
+def _centred(light: np.ndarray, outline: np.ndarray, smooth: np.ndarray, noise: float, half: float) -> Line:
+    """One step of `refine`. smooth: (K, 2) [px], a pixel a point, on beyond the string's end."""
     tangent = np.gradient(smooth, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
@@ -145,12 +144,13 @@ def _across(
     return Across(shift, centroid(bright, across, lost, noise, half), total, blind, lost)
 
 
-def _onward(line: np.ndarray, half: float) -> np.ndarray:
-    """The line gone on straight, a pixel a point, beyond where the string can end."""
+def _onward(line: np.ndarray, half: float, beyond: float) -> np.ndarray:
+    """The line gone on straight, a pixel a point. beyond: as far as the string can end [px]: a hidden end is taken for
+    half of what hides it."""
     last = line[-1 - int(max(6.0, 2 * half)) :]
     ahead = np.polyfit(np.arange(len(last)), last, 1)[0]
     ahead /= max(float(np.linalg.norm(ahead)), 1e-9)
-    return np.concatenate([line, line[-1] + np.arange(1, 3 * half + 5)[:, None] * ahead])
+    return np.concatenate([line, line[-1] + np.arange(1, beyond)[:, None] * ahead])
 
 
 def _end(light: np.ndarray, blind: np.ndarray, half: float) -> tuple[float, float]:

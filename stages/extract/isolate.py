@@ -67,9 +67,8 @@ def isolate(
     rough = max(grain, noise(above[body])) if body.any() else grain
     mask = without_specks((above > sigmas * np.where(body, rough, grain)).astype(np.uint8))
     arm = silhouette(image.shape, moments, width + 4 + blur)
-    sure = ~body | (
-        cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0
-    )  # what is as bright as the arm is noise, made larger
+    # what is as bright as the arm is noise, made larger
+    sure = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
     return Isolated(sure * alike(above, seen, backdrop.string), mask, arm, outline, grain)
 
 
