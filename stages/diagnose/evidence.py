@@ -27,10 +27,13 @@ CHUNK = 128  # candidates simulated at once
 @dataclass(frozen=True)
 class Evidence:
     """cases: trials made ready, with sigma the noise of each point [m]. segments: two numbers of them, few and more,
-    from which results are extrapolated; or one, whose results stand as they are."""
+    from which results are extrapolated; or one, whose results stand as they are. unsure: how each trial's points move
+    with what is not known of the state in which it begins, (2 n, M) [m]; what such changes could explain counts for
+    nothing."""
 
     cases: tuple[Case, ...]
     segments: tuple[int, ...]
+    unsure: tuple[np.ndarray, ...] = ()
 
     @cached_property
     def trial(self) -> np.ndarray:
@@ -44,7 +47,8 @@ class Evidence:
 
     def only(self, chosen: Sequence[int]) -> Evidence:
         """Some of the trials."""
-        return replace(self, cases=tuple(self.cases[i] for i in chosen))
+        unsure = tuple(self.unsure[i] for i in chosen) if self.unsure else ()
+        return replace(self, cases=tuple(self.cases[i] for i in chosen), unsure=unsure)
 
     def until(self, seconds: float) -> Evidence:
         """The beginning of every trial."""
@@ -66,8 +70,20 @@ class Evidence:
                 ((seen - case.points) / case.sigma[:, None]).reshape(len(seen), -1)
                 for seen, case in zip(self.extrapolated(model, values[some], self.segments), self.cases, strict=True)
             ]
-            result[some] = np.concatenate(parts, axis=1)
+            result[some] = np.concatenate(self._sure(parts), axis=1)
         return np.nan_to_num(result, nan=LOST)
+
+    def _sure(self, parts: list[np.ndarray]) -> list[np.ndarray]:
+        """Residuals (C, 2 n) of each trial without what another beginning would explain."""
+        if not self.unsure:
+            return parts
+        return [part - (part @ basis) @ basis.T for part, basis in zip(parts, self._bases, strict=True)]
+
+    @cached_property
+    def _bases(self) -> list[np.ndarray]:
+        """(2 n, M) orthonormal, of each trial's residuals over sigma."""
+        pairs = zip(self.unsure, self.cases, strict=True)
+        return [np.linalg.qr(moves / np.repeat(case.sigma, 2)[:, None])[0] for moves, case in pairs]
 
     def scaled(self, factor: float) -> Evidence:
         """With another noise."""

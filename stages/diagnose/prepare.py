@@ -9,6 +9,7 @@ import numpy as np
 
 from data.artifacts import Observation
 from data.schema import DataError
+from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import cleaned, estimated, tracks
@@ -16,8 +17,6 @@ from stages.diagnose.resolve import SEGMENTS, refined
 from stages.diagnose.search import searched
 from stages.diagnose.theory import Theory, candidates, whole
 from stages.estimate.forward import Case, case
-from stages.estimate.result import values_of
-from stages.estimate.settle import settled
 from stages.model.effect import Effect
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.model import Model
@@ -92,6 +91,8 @@ def prepared(
     noise = estimated(evidence, best.residual)
     evidence = evidence.scaled(noise if not told or noise > TOLD_WRONG else 1.0)
     evidence, _ = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
+    if move_at_first(evidence):
+        evidence = doubted_beginnings(evidence, theory.model, best.chi)
     plain = replace(evidence, segments=(model.string.points - 1,))
     named = [theory.named(fit.chi) for fit in found]
     configured = _best(plain, plain_theory(model), named)
@@ -154,14 +155,9 @@ def pressed(fit: Fit) -> dict[str, Parameter]:
 def settled_starts(evidence: Evidence, found: Sequence[Fit]) -> tuple[Evidence, list[Fit]]:
     """With the states in which trials begin moving corrected by how they go on, and the fits to that."""
     fits = list(found)
-    for _ in range(SETTLINGS if any(c.initial is not None for c in evidence.cases) else 0):
-        model = fits[0].theory.model
-        divided = model.divided(evidence.segments[-1])
-        values = values_of(model.parameters, fits[0].chi[None])[0]
-        cases = tuple(settled(replace(case, model=divided), values) for case in evidence.cases)
-        evidence = replace(evidence, cases=cases)
-        fits = fitted(evidence, [fit.theory for fit in fits], [fit.chi for fit in fits], STEPS)
-        fits = ranked(fits)
+    for _ in range(SETTLINGS if move_at_first(evidence) else 0):
+        evidence = begun(evidence, fits[0].theory.model, fits[0].chi)
+        fits = ranked(fitted(evidence, [fit.theory for fit in fits], [fit.chi for fit in fits], STEPS))
     return evidence, fits
 
 

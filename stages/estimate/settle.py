@@ -17,7 +17,7 @@ from stages.model.state import State
 from stages.spread import spread
 
 SPAN = 0.5  # [s] of the trial's beginning that is looked at
-MODES = 4
+MODES = 6
 TURN = 0.1  # [rad] by which a mode of the shape may well be off
 RATE = 3.0  # [rad/s] by which a mode of the rates may
 STEP = 1e-3  # of those, for the differences
@@ -41,6 +41,18 @@ def settled(ready: Case, values: np.ndarray) -> Case:
         mismatch, np.zeros(2 * MODES), loss="huber", f_scale=HUBER, diff_step=STEP, x_scale=1.0, max_nfev=TRIES
     )
     return replace(ready, initial=_changed(begin, found.x, ready.model.string.length))
+
+
+def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
+    """How the measured points move with each mode of the state in which the trial begins, (2 N, 2 MODES) [m]; without
+    columns where it begins at rest. values: (P,)."""
+    begin = ready.initial
+    if begin is None:
+        return np.empty((2 * len(ready.points), 0))
+    metres = replace(ready, sigma=np.ones(len(ready.points)))
+    changes = STEP * np.eye(2 * MODES)
+    moved = [replace(metres, initial=_changed(begin, change, ready.model.string.length)) for change in changes]
+    return np.stack([_residual(each, values) - _residual(metres, values) for each in moved], axis=1) / STEP
 
 
 def _residual(ready: Case, values: np.ndarray) -> np.ndarray:

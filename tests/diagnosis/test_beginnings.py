@@ -1,0 +1,91 @@
+"""Trials that begin moving: what another beginning could explain says nothing of causes, and causes remain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
+from stages.diagnose.evidence import Evidence
+from stages.estimate.forward import Case
+from stages.generate.curves import plain_cast
+from stages.model.hand import joint_motion
+from stages.model.library import named
+from stages.model.model import Model
+from stages.model.state import State
+from stages.model.string import String
+
+SIGMA = 7e-4
+LENGTH = 0.3
+TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
+    "axial_stiffness": 6e5,
+    "axial_damping": 30.0,
+    "grasp_stiffness": 2.0,
+    "grasp_damping": 5e-3,
+}
+
+
+@pytest.fixture(scope="module")
+def model(arm, camera):
+    plain = Model(String(LENGTH, points=15, tip_cell=0.5, grasp_cell=0.5), arm, camera)
+    return plain.with_effects(*named(["wind"]))
+
+
+def leaning(turn, rate):
+    """A string that leans by `turn` [rad] from straight down at its end, where it turns by `rate` [rad/s]."""
+    s = np.linspace(0, LENGTH, 41)
+    return State(0.0, s, -np.pi / 2 + turn * s / LENGTH, rate * s / LENGTH)
+
+
+@pytest.fixture(scope="module")
+def evidence(model):
+    """A release in a wind of 0.3 m/s, told to begin a little otherwise than it does."""
+    still = np.zeros((400, 3)) + plain_cast(model.arm, 0.5).start
+    motion, t = joint_motion(0.005 * np.arange(400), still), np.arange(0, 1.0, 0.005)
+    values = model.values({**TRUTH, "wind.along_x": 0.3, "wind.along_y": 0.0})[None]
+    seen = model.seen(motion, values, t, leaning(0.5, 0.0)).points[0][:, ::2]
+    noise = SIGMA * np.random.default_rng(0).standard_normal(seen.shape)
+    s = np.tile(model.string.arc_lengths()[::2], len(t))
+    frame, sigma = np.repeat(np.arange(len(t)), seen.shape[1]), np.full(len(s), SIGMA)
+    case = Case("t", model, motion, t, frame, s, (seen + noise).reshape(-1, 2), sigma, leaning(0.52, 0.4))
+    return Evidence((case,), (14,))
+
+
+def size(evidence, model, wind):
+    """Root mean square of the residual over sigma, with a wind to the right [m/s]."""
+    values = {**TRUTH, "wind.along_x": wind, "wind.along_y": 0.0}
+    chi = np.array(
+        [float(p.chi(np.asarray(values[name]))) for name, p in zip(model.names, model.parameters, strict=True)]
+    )
+    return float(np.sqrt(np.mean(evidence.residuals(model, chi[None]) ** 2)))
+
+
+def exponents(model):
+    return np.array(
+        [float(p.chi(np.asarray(TRUTH.get(n, 0.0)))) for n, p in zip(model.names, model.parameters, strict=True)]
+    )
+
+
+def test_another_beginning_explains_itself_and_no_wind(model, evidence):
+    sure = doubted_beginnings(evidence, model, exponents(model))
+    assert move_at_first(evidence)
+    assert size(evidence, model, 0.3) > 2.5  # measured: 2.9
+    assert size(sure, model, 0.3) == pytest.approx(1.0, abs=0.1)
+    assert size(sure, model, 0.0) > 2
+
+
+def test_a_beginning_is_found_anew_with_the_cause(model, evidence):
+    """Then the residual is that of noise without any allowance."""
+    values = model.values({**TRUTH, "wind.along_x": 0.3, "wind.along_y": 0.0})
+    chi = np.array([float(p.chi(np.asarray(v))) for p, v in zip(model.parameters, values, strict=True)])
+    assert size(begun(evidence, model, chi), model, 0.3) == pytest.approx(1.0, abs=0.1)
+
+
+def test_trials_that_begin_at_rest_have_nothing_to_doubt(model, evidence):
+    rest = Evidence((replace(evidence.cases[0], initial=None), evidence.cases[0]), (14,))
+    both = doubted_beginnings(rest, model, exponents(model))
+    assert both.unsure[0].shape[1] == 0
+    assert both.unsure[1].shape[1] > 0
+    assert both.only([0]).unsure[0] is both.unsure[0]
+    plain, doubted = (each.residuals(model, exponents(model)[None])[0][rest.trial == 0] for each in (rest, both))
+    np.testing.assert_array_equal(plain, doubted)
