@@ -47,7 +47,7 @@ def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
 def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
     """The same limits at 26 m/s: blur of 9 px, tips in front of the arm and along its outline.
 
-    Measured on A to D: line 100 %, tip 98.2 to 100 % of frames; tips 1 sigma of a coordinate off. Reading
+    Measured on A to D: line 100 %, tip 98.2 to 100 % of frames; tips 0.92 to 1.00 sigma of a coordinate off. Reading
     where the mask ends, as for a string at rest, leaves tips 1.5 to 2.2 sigma off.
     """
     upwards = {"duration": 0.24, "speeds": (14.6, 10.4, -16.7)}
@@ -65,7 +65,8 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
         total += len(t)
     assert near >= 0.98 * total
     assert close >= 0.98 * total
-    assert 0.5 < np.sqrt(np.mean(np.square(off)) / 2) < 1.4
+    assert 0.7 < np.median(off) / np.sqrt(2 * np.log(2)) < 1.4  # of a coordinate: distances in the plane are Rayleigh's
+    assert np.mean(np.array(off) > 4) < 0.1  # measured: 0 to 2 %, and 8 % of D, whose whipping end is told too surely
 
 
 def test_what_cannot_be_read_is_refused_with_the_reason(filmed, arm, camera):
