@@ -71,7 +71,7 @@ def diagnose(
     ground, court, causes = _heard(ground, data, seed, lambda share: progress((1 + 2 * share) / 3))
     judgement = judged(court, causes, coarse(ground))
     if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
-        judgement = replace(judgement, verdict="insufficient", causes=(), groups=())
+        judgement, causes = replace(judgement, verdict="insufficient", causes=(), groups=(), left=1.0), frozenset()
     proposal = separated(court, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))
     return _written(court, ground, causes, judgement, data, proposal)
 
