@@ -25,6 +25,8 @@ from stages.model.parameter import Parameter
 GUESS = 1e-3  # [m] of noise before anything is known
 TOLD_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
 STEP = 1e-3  # [s] of the implicit integrator: at 20 points its error is a hundredth of theirs
+LONGER = (4e-3, 2e-3)  # [s] that are tried in its place
+UNTOLD = 0.2  # noises by which longer steps may move a point
 STEPS = 20
 WIDENINGS = 6  # of a range, at most
 WIDER = 10.0
@@ -90,6 +92,7 @@ def prepared(
     theory, best = found[0].theory, found[0]
     noise = estimated(evidence, best.residual)
     evidence = evidence.scaled(noise if not told or noise > TOLD_WRONG else 1.0)
+    theory = eased(evidence, theory, best.chi)
     evidence, _ = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
     if move_at_first(evidence):
         evidence = doubted_beginnings(evidence, theory.model, best.chi)
@@ -105,8 +108,8 @@ def prepared(
 def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
     """The ground with the mass points that are configured, which stand for data that are made of such; the steps in
     time are not theirs, but exact enough."""
-    plain = ground.configured.theory
-    string = replace(plain.model.string, integrator=ground.model.string.integrator, largest_step=STEP)
+    plain, fine = ground.configured.theory, ground.model.string
+    string = replace(plain.model.string, integrator=fine.integrator, largest_step=fine.largest_step)
     model = replace(plain.model, string=string)
     evidence = replace(ground.undoubted, segments=(string.points - 1,))
     theory = whole(model, candidates(model, library, evidence))
@@ -159,6 +162,16 @@ def settled_starts(evidence: Evidence, found: Sequence[Fit]) -> tuple[Evidence, 
         evidence = begun(evidence, fits[0].theory.model, fits[0].chi)
         fits = ranked(fitted(evidence, [fit.theory for fit in fits], [fit.chi for fit in fits], STEPS))
     return evidence, fits
+
+
+def eased(evidence: Evidence, theory: Theory, chi: np.ndarray) -> Theory:
+    """The theory with the longest steps that nobody could tell from its own: slow strings ask for fewer."""
+    exact = evidence.residuals(theory.model, chi[None])
+    for step in LONGER:
+        model = replace(theory.model, string=replace(theory.model.string, largest_step=step))
+        if np.abs(evidence.residuals(model, chi[None]) - exact).max() < UNTOLD:
+            return replace(theory, model=model)
+    return theory
 
 
 def awake(ready: Case) -> Case:

@@ -12,7 +12,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
 from stages.diagnose.gain import configured, side
 from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
-from stages.diagnose.prepare import Ground, pressed, resolved
+from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, eased, pressed, resolved
 from stages.diagnose.screen import screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
 from stages.estimate.forward import Case
@@ -183,3 +183,16 @@ def test_mass_points_that_are_enough_gain_over_those_that_are_configured(arm, mo
     off = np.array([[np.mean(one.residual(k, k) ** 2) for k in (0, 1)] for one in sides])
     assert (off[0] > 1.5).all()
     assert off[1] == pytest.approx([1, 1], abs=0.15)
+
+
+def test_steps_are_as_long_as_nobody_could_tell(arm, model):
+    """The more exact a measurement, the shorter; what longer ones change is below what was asked."""
+    evidence = measured(arm, model, trials=1)
+    theory = Theory(model, (), model.names)
+    chi = theory.at(TRUTH)
+    chosen = [eased(evidence.scaled(noise), theory, chi) for noise in (10.0, 0.01)]
+    assert [each.model.string.largest_step for each in chosen] == [LONGER[0], STEP]
+    apart = evidence.scaled(10.0).residuals(chosen[0].model, chi[None]) - evidence.scaled(10.0).residuals(
+        model, chi[None]
+    )
+    assert 0 < np.abs(apart).max() < UNTOLD
