@@ -34,6 +34,7 @@ from stages.model.camera import Camera
 
 MARGIN = 12.0  # [px] around what the string can reach
 BLURRED = 2.0  # [px] by how much half the string's width may be more than in the other frames
+UNEVEN = 0.3  # of what a point is moved along the line because tension is not the same all along: may be wrong
 WIDE = 3.0  # [px] half width from which brightness alone does not show where the middle is
 
 
@@ -136,6 +137,16 @@ def _line(
     return whole, window.paste(seen.mask & (near > 0), image.shape)
 
 
+def drawn(s: np.ndarray, length: float) -> np.ndarray:
+    """Where arc lengths s (K,) at rest, the last of them the tip's, lie on a line of this length, (K,) [m].
+
+    A string that is longer than it was is drawn: by the tension of what is beyond each point, which falls to nothing at
+    the free end, evenly where the string is thrown straight. A line that is shorter was read short all along.
+    """
+    share, more = s / s[-1], max(length - s[-1], 0.0)
+    return np.asarray(share * (length - more) + more * share * (2 - share))
+
+
 def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, float]:
     """The arm's joints (K, J + 1, 2) [px] at moments of an exposure, and how far the fastest moves in it [px]."""
     if footage.body is None:
@@ -158,11 +169,11 @@ def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorte
     end = line.points[-1]
     if not (1 <= end[0] <= camera.width - 2 and 1 <= end[1] <= camera.height - 2):
         raise UnreadableError("the string leaves the picture")
-    wanted = depth[-1] * s / s[-1]
+    wanted = drawn(s, length)
     at = np.stack([np.interp(wanted, depth, world[:, i]) for i in (0, 1)], axis=-1)
     good, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
     assert good
-    sigma = np.interp(wanted, depth, line.sigma) / camera.px_per_m
+    sigma = np.hypot(np.interp(wanted, depth, line.sigma) / camera.px_per_m, UNEVEN * (wanted - length * s / s[-1]))
     return Reading(at, sigma, png.tobytes(), length)
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from stages.extract import Footage, extract, footage_of
+from stages.extract.extract import drawn
 from stages.extract.score import rasterise, score_map
 from stages.model.camera import Camera
 
@@ -131,3 +132,11 @@ def test_real_footage_agrees_with_its_table(name, length):
         away.append(np.hypot(x - real["x"], y - real["y"]))
     assert len(away) >= 0.98 * len(every)
     assert np.sqrt(np.mean(np.square(away))) < 1.5e-3
+
+
+def test_a_string_drawn_by_its_own_weight_has_its_arc_lengths_where_they_are():
+    """Hung up, a string of stiffness EA and weight w is longer by w (s L - s^2 / 2) / EA down to s."""
+    s, stretch = np.linspace(0, 0.3, 31), 0.8
+    hung = s + stretch * (0.3 * s - s**2 / 2)
+    np.testing.assert_allclose(drawn(s, hung[-1]), hung, atol=1e-12)
+    np.testing.assert_allclose(drawn(s, 0.27), 0.9 * s, atol=1e-12)
