@@ -264,7 +264,7 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
         past = Past(
             current.number,
             current.done,
-            before[-1].done["generate"] if before else None,
+            before[-1].done.get("generate") if before else None,
             estimates[-1] if estimates else None,
             tuple(i.observation for i in seen[-world.config["memory"] :]),
         )

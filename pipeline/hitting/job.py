@@ -48,7 +48,8 @@ def casts_of(config: Config, case: Config, method: Config, seed: int) -> list[di
     the model that this makes of them."""
     hits = config["hits"]
     count, noise = hits["lessons"]["casts"], hits["noise"]
-    plain = settings(config, case, {"generate": hits["lessons"]["generate"]}, seed, hits["casts"])
+    taught_so = {name: hits["lessons"][name] for name in ("generate", "target")}
+    plain = settings(config, case, taught_so, seed, hits["casts"])
     own = settings(config, case, method, seed, hits["casts"] + count)
     try:
         taught = lessons(PointDesk(world(plain, named), noise), count)

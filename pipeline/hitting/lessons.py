@@ -17,11 +17,12 @@ PERFORMED = ("generate", "execute", "extract")
 
 
 def lessons(desk: PointDesk, count: int) -> list[Iteration]:
-    """First casts, each as if nothing were known of the string."""
+    """First casts, each as if nothing were known of the string; what is cast after them is no change of theirs."""
     casts = [Iteration(number, {}) for number in range(1, count + 1)]
     for current in casts:
         for name in PERFORMED:
             current.done[name] = desk.step(name, Past(current.number, current.done, None, None, ()))
+        del current.done["generate"]
     return casts
 
 

@@ -26,10 +26,11 @@ Count = Annotated[int, Field(ge=1)]
 
 @dataclass(frozen=True)
 class Lessons:
-    """casts: how many. generate: settings of the stage that makes their motions."""
+    """casts: how many. generate: settings of the stage that makes their motions. target: what they are cast at."""
 
     casts: Annotated[int, Field(ge=0)]
     generate: dict[str, Any]
+    target: dict[str, Any]
 
 
 @dataclass(frozen=True)
