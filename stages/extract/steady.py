@@ -17,6 +17,7 @@ from stages.spread import spread
 
 SAMPLES = 120  # frames whose median stands for the film
 PYRAMID = (8, 8, 3, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
+DARKEST = 1e-3  # gain of a black frame
 MOVES = 3.0  # sigmas from which a pixel shows something that moves
 TREMBLE = 0.1  # [px] RMS shift below which a camera stands still
 FLICKER = 0.01  # RMS relative brightness below which a lamp burns steadily
@@ -57,7 +58,7 @@ class Steadied(Sequence[np.ndarray]):
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
         """One image."""
-        image = self.images[index].astype(np.float32) / np.float32(self.gain[index])
+        image = self.images[index].astype(np.float32) / np.float32(max(self.gain[index], DARKEST))
         return _moved(image, -self.shift[index]) if self.shift[index].any() else image
 
 
