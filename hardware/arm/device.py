@@ -138,7 +138,7 @@ class VelocityArm:
         try:
             play(self.wire, log, self._guard(), self.driving.priority)
         except HardwareError:
-            self.moving = False  # it was ramped to rest; on a dead link its watchdog does that, and leaving sends a stop
+            self.moving = False  # ramped to rest; on a dead link its watchdog does that, and leaving sends a stop
             raise
         self.wire.stop()
         self.moving = False
