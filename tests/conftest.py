@@ -15,6 +15,13 @@ from stages.model.arm import Arm
 from stages.model.camera import Camera
 
 ROOT = Path(__file__).resolve().parents[1]
+# An ordinary string, the paper's parameters per mass point at n = 10.
+TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
+    "axial_stiffness": 6e5,
+    "axial_damping": 30.0,
+    "grasp_stiffness": 2.0,
+    "grasp_damping": 5e-3,
+}
 
 
 def configured(kind, path):

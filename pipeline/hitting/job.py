@@ -54,7 +54,7 @@ def casts_of(config: Config, case: Config, method: Config, seed: int) -> list[di
     try:
         taught = lessons(PointDesk(world(plain, named), noise), count)
         if "diagnose" in method:
-            found = model_found({**plain, "diagnose": method["diagnose"]}, taught)
+            found = model_found(world({**plain, "diagnose": method["diagnose"]}, named), taught)
             own |= {block: _changed(own[block], value) for block, value in found.items()}
         here = world(own, named)
         desk = PointDesk(here, noise)

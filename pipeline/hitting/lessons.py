@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import yaml
@@ -11,7 +10,7 @@ from data.artifacts import Diagnosis
 from pipeline.hitting.desk import PointDesk
 from pipeline.run import Iteration
 from pipeline.steps import Past
-from pipeline.world import world
+from pipeline.world import World
 
 PERFORMED = ("generate", "execute", "extract")
 
@@ -32,10 +31,9 @@ def estimated(desk: PointDesk, casts: list[Iteration]) -> None:
     last.done["estimate"] = desk.step("estimate", _seen(casts))
 
 
-def model_found(config: Mapping[str, Any], casts: list[Iteration]) -> dict[str, Any]:
+def model_found(here: World, casts: list[Iteration]) -> dict[str, Any]:
     """Settings of the model that a diagnosis of the lessons makes: what `extended=<its folder>` brings along."""
-    desk = PointDesk(world(config, lambda block: f"conf/{block}"), noise=0.0)
-    made: Diagnosis = desk.step("diagnose", _seen(casts))
+    made: Diagnosis = PointDesk(here, noise=0.0).step("diagnose", _seen(casts))
     said: dict[str, Any] = yaml.safe_load(made.finding["extended"].iloc[0])
     return said
 

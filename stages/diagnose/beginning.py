@@ -11,24 +11,34 @@ from dataclasses import replace
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
+from stages.estimate.forward import Case
 from stages.estimate.result import values_of
 from stages.estimate.settle import settled, slopes
 from stages.model.model import Model
 
 
-def begun(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
-    """With the states that suit these exponents (P,) best, by how the trials go on."""
-    divided, values = model.divided(evidence.segments[-1]), values_of(model.parameters, chi[None])[0]
-    return replace(evidence, cases=tuple(settled(replace(case, model=divided), values) for case in evidence.cases))
-
-
-def doubted_beginnings(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
-    """With what is not known of these states, about exponents (P,)."""
-    divided, values = model.divided(evidence.segments[-1]), values_of(model.parameters, chi[None])[0]
-    unsure = tuple(slopes(replace(case, model=divided), values) for case in evidence.cases)
-    return replace(evidence, unsure=unsure)
-
-
 def move_at_first(evidence: Evidence) -> bool:
     """Whether any trial begins moving."""
     return any(case.initial is not None for case in evidence.cases)
+
+
+def begun(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
+    """With the states that suit these exponents (P,) best, by how the trials go on; as it is if all begin at rest."""
+    if not move_at_first(evidence):
+        return evidence
+    values = values_of(model.parameters, chi[None])[0]
+    return replace(evidence, cases=tuple(settled(case, values) for case in _divided(evidence, model)))
+
+
+def doubted_beginnings(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
+    """With what is not known of these states, about exponents (P,); as it is if all begin at rest."""
+    if not move_at_first(evidence):
+        return evidence
+    values = values_of(model.parameters, chi[None])[0]
+    return replace(evidence, unsure=tuple(slopes(case, values) for case in _divided(evidence, model)))
+
+
+def _divided(evidence: Evidence, model: Model) -> list[Case]:
+    """The trials with the larger number of segments."""
+    finest = model.divided(evidence.segments[-1])
+    return [replace(case, model=finest) for case in evidence.cases]

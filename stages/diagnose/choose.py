@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
+from stages.diagnose.beginning import begun, doubted_beginnings
 from stages.diagnose.chance import by_chance
 from stages.diagnose.closing import PROBES, closed_in, closer
 from stages.diagnose.compare import HeldOut, blocks, held_out, moved
@@ -97,10 +97,9 @@ class Court:
 
     def renewed(self, causes: Causes) -> Court:
         """Beginnings, mass points and doubt found anew where these causes put the string, and all fits made anew."""
-        fit, floor = self.tried[causes], self.floor
-        if move_at_first(floor):
-            floor = begun(floor, fit.theory.model, fit.chi)
-            floor = doubted_beginnings(floor, fit.theory.model, fit.chi)
+        fit = self.tried[causes]
+        floor = begun(self.floor, fit.theory.model, fit.chi)
+        floor = doubted_beginnings(floor, fit.theory.model, fit.chi)
         evidence = refined(floor, fit.theory, fit.chi)
         floor = replace(floor, segments=evidence.segments)
         court = Court(evidence, self.first, floor, self.base, self.library, self.seed)

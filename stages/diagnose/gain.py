@@ -10,7 +10,7 @@ import pandas as pd
 
 from data.artifacts import HELD_OUT, Observation
 from stages.diagnose.choose import Causes, Court
-from stages.diagnose.compare import held_out
+from stages.diagnose.compare import AGAIN, held_out
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
 from stages.diagnose.prepare import Ground
@@ -19,7 +19,6 @@ from stages.estimate.matching import Matching, targets
 from stages.estimate.result import values_of
 from stages.model.model import Model
 
-AGAIN = 3  # steps of a fit to fewer trials
 FRAMES = 20  # of a trial, from which E is counted
 
 

@@ -94,8 +94,7 @@ def prepared(
     evidence = evidence.scaled(noise if not told or noise > TOLD_WRONG else 1.0)
     theory = eased(evidence, theory, best.chi)
     evidence, _ = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
-    if move_at_first(evidence):
-        evidence = doubted_beginnings(evidence, theory.model, best.chi)
+    evidence = doubted_beginnings(evidence, theory.model, best.chi)
     plain = replace(evidence, segments=(model.string.points - 1,))
     named = [theory.named(fit.chi) for fit in found]
     configured = _best(plain, plain_theory(model), named)

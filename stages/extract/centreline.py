@@ -33,6 +33,11 @@ class UnreadableError(Exception):
     """The frame cannot be read; the message is the reason."""
 
 
+def along(points: np.ndarray) -> np.ndarray:
+    """How far each point of a line (K, 2) is from its first along it, (K,), in their unit."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
 @dataclass(frozen=True)
 class Line:
     """points: (K, 2) [px], from the grasp to the tip. sigma: (K,) of a coordinate [px]. light: (K,) in all across the
@@ -45,7 +50,7 @@ class Line:
     @property
     def depth(self) -> np.ndarray:
         """(K,) length along the line from its start [px]."""
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+        return along(self.points)
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ def _centred(light: np.ndarray, outline: np.ndarray, smooth: np.ndarray, noise: 
 
 def _evenly(line: np.ndarray) -> np.ndarray:
     """The line again, a pixel a point. line: (K, 2) [px]."""
-    depth = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    depth = along(line)
     at = np.linspace(0, depth[-1], max(round(depth[-1]) + 1, 2))
     return np.stack([np.interp(at, depth, line[:, i]) for i in (0, 1)], axis=-1)
 

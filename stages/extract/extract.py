@@ -13,7 +13,7 @@ from pydantic import Field
 
 from data.artifacts import MASKS, POINTS, READINGS, Points
 from data.schema import DataError
-from stages.extract.centreline import HALF, Line, UnreadableError, refine, trace
+from stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
 from stages.extract.doubt import check
 from stages.extract.footage import Footage
 from stages.extract.isolate import (
@@ -162,7 +162,7 @@ def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, fl
 def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorter: float, longer: float) -> Reading:
     """Points at equal arc lengths; refuses a line that is not as long as the string."""
     world = camera.world(line.points)
-    depth = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(world, axis=0), axis=1))])
+    depth = along(world)
     length = float(depth[-1])
     if not s[-1] * (1 - shorter) <= length <= s[-1] * (1 + longer):
         raise UnreadableError(f"the line is {'shorter' if length < s[-1] else 'longer'} than the string")

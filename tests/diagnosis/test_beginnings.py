@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import TRUTH
 
 from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stages.diagnose.evidence import Evidence
+from stages.diagnose.theory import Theory
 from stages.estimate.forward import Case
 from stages.generate.curves import plain_cast
 from stages.model.hand import joint_motion
@@ -17,12 +19,6 @@ from stages.model.string import String
 
 SIGMA = 7e-4
 LENGTH = 0.3
-TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
-    "axial_stiffness": 6e5,
-    "axial_damping": 30.0,
-    "grasp_stiffness": 2.0,
-    "grasp_damping": 5e-3,
-}
 
 
 @pytest.fixture(scope="module")
@@ -51,19 +47,14 @@ def evidence(model):
     return Evidence((case,), (14,))
 
 
+def exponents(model, wind=0.0):
+    """Of the truth, but for a wind to the right [m/s]."""
+    return Theory(model, (), model.names).at({**TRUTH, "wind.along_x": wind, "wind.along_y": 0.0})
+
+
 def size(evidence, model, wind):
     """Root mean square of the residual over sigma, with a wind to the right [m/s]."""
-    values = {**TRUTH, "wind.along_x": wind, "wind.along_y": 0.0}
-    chi = np.array(
-        [float(p.chi(np.asarray(values[name]))) for name, p in zip(model.names, model.parameters, strict=True)]
-    )
-    return float(np.sqrt(np.mean(evidence.residuals(model, chi[None]) ** 2)))
-
-
-def exponents(model):
-    return np.array(
-        [float(p.chi(np.asarray(TRUTH.get(n, 0.0)))) for n, p in zip(model.names, model.parameters, strict=True)]
-    )
+    return float(np.sqrt(np.mean(evidence.residuals(model, exponents(model, wind)[None]) ** 2)))
 
 
 def test_another_beginning_explains_itself_and_no_wind(model, evidence):
@@ -76,9 +67,7 @@ def test_another_beginning_explains_itself_and_no_wind(model, evidence):
 
 def test_a_beginning_is_found_anew_with_the_cause(model, evidence):
     """Then the residual is that of noise without any allowance."""
-    values = model.values({**TRUTH, "wind.along_x": 0.3, "wind.along_y": 0.0})
-    chi = np.array([float(p.chi(np.asarray(v))) for p, v in zip(model.parameters, values, strict=True)])
-    assert size(begun(evidence, model, chi), model, 0.3) == pytest.approx(1.0, abs=0.1)
+    assert size(begun(evidence, model, exponents(model, 0.3)), model, 0.3) == pytest.approx(1.0, abs=0.1)
 
 
 def test_trials_that_begin_at_rest_have_nothing_to_doubt(model, evidence):

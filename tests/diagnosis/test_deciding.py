@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import TRUTH
 
 from stages.diagnose.casts import Design, imagined, possible
 from stages.diagnose.evidence import Evidence
@@ -22,12 +23,6 @@ from stages.model.model import Model
 from stages.model.string import String
 
 SIGMA = 7e-4
-TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
-    "axial_stiffness": 6e5,
-    "axial_damping": 30.0,
-    "grasp_stiffness": 2.0,
-    "grasp_damping": 5e-3,
-}
 DESIGN = Design(motions=12, shortest=0.2, longest=0.6, alpha=150.0, before=0.1, after=0.1)
 FINER = (14, 20)
 

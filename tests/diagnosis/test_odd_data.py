@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import TRUTH
 
 from data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
 from stages.diagnose import choose
@@ -22,12 +23,6 @@ from stages.model.model import Model
 from stages.model.string import String
 
 S = np.array([0.1, 0.2, 0.3])
-TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
-    "axial_stiffness": 6e5,
-    "axial_damping": 30.0,
-    "grasp_stiffness": 2.0,
-    "grasp_damping": 5e-3,
-}
 FINE = Matching(dilations=20, step_px=1, tip_step_px=1.0, delta_w=0.25)
 
 

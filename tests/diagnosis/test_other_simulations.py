@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import TRUTH as ORDINARY
 
 from data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stages.diagnose.casts import Design
@@ -18,12 +19,7 @@ from stages.model.model import Model
 from stages.model.string import String
 
 SIGMA = 7e-4
-TRUTH = {"bending_stiffness": 6.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
-    "axial_stiffness": 5e5,
-    "axial_damping": 30.0,
-    "grasp_stiffness": 4.0,
-    "grasp_damping": 5e-3,
-}
+TRUTH = ORDINARY | {"bending_stiffness": 6.0, "axial_stiffness": 5e5, "grasp_stiffness": 4.0}
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import TRUTH
 from scipy.interpolate import CubicSpline
 
 from stages.diagnose.choose import MATTERS, Court, earns
@@ -24,12 +25,6 @@ from stages.model.model import Model
 from stages.model.string import String
 
 SIGMA = 7e-4
-TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
-    "axial_stiffness": 6e5,
-    "axial_damping": 30.0,
-    "grasp_stiffness": 2.0,
-    "grasp_damping": 5e-3,
-}
 S = np.linspace(0.03, 0.3, 10)
 
 

@@ -134,5 +134,5 @@ def test_a_diagnosis_of_the_lessons_makes_the_model_that_casts(turned, monkeypat
     monkeypatch.setattr("stages.diagnose.diagnose.diagnose", diagnose)
     taught = lessons(turned, 2)
     config = {**turned.world.config, "diagnose": {"_target_": "stages.diagnose.diagnose.diagnose"}}
-    assert model_found(config, taught) == said
+    assert model_found(world(config, lambda block: f"conf/{block}"), taught) == said
     assert asked == [["t01", "t02"]]
