@@ -13,7 +13,7 @@ from stages.model.box import Box
 from stages.model.hand import JointMotion
 from stages.model.model import Model
 
-TOGETHER = 1024  # strings simulated at once
+TOGETHER = 256  # strings simulated at once: what is handed on stays in memory that is used again
 TOUCHING = 0.02  # of the worth of a draw that touches nothing: what is left to one that hardly touches anything
 
 
@@ -49,7 +49,7 @@ def outcome(place: Place, curves: Curves, draws: Draws) -> Outcome:
     count = len(curves.duration)
     made = Outcome(*(np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool)))
     order = np.argsort(curves.duration, kind="stable")
-    for some in np.array_split(order, -(-count * len(draws) // TOGETHER)):
+    for some in np.array_split(order, min(-(-count * len(draws) // TOGETHER), count)):
         part = _together(place, curves.only(some), draws)
         made.distance[some], made.clear[some], made.hit[some] = part.distance, part.clear, part.hit
     return made
@@ -67,7 +67,8 @@ def simulated(model: Model, curves: Curves, draws: Draws) -> tuple[np.ndarray, n
     motion = JointMotion(0.0, tick, angles[:, :1] + more * (angles - angles[:, :1]), more * speeds)
     points = model.true(motion, every.values, np.arange(angles.shape[1]) * tick).points
     along = model.string.arc_lengths() / model.string.length
-    return motion.angles, points + along[:, None] * every.off[:, None, None]
+    points += along[:, None] * every.off[:, None, None]
+    return motion.angles, points
 
 
 def _together(place: Place, curves: Curves, draws: Draws) -> Outcome:
@@ -99,7 +100,7 @@ def between(tip: np.ndarray) -> np.ndarray:
 def _touching(place: Place, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """At which ticks the arm, the string or the tip's way from the tick before touch an obstacle, (C, T)."""
     touching = np.zeros(points.shape[:2], dtype=bool)
-    joints = place.model.arm.joints(angles)
+    joints = place.model.arm.joints(angles) if place.obstacles else angles
     for box in place.obstacles:
         touching |= _lies_in(box, points) | box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
         touching[:, 1:] |= box.crossed(points[:, :-1, -1], points[:, 1:, -1])
@@ -121,6 +122,6 @@ def _nearest(target: Box, way: np.ndarray) -> np.ndarray:
     """Distance of the centre from each piece of the tip's way (C, F, 2), (C, F - 1), in half widths and heights."""
     scaled = (way - [target.x, target.y]) / [target.w / 2, target.h / 2]
     begin, piece = scaled[:, :-1], np.diff(scaled, axis=1)
-    square = np.maximum(np.sum(piece**2, axis=-1), 1e-300)
-    share = np.clip(-np.sum(begin * piece, axis=-1) / square, 0, 1)
-    return np.linalg.norm(begin + share[..., None] * piece, axis=-1)
+    square = np.maximum(piece[..., 0] ** 2 + piece[..., 1] ** 2, 1e-300)
+    share = np.clip(-(begin[..., 0] * piece[..., 0] + begin[..., 1] * piece[..., 1]) / square, 0, 1)
+    return np.hypot(*np.moveaxis(begin + share[..., None] * piece, -1, 0))

@@ -52,10 +52,15 @@ class Arm:
 
         angles: (..., J) joint angles [rad]. Returns (..., J + 1, 2).
         """
-        absolute = np.cumsum(angles, axis=-1)
-        steps = np.stack([np.cos(absolute), np.sin(absolute)], axis=-1) * np.asarray(self.links)[:, None]
-        base = np.broadcast_to(np.asarray(self.base), (*steps.shape[:-2], 1, 2))
-        return np.concatenate([base, base + np.cumsum(steps, axis=-2)], axis=-2)
+        places = np.empty((*angles.shape[:-1], len(self.links) + 1, 2))
+        places[..., 0, :] = self.base
+        direction = np.zeros(angles.shape[:-1])
+        # Joint by joint: NumPy is slow along axes as short as these.
+        for joint, link in enumerate(self.links):
+            direction += angles[..., joint]
+            places[..., joint + 1, 0] = places[..., joint, 0] + link * np.cos(direction)
+            places[..., joint + 1, 1] = places[..., joint, 1] + link * np.sin(direction)
+        return places
 
     def grasp(self, angles: np.ndarray) -> np.ndarray:
         """Pose of the grasp: (..., 3) of x [m], y [m], theta [rad], theta unwrapped along the last link.
@@ -70,8 +75,11 @@ class Arm:
 
         angles, speeds: (..., J) [rad], [rad/s].
         """
-        points = self.joints(angles)
-        lever = points[..., -1:, :] - points[..., :-1, :]
-        across = np.stack([-lever[..., 1], lever[..., 0]], axis=-1)
-        hand = np.sum(across * speeds[..., None], axis=-2)
-        return np.concatenate([hand, np.sum(speeds, axis=-1, keepdims=True)], axis=-1)
+        rate = np.zeros((*angles.shape[:-1], 3))
+        direction = np.zeros(angles.shape[:-1])
+        for joint, link in enumerate(self.links):
+            direction += angles[..., joint]
+            rate[..., 2] += speeds[..., joint]
+            rate[..., 0] -= link * rate[..., 2] * np.sin(direction)
+            rate[..., 1] += link * rate[..., 2] * np.cos(direction)
+        return rate

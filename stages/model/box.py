@@ -20,15 +20,9 @@ class Box:
 
     def crossed(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Whether segments from a to b, (..., 2) each [m], touch the box; (...) bool (slab method)."""
-        centre, half = np.array([self.x, self.y]), np.array([self.w, self.h]) / 2
-        way = b - a
-        with np.errstate(divide="ignore", invalid="ignore"):
-            first, second = (centre - half - a) / way, (centre + half - a) / way
-        outside = np.abs(a - centre) > half
-        still = way == 0
-        enter = np.where(still, np.where(outside, np.inf, -np.inf), np.minimum(first, second))
-        leave = np.where(still, np.where(outside, -np.inf, np.inf), np.maximum(first, second))
-        return np.maximum(enter.max(axis=-1), 0.0) <= np.minimum(leave.min(axis=-1), 1.0)
+        x = _between(self.x, self.w / 2, a[..., 0], b[..., 0])
+        y = _between(self.y, self.h / 2, a[..., 1], b[..., 1])
+        return np.maximum(np.maximum(x[0], y[0]), 0.0) <= np.minimum(np.minimum(x[1], y[1]), 1.0)
 
     def away(self, points: np.ndarray) -> np.ndarray:
         """Distance of points (..., 2) [m] from the box's centre."""
@@ -37,3 +31,17 @@ class Box:
     def gap(self, x: float, y: float) -> float:
         """Distance of a point from the box itself, 0 inside [m]."""
         return float(np.hypot(max(abs(x - self.x) - self.w / 2, 0), max(abs(y - self.y) - self.h / 2, 0)))
+
+
+def _between(centre: float, half: float, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Shares of the ways from coordinates a to b at which they enter and leave a slab, +inf and -inf for never."""
+    way = b - a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, second = (centre - half - a) / way, (centre + half - a) / way
+    enter, leave = np.minimum(first, second), np.maximum(first, second)
+    still = way == 0
+    if still.any():
+        outside = np.abs(a - centre) > half
+        enter = np.where(still, np.where(outside, np.inf, -np.inf), enter)
+        leave = np.where(still, np.where(outside, -np.inf, np.inf), leave)
+    return enter, leave

@@ -8,6 +8,19 @@ from numba import njit, prange
 NODES = 6  # ticks that the polynomial goes through
 
 
+@njit(parallel=True, cache=True, error_model="numpy")
+def unpacked(lanes: np.ndarray, count: int) -> np.ndarray:
+    """Positions (C, K, n, 2) of the first `count` candidates from the kernel's lanes (blocks, K, 2, n, width)."""
+    width = lanes.shape[4]
+    result = np.empty((count, lanes.shape[1], lanes.shape[3], 2))
+    for c in prange(count):
+        for k in range(lanes.shape[1]):
+            for p in range(lanes.shape[3]):
+                result[c, k, p, 0] = lanes[c // width, k, 0, p, c % width]
+                result[c, k, p, 1] = lanes[c // width, k, 1, p, c % width]
+    return result
+
+
 def sampled(ticks: np.ndarray, position: np.ndarray, moved: int) -> np.ndarray:
     """Positions between ticks, by Lagrange's polynomial through the six nearest.
 

@@ -29,7 +29,7 @@ from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
 from stages.model.precision import Double, Precision
-from stages.model.sampling import sampled
+from stages.model.sampling import sampled, unpacked
 from stages.model.stability import steps_per_tick
 from stages.model.state import State
 
@@ -314,8 +314,7 @@ def _run(
     if initial is not None and string.integrator.behind:
         _set_back(string, run, buffers, cubic, hand.tick / steps, steps, out[:, :2].copy())
     run(buffers, H=cubic, steps=np.full(blocks, steps), tick=hand.tick, out=out, alive=alive)
-    ticks = out.transpose(0, 4, 1, 3, 2).reshape(blocks * width, out.shape[1], string.points, 2)
-    return ticks[:count], alive.reshape(-1)[:count]
+    return unpacked(out, count), alive.reshape(-1)[:count]
 
 
 def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

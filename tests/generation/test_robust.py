@@ -12,7 +12,7 @@ from data.artifacts import Estimate
 from data.schema import DataError
 from stages.generate import Box, MotionNotFoundError, generate, race
 from stages.generate import robust as chosen
-from stages.generate.chance import Place, between, outcome, simulated
+from stages.generate.chance import TOGETHER, Place, between, outcome, simulated
 from stages.generate.curves import Curves, joined, plain_cast
 from stages.generate.draws import Doubt, Draws, drawn
 from stages.generate.generate import arm_faults, curves_of
@@ -81,6 +81,15 @@ def test_the_chance_foretold_is_the_share_that_is_found(model, blind):
     assert abs(found / 400 - foretold["chance"]) < 3.3 * spread
     low, high = binomtest(round(foretold["chance"] * 200), 200).proportion_ci(method="wilson")
     assert (foretold["chance_low"], foretold["chance_high"]) == pytest.approx((low, high))
+
+
+def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
+    """As many as anybody wants to state a chance from; and what becomes of the first is as without the others."""
+    many = drawn(model, None, NONE, TOGETHER + 3, np.random.default_rng(8))
+    place, curves = Place(model, TARGET, ()), curves_of(blind)
+    every, few = outcome(place, curves, many), outcome(place, curves, many.only(slice(3)))
+    assert every.hit.shape == (1, TOGETHER + 3)
+    np.testing.assert_array_equal(every.distance[:, :3], few.distance)
 
 
 def test_two_strings_count_for_more_than_the_better_known_one(model):
