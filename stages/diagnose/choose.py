@@ -17,7 +17,7 @@ from stages.diagnose.intervals import present
 from stages.diagnose.noise import CLEAR, mismatch, visible
 from stages.diagnose.resolve import refined
 from stages.diagnose.screen import Probe, screened, spread
-from stages.diagnose.theory import candidates, joined
+from stages.diagnose.theory import Theory, candidates, joined
 from stages.model.effect import Effect, placed
 from stages.model.model import Model
 
@@ -31,6 +31,7 @@ STARTS = 2  # probes of each from which it is fitted
 PROMISING = 5.0  # of a predicted gain of the log-likelihood
 UNDERRATED = 3.0  # times what first order says of an effect that depends on place, it may gain
 STEPS = 14
+LEVEL = 0.01  # of a cost, by which another fit of the same causes must be better to count
 SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, though nothing need be there
 MATTERS = 2.5  # standard deviations by which a cause must move something somewhere
 PENALTY = 5.0  # of the log-likelihood for each parameter that no other trial confirms
@@ -68,11 +69,24 @@ class Court:
     def fit(self, causes: Causes, near: Causes) -> Fit:
         """The fit of these causes, made from that of others near them if it was never asked for."""
         if causes not in self.tried:
-            other = self.tried[near]
             theory = joined(self.tried[frozenset()].theory, *(self.library[name] for name in sorted(causes)))
-            known = {name: chi for name, chi in other.theory.named(other.chi).items() if name in theory.own}
-            self.hear(fitted(self.evidence, [theory], [theory.carried(known)], STEPS)[0])
+            self.hear(self._from(theory, near))
         return self.tried[causes]
+
+    def levelled(self, fewer: Causes, more: Causes) -> None:
+        """Fit fewer causes from where more put the string, too: what a fit missed that stopped short is no cause."""
+        made, before = self._from(self.tried[fewer].theory, more), self.tried[fewer].cost
+        if made.cost < (1 - LEVEL) * before:
+            self.hear(made)
+            self.lucky.pop(fewer, None)
+            for key in [fewer] if fewer else list(self.predictions):  # all are told beside those of no cause
+                self.predictions.pop(key, None)
+
+    def _from(self, theory: Theory, near: Causes) -> Fit:
+        """A theory fitted from where other causes put the string."""
+        other = self.tried[near]
+        known = {name: chi for name, chi in other.theory.named(other.chi).items() if name in theory.own}
+        return fitted(self.evidence, [theory], [theory.carried(known)], STEPS)[0]
 
     def held(self, causes: Causes) -> HeldOut:
         """What these causes say of trials that they were not fitted to."""
@@ -82,9 +96,12 @@ class Court:
         return self.predictions[causes]
 
     def by_chance(self, causes: Causes) -> float:
-        """What the best of the library would gain on the noise that these causes leave; 0 before it was asked."""
+        """What the best of the library would gain on the noise that these causes leave; 0 before it was asked.
+
+        Of all probes, those first made: without any cause, but where leads came before them.
+        """
         if causes not in self.lucky:
-            asked = self.probes.get(frozenset(), {})
+            asked = next(iter(self.probes.values()), {})
             self.lucky[causes] = by_chance(self.evidence, self.tried[causes], asked, self.seed) if asked else 0.0
         return self.lucky[causes]
 
@@ -211,6 +228,7 @@ def earns(court: Court, without: Causes, causes: Causes) -> bool:
 
     Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise.
     """
+    court.levelled(without, causes)
     plain, fit = court.tried[without], court.tried[causes]
     acts = moved(court.evidence, plain, fit)
     new = [court.library[name] for name in causes - without]

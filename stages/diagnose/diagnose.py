@@ -23,6 +23,7 @@ from stages.diagnose.differing import differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import configured, extended_settings, held_out_table, side
+from stages.diagnose.leads import astray, beginnings, follow
 from stages.diagnose.missing import missing, unexplained
 from stages.diagnose.prepare import Ground, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
@@ -66,9 +67,9 @@ def diagnose(
     if not good:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
         raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
-    data = _Data(model, good, rejected, held_out, matching, library())
-    ground = prepared(model, good, data.library, np.random.default_rng(seed), starts, lambda s: progress(s / 3))
-    ground, court, causes = _heard(ground, data, seed, lambda share: progress((1 + 2 * share) / 3))
+    data = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
+    ground = data.ground(good, lambda share: progress(share / 3))
+    ground, court, causes = _heard(ground, data, lambda share: progress((1 + 2 * share) / 3))
     judgement = judged(court, causes, coarse(ground))
     if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
         judgement, causes = replace(judgement, verdict="insufficient", causes=(), groups=(), left=1.0), frozenset()
@@ -76,7 +77,7 @@ def diagnose(
     return _written(court, ground, causes, judgement, data, proposal)
 
 
-def _heard(ground: Ground, data: _Data, seed: int, progress: Progress) -> tuple[Ground, Court, Causes]:
+def _heard(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, Court, Causes]:
     """The causes chosen, and what they were chosen from.
 
     Where the model as it is configured is nearer to the data than one whose mass points do not matter, they may come
@@ -84,13 +85,27 @@ def _heard(ground: Ground, data: _Data, seed: int, progress: Progress) -> tuple[
     leaves less stands.
     """
     nearer = ground.configured.mean_square < ground.beside_noise
-    grounds = [literal(ground, data.library), ground] if nearer else [ground]
+    kinds = [data.literal, _as_it_is] if nearer else [_as_it_is]
     heard: list[tuple[Ground, Court, Causes]] = []
-    for number, each in enumerate(grounds):
-        heard.append((each, *chosen(_court(each, data, seed), partial(_share_of, progress, number, len(grounds)))))
+    for number, kind in enumerate(kinds):
+        each = kind(ground)
+        court = _court(each, data)
+        if astray(each):
+            follow(court, partial(_early, data, kind))
+        heard.append((each, *chosen(court, partial(_share_of, progress, number, len(kinds)))))
         if heard[-1][1].mismatch(heard[-1][2]) < 0:
             break
     return min(heard, key=lambda one: _left(one[1], one[2]))
+
+
+def _early(data: _Data, kind: Callable[[Ground], Ground], seconds: float) -> tuple[Ground, Court]:
+    """Ground and court of the beginnings of all trials."""
+    ground = kind(data.ground(beginnings(data.observations, seconds)))
+    return ground, _court(ground, data)
+
+
+def _as_it_is(ground: Ground) -> Ground:
+    return ground
 
 
 def _share_of(progress: Progress, number: int, count: int, share: float) -> None:
@@ -98,10 +113,10 @@ def _share_of(progress: Progress, number: int, count: int, share: float) -> None
     progress((number + share) / count)
 
 
-def _court(ground: Ground, data: _Data, seed: int) -> Court:
+def _court(ground: Ground, data: _Data) -> Court:
     """With the base model heard."""
     evidence, floor = ground.evidence.only(data.kept), ground.undoubted.only(data.kept)
-    court = Court(evidence, evidence, floor, ground.model, data.library, seed)
+    court = Court(evidence, evidence, floor, ground.model, data.library, data.seed)
     court.hear(again(evidence, ground.base) if data.rest else ground.base)
     return court
 
@@ -121,6 +136,17 @@ class _Data:
     held_out: Sequence[str]
     matching: Matching
     library: Mapping[str, type[Effect]]
+    seed: int
+    starts: int
+
+    def ground(self, observations: Sequence[Observation], progress: Progress = lambda share: None) -> Ground:
+        """What a diagnosis of these starts from."""
+        rng = np.random.default_rng(self.seed)
+        return prepared(self.model, observations, self.library, rng, self.starts, progress)
+
+    def literal(self, ground: Ground) -> Ground:
+        """The ground with the mass points that are configured."""
+        return literal(ground, self.library)
 
     @cached_property
     def rest(self) -> list[int]:

@@ -53,7 +53,9 @@ class Evidence:
     def until(self, seconds: float) -> Evidence:
         """The beginning of every trial."""
         shares = [min(seconds / max(case.times[-1] - case.times[0], 1e-9), 1.0) for case in self.cases]
-        return replace(self, cases=tuple(c.until(share) for c, share in zip(self.cases, shares, strict=True)))
+        cases = tuple(case.until(share) for case, share in zip(self.cases, shares, strict=True))
+        unsure = tuple(moves[: 2 * len(case.points)] for moves, case in zip(self.unsure, cases, strict=False))
+        return replace(self, cases=cases, unsure=unsure)
 
     @property
     def rough(self) -> Evidence:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence
+from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.theory import Theory
 from stages.model.effect import Effect
 from stages.model.model import Model
@@ -119,7 +119,8 @@ def _linearised(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
         own = seen[first : first + len(rows)]
         first += len(rows)
         run.residual = own[0]
-        run.slopes = ((own[1:] - own[0]) / (STEP * sign[:, None])).T
+        change = np.where(own[1:] == LOST, 0.0, own[1:] - own[0])  # a run that was rejected tells no slope
+        run.slopes = (change / (STEP * sign[:, None])).T
         run.cost = cost_of(run.theory, own[0], run.chi)
 
 

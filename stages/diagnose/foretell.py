@@ -54,12 +54,13 @@ class Outlook:
 
 def _bounded_step(normal: np.ndarray, gradient: np.ndarray, chi: np.ndarray) -> np.ndarray:
     """Newton's steps (p, draws) from chi (p, 1). What would leave its range stops at its end, and the others are found
-    anew. normal: (p, p). gradient: (p, draws)."""
-    free = -np.linalg.solve(normal, gradient)
+    anew. normal: (p, p), which may be singular: a base model that is far off can be steep beyond all else one way.
+    gradient: (p, draws)."""
+    free = -np.linalg.lstsq(normal, gradient)[0]
     stopped = np.clip(chi + free, 0, 1) - chi
     held = ((chi + free < 0) | (chi + free > 1)).T
     system = np.where(held[:, :, None], np.eye(len(normal)), normal)
-    step = np.linalg.solve(system, np.where(held, stopped.T, -gradient.T)[:, :, None])[:, :, 0].T
+    step = (np.linalg.pinv(system) @ np.where(held, stopped.T, -gradient.T)[:, :, None])[:, :, 0].T
     return np.clip(chi + step, 0, 1) - chi
 
 

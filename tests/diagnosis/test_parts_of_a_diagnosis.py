@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from stages.diagnose.choose import MATTERS, Court, earns
 from stages.diagnose.compare import held_out, moved
-from stages.diagnose.evidence import Evidence
+from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import fitted
 from stages.diagnose.gain import configured, side
 from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
@@ -85,6 +85,38 @@ def test_a_fit_goes_along_the_valley_where_one_drag_takes_the_place_of_the_other
     start = theory.at({**TRUTH, "linear_drag": 0.9, "quadratic_drag": 1e-3})
     there, here = (fitted(evidence, [theory], [chi], 12)[0] for chi in (theory.at(TRUTH), start))
     assert here.mean_square == pytest.approx(there.mean_square, abs=1e-3)
+
+
+def test_a_fit_that_stopped_short_is_levelled_with_one_of_more_causes(arm, model):
+    """Else what it missed would count as explained by a cause: measured, 20 against 1."""
+    evidence = measured(arm, model)
+    theory = whole(model, candidates(model, library(), evidence))
+    short = fitted(evidence, [theory], [theory.at({**TRUTH, "bending_stiffness": 12.0})], 0)[0]
+    more = joined(theory, library()["tip_mass"])
+    court = Court(evidence, evidence, evidence, model, library(), 0)
+    court.hear(short)
+    court.hear(fitted(evidence, [more], [more.at(TRUTH)], 15)[0])
+    assert court.held(frozenset()).costs.sum() > 0
+    assert not earns(court, frozenset(), frozenset({"tip_mass"}))
+    assert short.mean_square > 5
+    assert court.tried[frozenset()].mean_square == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_run_that_is_rejected_tells_no_slope(arm, model):
+    """A step of a parameter may lead where nothing can be simulated; seen as a slope that would outweigh all else."""
+    evidence = measured(arm, model, trials=1)
+    theory = Theory(model, (), model.names)
+    start, lost = theory.at(TRUTH), model.names.index("axial_damping")
+
+    class Fragile:
+        def residuals(self, model, chi):
+            seen = evidence.residuals(model, chi)
+            seen[chi[:, lost] != start[lost], ::7] = LOST
+            return seen
+
+    fit = fitted(Fragile(), [theory], [start], 0)[0]
+    assert (fit.slopes[::7, lost] == 0).all()
+    assert np.linalg.cond(fit.normal) < 1e12
 
 
 def test_noise_is_told_from_what_a_model_lacks(arm, model):

@@ -1,0 +1,69 @@
+"""Leads: causes found in the beginnings of trials whose ends are too far off to say anything of why.
+
+A hard-swung string forgets where it came from. Joints that are a little late put its tip elsewhere half a second
+later, and from there on neither a fit nor what an effect does to first order says anything of them; in the beginning
+both do. What is found there is followed as the horizon widens, as the base model is in `search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from data.artifacts import Observation
+from data.schema import DataError
+from stages.diagnose.choose import Court, chosen
+from stages.diagnose.fit import Fit, fitted, ranked
+from stages.diagnose.prepare import Ground
+from stages.diagnose.search import horizons
+from stages.diagnose.theory import joined
+
+ASTRAY = 0.1  # of the string's length: a base model that is further off is not near enough to be mended
+FOLLOWED = 6  # sets of causes that go on
+STEPS = 5  # of each at every horizon
+LAST = 14  # and of each to all there is
+
+
+def astray(ground: Ground) -> bool:
+    """Whether the base model is so far off that the whole of the trials says nothing of why."""
+    off = ground.base.residual * ground.evidence.sigma
+    return float(np.sqrt(2 * np.mean(off**2))) > ASTRAY * ground.model.string.length
+
+
+def beginnings(observations: Sequence[Observation], seconds: float) -> list[Observation]:
+    """The first of every trial."""
+    return [replace(o, points=o.points[o.points["t"] <= o.points["t"].min() + seconds]) for o in observations]
+
+
+def follow(court: Court, early: Callable[[float], tuple[Ground, Court]]) -> None:
+    """Let a court know what the longest beginnings say that the base model can follow.
+
+    early: ground and court of the beginnings of all trials, of so many seconds. Where the base model follows none, or
+    some trial has no beginning, nothing is heard.
+    """
+    seconds = horizons(court.evidence)
+    for number, horizon in reversed(list(enumerate(seconds))):
+        try:
+            ground, own = early(horizon)
+        except DataError:
+            return
+        if not astray(ground):
+            own, causes = chosen(own, lambda share: None)
+            if causes:
+                _carried_on(court, [fit for some, fit in own.tried.items() if some], seconds[number + 1 :])
+            return
+
+
+def _carried_on(court: Court, fits: Sequence[Fit], seconds: Sequence[float]) -> None:
+    """Fits of beginnings go on to longer ones, and then to all that the court has for evidence, and are heard."""
+    base = court.tried[frozenset()].theory
+    best = ranked(fits)[:FOLLOWED]
+    theories = [joined(base, *fit.theory.causes) for fit in best]
+    chi = [theory.at(fit.values) for theory, fit in zip(theories, best, strict=True)]
+    for horizon in seconds:
+        chi = [fit.chi for fit in fitted(court.evidence.rough.until(horizon), theories, chi, STEPS)]
+    for fit in fitted(court.evidence, theories, chi, LAST):
+        court.hear(fit)
+    court.contexts[frozenset()] = {n: fit for key, fit in court.tried.items() if len(key) == 1 for n in key}

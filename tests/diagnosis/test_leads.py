@@ -1,0 +1,100 @@
+"""Hard-swung strings, whose trials' ends say nothing of why the simulation is off: causes come from the beginnings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import TRUTH
+
+from data.artifacts import JOINTS, MASKS, READINGS, Observation
+from data.schema import DataError
+from stages.diagnose.casts import Design
+from stages.diagnose.diagnose import diagnose
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.leads import beginnings, follow
+from stages.estimate.forward import case
+from stages.estimate.matching import Matching
+from stages.generate.curves import first_curves
+from stages.generate.generate import arm_faults
+from stages.model.camera import Camera
+from stages.model.effects.arm_lag import ArmLag
+from stages.model.hand import joint_motion
+from stages.model.model import Model
+from stages.model.string import String
+
+SIGMA = 7e-4
+LAG = 0.015
+STIFF = TRUTH | {"bending_stiffness": 20.0, "grasp_stiffness": 5.0}
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0))
+
+
+@pytest.fixture(scope="module")
+def observations(arm, model):
+    """Three of the paper's casts, random and with all the acceleration that it allows; the joints are late."""
+    rng = np.random.default_rng(6)
+    drawn = first_curves(arm, rng, 256, (0.5, 0.8), 150.0)
+    fine = np.flatnonzero(arm_faults(arm, (), *drawn.sampled(arm.tick, 0.8)) == "")[:3]
+    real = replace(model, string=replace(model.string, points=30, tip_cell=0.5, grasp_cell=0.5)).with_effects(ArmLag)
+    return [_seen(arm, real, drawn.only(fine[k : k + 1]), f"t{k}", rng) for k in range(len(fine))]
+
+
+def _seen(arm, real, curves, name, rng):
+    angles = curves.sampled(arm.tick, float(curves.duration[0]))[0][0]
+    angles = np.concatenate([np.repeat(angles[:1], 10, axis=0), angles])
+    t = arm.tick * np.arange(len(angles))
+    values = real.values(STIFF | {"arm_lag.time_constant": LAG})[None]
+    places = np.arange(3, real.string.points, 3)
+    seen = real.seen(joint_motion(t, angles), values, t).points[0][:, places]
+    x, y = (seen + SIGMA * rng.standard_normal(seen.shape)).reshape(-1, 2).T
+    s = np.tile(real.string.arc_lengths()[places], len(t))
+    points = pd.DataFrame({"t": np.repeat(t, len(places)), "s": s, "x": x, "y": y, "sigma": SIGMA})
+    log = pd.DataFrame({"t": t} | dict(zip(JOINTS, angles.T, strict=True)))
+    return Observation(name, points, READINGS.empty(), MASKS.empty(), log)
+
+
+def test_a_lag_is_found_though_the_base_model_is_nowhere_near(model, observations):
+    design = Design(motions=1, shortest=0.4, longest=0.8, alpha=150.0, before=0.05, after=0.1)
+    matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
+    said = diagnose(model, observations, {}, (), (), seed=0, starts=6, matching=matching, design=design)
+    assert said.causes["effect"].iloc[0] == "arm_lag", said.finding["sentence"].iloc[0]
+    assert set(said.causes["effect"]) <= {"arm_lag", "time_offset"}  # which look alike
+    assert said.causes["value"].iloc[0] == pytest.approx(LAG, abs=5e-4)
+    assert said.held_out["rms_base"].mean() > 0.03  # a tenth of the string
+    assert said.held_out["rms_extended"].mean() < 0.005
+
+
+def test_beginnings_are_of_every_trial_whenever_it_began(observations):
+    late = [replace(o, points=o.points.assign(t=o.points["t"] + k)) for k, o in enumerate(observations)]
+    for short in beginnings(late, 0.2):
+        assert np.ptp(short.points["t"]) == pytest.approx(0.2, abs=0.0051)
+
+
+def test_what_could_be_explained_by_another_beginning_is_cut_with_the_points(model, observations):
+    cases = tuple(case(model, o) for o in observations)
+    unsure = tuple(np.arange(2.0 * len(c.points))[:, None] for c in cases)
+    for made, moves in zip(*_parts(Evidence(cases, (10,), unsure).until(0.2)), strict=True):
+        np.testing.assert_array_equal(moves[:, 0], np.arange(2.0 * len(made.points)))
+
+
+def _parts(evidence):
+    return evidence.cases, evidence.unsure
+
+
+def test_a_trial_without_a_beginning_leaves_the_court_as_it_was(model, observations):
+    """Points that come too late or too seldom for a beginning are no reason to refuse the diagnosis."""
+    asked = []
+
+    def early(seconds):
+        asked.append(seconds)
+        raise DataError("no valid point of the string")
+
+    class Court:
+        evidence = Evidence(tuple(case(model, o) for o in observations), (10,))
+
+    assert follow(Court(), early) is None
+    assert len(asked) == 1
