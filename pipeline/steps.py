@@ -10,6 +10,7 @@ from typing import Any
 from data.alignment import Alignment
 from data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Points, Trial
 from pipeline.world import World
+from stages.estimate.untouched import untouched
 from stages.extract import aligned_footage
 
 Progress = Callable[[float], object]
@@ -79,7 +80,7 @@ def _extract(world: World, past: Past, seed: int, progress: Progress) -> Points:
 
 def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estimate:
     return world.stages["estimate"](
-        *(world.model, past.observations, past.estimate),
+        *(world.model, [untouched(o, world.obstacles) for o in past.observations], past.estimate),
         **{"seed": seed, "manipulation": past.number, "progress": progress},
     )
 
@@ -89,7 +90,8 @@ def _align(world: World, past: Past, seed: int, progress: Progress) -> Alignment
 
 
 def _diagnose(world: World, past: Past, seed: int, progress: Progress) -> Diagnosis:
-    given = (world.model, past.observations, past.rejected, past.held_out, world.obstacles)
+    seen = [untouched(o, world.obstacles) for o in past.observations]
+    given = (world.model, seen, past.rejected, past.held_out, world.obstacles)
     return world.stages["diagnose"](*given, seed=seed, progress=progress)
 
 
@@ -107,7 +109,9 @@ STEPS: dict[str, Step] = {
     "excite": Step(Motion, _excite, (*MODEL, "obstacles", "excite", "seed")),
     "execute": Step(Trial, _execute, ("arm", "camera", "hardware", "execute", "seed"), this=("generate",)),
     "extract": Step(Points, _extract, ("arm", "camera", "effects", "known", "extract"), this=("execute",)),
-    "estimate": Step(Estimate, _estimate, (*MODEL, "estimate", "memory", "seed"), last=("estimate",), observes=True),
+    "estimate": Step(
+        Estimate, _estimate, (*MODEL, "obstacles", "estimate", "memory", "seed"), last=("estimate",), observes=True
+    ),
     "align": Step(Alignment, _align, (*MODEL, "align"), this=("execute",)),
     "diagnose": Step(Diagnosis, _diagnose, (*MODEL, "obstacles", "diagnose", "seed"), observes=True),
     "propose": Step(Motion, _propose, (), last=("diagnose",)),
