@@ -99,6 +99,19 @@ def test_effects_of_three_worlds_are_recovered_together(arm, camera):
     assert without["rms_after"] > 3 * fit["rms_after"]
 
 
+def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, camera):
+    """A dry friction anywhere in its range would ask for a hundred times as many steps as one where it is known."""
+    heavy = Model(STRING, arm, camera).with_effects(*named(["tip_mass"]))
+    known = replace(heavy, known={"tip_mass.ratio": 0.17})
+    settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
+    seen = observed(heavy, {"tip_mass.ratio": 0.2})
+    found = least_squares.estimate(known, [seen], None, seed=0, manipulation=1, **settings)
+    screened = found.candidates.iloc[: settings["screening"]]
+    assert screened["tip_mass.ratio"].to_numpy() == pytest.approx(0.17)
+    assert screened["bending_stiffness"].nunique() == settings["screening"]
+    assert found.values()["tip_mass.ratio"] == pytest.approx(0.2, rel=0.03)
+
+
 def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(tmp_path, monkeypatch, arm, camera):
     (tmp_path / "magnet.py").write_text(MAGNET)
     monkeypatch.setenv(VARIABLE, str(tmp_path))
