@@ -27,7 +27,10 @@ def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
             _hits(place, tables["rates"][tables["rates"]["case"] == case], case)
         learned, foretold, *empty = places[len(cases) :]
         _learned(learned, tables["learned"][tables["learned"]["case"] == ALL])
-        _calibration(foretold, tables["calibration"], list(tables["rates"]["method"].unique()))
+        if len(tables["calibration"]):
+            _calibration(foretold, tables["calibration"], list(tables["rates"]["method"].unique()))
+        else:
+            empty.append(foretold)  # no method foretells a chance
         for place in empty:
             place.set_axis_off()
         places[0].legend(loc="lower right")

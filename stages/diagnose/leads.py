@@ -61,7 +61,8 @@ def _carried_on(court: Court, fits: Sequence[Fit], seconds: Sequence[float]) -> 
     base = court.tried[frozenset()].theory
     best = ranked(fits)[:FOLLOWED]
     theories = [joined(base, *fit.theory.causes) for fit in best]
-    chi = [theory.at(fit.values) for theory, fit in zip(theories, best, strict=True)]
+    # Ranges that were widened for the beginnings need not be those of the whole.
+    chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, best, strict=True)]
     for horizon in seconds:
         chi = [fit.chi for fit in fitted(court.evidence.rough.until(horizon), theories, chi, STEPS)]
     for fit in fitted(court.evidence, theories, chi, LAST):
