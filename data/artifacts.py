@@ -273,6 +273,11 @@ class Observation:
     grasp: pd.DataFrame | None = None
     moving: bool = False
 
+    @property
+    def read(self) -> pd.DataFrame:
+        """The points that were read; all where it is not said which were."""
+        return self.points[self.points["valid"].astype(bool)] if "valid" in self.points else self.points
+
 
 # --- estimate ---------------------------------------------------------------------------
 PARAMETERS = Table(

@@ -80,9 +80,14 @@ def _extract(world: World, past: Past, seed: int, progress: Progress) -> Points:
 
 def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estimate:
     return world.stages["estimate"](
-        *(world.model, [untouched(o, world.obstacles) for o in past.observations], past.estimate),
+        *(world.model, _explicable(world, past), past.estimate),
         **{"seed": seed, "manipulation": past.number, "progress": progress},
     )
+
+
+def _explicable(world: World, past: Past) -> list[Observation]:
+    """What was seen of each trial until its string touched an obstacle."""
+    return [untouched(observation, world.obstacles) for observation in past.observations]
 
 
 def _align(world: World, past: Past, seed: int, progress: Progress) -> Alignment:
@@ -90,8 +95,7 @@ def _align(world: World, past: Past, seed: int, progress: Progress) -> Alignment
 
 
 def _diagnose(world: World, past: Past, seed: int, progress: Progress) -> Diagnosis:
-    seen = [untouched(o, world.obstacles) for o in past.observations]
-    given = (world.model, seen, past.rejected, past.held_out, world.obstacles)
+    given = (world.model, _explicable(world, past), past.rejected, past.held_out, world.obstacles)
     return world.stages["diagnose"](*given, seed=seed, progress=progress)
 
 

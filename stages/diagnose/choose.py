@@ -184,8 +184,8 @@ def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Ca
         more = _added(court, best)
         if not earns(court, best, more):
             more = _added(court, more)  # of two that are needed, one alone may predict nothing
-        if not earns(court, best, more):
-            break
+            if not earns(court, best, more):
+                break
         best = _needed(court, _settled(court, more))
         court = court.renewed(best)
         for name in sorted(best):

@@ -54,7 +54,8 @@ class Evidence:
         """The beginning of every trial."""
         shares = [min(seconds / max(case.times[-1] - case.times[0], 1e-9), 1.0) for case in self.cases]
         cases = tuple(case.until(share) for case, share in zip(self.cases, shares, strict=True))
-        unsure = tuple(moves[: 2 * len(case.points)] for moves, case in zip(self.unsure, cases, strict=False))
+        lengths = [2 * len(case.points) for case in cases]
+        unsure = tuple(m[:n] for m, n in zip(self.unsure, lengths, strict=True)) if self.unsure else ()
         return replace(self, cases=cases, unsure=unsure)
 
     @property

@@ -14,16 +14,14 @@ import numpy as np
 
 from data.artifacts import Observation
 from data.schema import DataError
-from stages.diagnose.choose import Court, chosen
+from stages.diagnose.choose import SHORTLIST, STEPS, Court, chosen
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.prepare import Ground
 from stages.diagnose.search import horizons
 from stages.diagnose.theory import joined
 
 ASTRAY = 0.1  # of the string's length: a base model that is further off is not near enough to be mended
-FOLLOWED = 6  # sets of causes that go on
-STEPS = 5  # of each at every horizon
-LAST = 14  # and of each to all there is
+EACH = 5  # steps of a fit at every horizon
 
 
 def astray(ground: Ground) -> bool:
@@ -59,12 +57,12 @@ def follow(court: Court, early: Callable[[float], tuple[Ground, Court]]) -> None
 def _carried_on(court: Court, fits: Sequence[Fit], seconds: Sequence[float]) -> None:
     """Fits of beginnings go on to longer ones, and then to all that the court has for evidence, and are heard."""
     base = court.tried[frozenset()].theory
-    best = ranked(fits)[:FOLLOWED]
+    best = ranked(fits)[:SHORTLIST]
     theories = [joined(base, *fit.theory.causes) for fit in best]
     # Ranges that were widened for the beginnings need not be those of the whole.
     chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, best, strict=True)]
     for horizon in seconds:
-        chi = [fit.chi for fit in fitted(court.evidence.rough.until(horizon), theories, chi, STEPS)]
-    for fit in fitted(court.evidence, theories, chi, LAST):
+        chi = [fit.chi for fit in fitted(court.evidence.rough.until(horizon), theories, chi, EACH)]
+    for fit in fitted(court.evidence, theories, chi, STEPS):
         court.hear(fit)
     court.contexts[frozenset()] = {n: fit for key, fit in court.tried.items() if len(key) == 1 for n in key}

@@ -74,9 +74,7 @@ class Case:
 
 def case(model: Model, observation: Observation) -> Case:
     """Make one observation ready; raises DataError where it cannot be used."""
-    points = observation.points
-    if "valid" in points:
-        points = points[points["valid"].astype(bool)]
+    points = observation.read
     points = points[np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)].sort_values(["t", "s"], kind="stable")
     if points.empty:
         raise DataError(f"trial {observation.trial}: no valid point of the string. Look at its readings' reasons.")

@@ -17,13 +17,11 @@ FEWEST = 3  # frames that are worth keeping
 def untouched(observation: Observation, obstacles: Sequence[Box]) -> Observation:
     """The trial until its string first comes near an obstacle, seen along the string and on each point's way.
 
-    One that is near from its first frames on stays whole.
+    One that is near from its first frames on stays whole, as does one of which no point was read.
     """
-    if not obstacles:
+    points = observation.read
+    if not obstacles or points.empty:
         return observation
-    points = observation.points
-    if "valid" in points:
-        points = points[points["valid"].astype(bool)]
     wide = points.pivot_table(index="t", columns="s", values=["x", "y"])
     line = np.stack([wide["x"].to_numpy(), wide["y"].to_numpy()], axis=-1)
     late = np.flatnonzero(_near(line, obstacles))

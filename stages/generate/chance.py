@@ -100,7 +100,9 @@ def between(tip: np.ndarray) -> np.ndarray:
 def _touching(place: Place, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """At which ticks the arm, the string or the tip's way from the tick before touch an obstacle, (C, T)."""
     touching = np.zeros(points.shape[:2], dtype=bool)
-    joints = place.model.arm.joints(angles) if place.obstacles else angles
+    if not place.obstacles:
+        return touching
+    joints = place.model.arm.joints(angles)
     for box in place.obstacles:
         touching |= _lies_in(box, points) | box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
         touching[:, 1:] |= box.crossed(points[:, :-1, -1], points[:, 1:, -1])

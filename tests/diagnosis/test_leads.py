@@ -77,12 +77,9 @@ def test_beginnings_are_of_every_trial_whenever_it_began(observations):
 def test_what_could_be_explained_by_another_beginning_is_cut_with_the_points(model, observations):
     cases = tuple(case(model, o) for o in observations)
     unsure = tuple(np.arange(2.0 * len(c.points))[:, None] for c in cases)
-    for made, moves in zip(*_parts(Evidence(cases, (10,), unsure).until(0.2)), strict=True):
+    short = Evidence(cases, (10,), unsure).until(0.2)
+    for made, moves in zip(short.cases, short.unsure, strict=True):
         np.testing.assert_array_equal(moves[:, 0], np.arange(2.0 * len(made.points)))
-
-
-def _parts(evidence):
-    return evidence.cases, evidence.unsure
 
 
 def test_a_trial_without_a_beginning_leaves_the_court_as_it_was(model, observations):

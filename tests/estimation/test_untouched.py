@@ -47,3 +47,9 @@ def test_without_obstacles_or_clear_of_them_or_touching_from_the_first_all_stays
     assert untouched(seen, []) is seen
     assert untouched(seen, [WALL]) is seen
     assert untouched(seen, [Box(0.0, 0.0, 0.02, 1.0)]) is seen
+
+
+def test_a_trial_of_which_nothing_was_read_is_left_to_those_who_say_so():
+    seen = going_right(0.03)
+    seen.points["valid"] = False
+    assert untouched(seen, [WALL]) is seen
