@@ -202,6 +202,7 @@ def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) 
     axes = {"x": points, "vx": velocity, "ux": velocity, "tx": tangent}
     known = {name: array[..., 0] for name, array in axes.items()}
     known |= {name.replace("x", "y"): array[..., 1] for name, array in axes.items()} | {"s": s, "t": t}
+    known["dt"] = np.zeros_like(s)
     return {name: array[:, 1:].ravel() for name, array in known.items()}
 
 

@@ -53,12 +53,15 @@ PLACE = {"x": "m", "y": "m"}
 SLOTS: dict[str, Slot] = {
     "tension": Slot("axial force over mass per length", "m2/s2", {"stretch": "1", "rate": "1/s", "s": "m"}),
     "moment": Slot("bending moment over mass per length", "m3/s2", {"curvature": "1/m", "rate": "1/(m s)", "s": "m"}),
+    # for moments that hardly depend on how fast it bends, and rise steeply from rest: implicit steps average them
+    "hinge_drag": Slot("bending moment over mass per length, per rate of curvature", "m4/s", {"rate": "1/(m s)"}),
     "grasp_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"angle": "rad", "rate": "rad/s"}),
-    # v is the string's velocity, u that through the air, (tx, ty) the string's direction towards the tip
+    # v is the string's velocity, u that through the air, (tx, ty) the string's direction towards the tip, dt the step
     "load": Slot(
         "force over nominal mass, (x, y)",
         "m/s2",
-        PLACE | {"vx": "m/s", "vy": "m/s", "ux": "m/s", "uy": "m/s", "tx": "1", "ty": "1", "s": "m", "t": "s"},
+        PLACE
+        | {"vx": "m/s", "vy": "m/s", "ux": "m/s", "uy": "m/s", "tx": "1", "ty": "1", "s": "m", "t": "s", "dt": "s"},
     ),
     "acceleration": Slot("acceleration whatever the mass, (x, y)", "m/s2", PLACE | {"t": "s"}),
     "flow": Slot("velocity of the air, (x, y)", "m/s", PLACE | {"t": "s"}),

@@ -9,7 +9,8 @@ linear in the tension, moment and grasp-moment laws, along and across the segmen
 lie. For linear forces this is the trapezoidal rule (Newmark's beta = 1/4, gamma = 1/2 on the
 staggered grid): second order, stable at any step, and without damping of its own. The air
 sees the velocity extrapolated by half a step, and is second order too. What of a law is not
-linear stays explicit and bounds the step, as in the other methods.
+linear stays explicit and bounds the step, as in the other methods. The drag of hinges (dry friction)
+is linear with what it is at the step's start, and averaged like the others: of first order, without a bound.
 
 With D the difference along the string, t and n = rotated t the directions of a segment, r
 its length and e = n / r how its angle turns with its end, the matrix is
@@ -38,12 +39,12 @@ from stages.model.stability import slopes
 if TYPE_CHECKING:
     from stages.model.string import String
 
-# Rows: mass of a point [m]; A (one row) and B of each hinge; e; the matrix of a segment S; then,
-# with D the eliminated diagonal block: U the block to the next point, Q = D^-1 U, z = D^-1 e, and
+# Rows: mass of a point [m]; A (one row) and B of each hinge, and B without its drag; e; the matrix of a segment S;
+# then, with D the eliminated diagonal block: U the block to the next point, Q = D^-1 U, z = D^-1 e, and
 # the change of velocity, which is first the acceleration. Rows that nothing is written to are zero:
 # all beyond the tip, and U, Q and z of the grasp.
 ROWS = (
-    *("MASS", "AXIAL", "BEND", "EX", "EY", "S11", "S12", "S22"),
+    *("MASS", "AXIAL", "BEND", "STEADY", "EX", "EY", "S11", "S12", "S22"),
     *("U11", "U12", "U21", "U22", "Q11", "Q12", "Q21", "Q22", "ZX", "ZY", "DVX", "DVY"),
 )
 
@@ -163,6 +164,7 @@ class ImplicitLeapfrog(Integrator):
     behind: float = 0.5
     rows: tuple[str, ...] = ROWS
     velocity: tuple[str, ...] = ("qx = B[VX + p] + 0.5 * B[DVX + p]", "qy = B[VY + p] + 0.5 * B[DVY + p]")
+    dragged: tuple[str, ...] = ("B[BEND + k] = B[STEADY + k] + 0.5 * dt * drag * over",)
     turned: str = field(default=turn.ANY, repr=False)
     solver: str = field(default=SOLVER, repr=False)
     solve: str = "settle(B, n, dt)"
@@ -170,6 +172,10 @@ class ImplicitLeapfrog(Integrator):
     def explicit(self, steepest: np.ndarray, gentlest: np.ndarray) -> np.ndarray:
         """What exceeds the linear part."""
         return steepest - gentlest
+
+    def explicit_drag(self, highest: np.ndarray) -> np.ndarray:
+        """None of it."""
+        return 0.0 * highest
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Leapfrog's for what is not linear; extrapolated drag c alone needs c dt < 1."""
@@ -182,4 +188,5 @@ class ImplicitLeapfrog(Integrator):
         axial, bending, grasp = (0.5 * dt * damping + 0.25 * dt**2 * stiffness)[..., None]
         hinges = np.repeat(bending / string.segment, string.points - 2, axis=1)
         masses, _ = string.masses(material)
-        return {"MASS": masses, "AXIAL": axial / string.segment, "BEND": np.concatenate([grasp, hinges], axis=1)}
+        bend = np.concatenate([grasp, hinges], axis=1)
+        return {"MASS": masses, "AXIAL": axial / string.segment, "BEND": bend, "STEADY": bend}

@@ -25,7 +25,8 @@ class Integrator:
     """nodes: when in a step the forces are evaluated, in steps, one for each pass. order: of
     convergence. update: source text, a line a string. behind: how far the velocities that it keeps
     are behind the positions, in steps. rows: names of rows of its own. velocity: source text of the
-    velocity qx, qy that loads see. turned: how a segment's turn in a step is measured. solver:
+    velocity qx, qy that loads see. dragged: source text of what else becomes of the drag of a hinge.
+    turned: how a segment's turn in a step is measured. solver:
     source text of what runs after each pass, and solve: its call."""
 
     name: str
@@ -35,6 +36,7 @@ class Integrator:
     behind: float = 0.0
     rows: tuple[str, ...] = ()
     velocity: tuple[str, ...] = ("qx = B[VX + p]", "qy = B[VY + p]")
+    dragged: tuple[str, ...] = ()
     turned: str = field(default=turn.SMALL, repr=False)
     solver: str = field(default="", repr=False)
     solve: str = ""
@@ -50,6 +52,10 @@ class Integrator:
     def explicit(self, steepest: np.ndarray, gentlest: np.ndarray) -> np.ndarray:
         """What of a law's slope limits the step: all of it. steepest, gentlest: (C,) over the string's range."""
         return steepest
+
+    def explicit_drag(self, highest: np.ndarray) -> np.ndarray:
+        """What of a hinge's drag limits the step: all of it. highest: (C,) over the string's range."""
+        return highest
 
     def constants(self, string: String, material: np.ndarray, dt: float) -> Mapping[str, np.ndarray]:
         """What to fill own rows with before the first step [s] of dt, (C, 1 to n) each. material: (C, P)."""

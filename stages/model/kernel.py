@@ -53,10 +53,11 @@ ROWS = (
 EXPRESSIONS = {
     "tension": {"stretch": "stretch", "rate": "rate", "s": "s_middle"},
     "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge"},
+    "hinge_drag": {"rate": "bend"},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
     "load": {
         **{"x": "atx", "y": "aty", "vx": "qx", "vy": "qy", "ux": "(qx - airx)", "uy": "(qy - airy)"},
-        **{"tx": "lx", "ty": "ly", "s": "s_point", "t": "t"},
+        **{"tx": "lx", "ty": "ly", "s": "s_point", "t": "t", "dt": "dt"},
     },
     "acceleration": {"x": "atx", "y": "aty", "t": "t"},
     "flow": {"x": "atx", "y": "aty", "t": "t"},
@@ -86,10 +87,12 @@ def source(
     width = precision.width
     constants = {name: kind * width for name, kind in kinds(integrator, precision).items()}
     constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
+    dry = slots["hinge_drag"]
     heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
-        "moment": _sum(slots, "moment", names),
+        "moment": _sum(slots, "moment", names) + (" + drag * bend" if dry else ""),
+        "drag": "\n".join((f"drag = {_sum(slots, 'hinge_drag', names)}", *integrator.dragged)) if dry else "",
         "rest": _sum(slots, "rest_curvature", names),
         "set": "B[SET + j]" if slots["rest_curvature"] else "0.0",
         "grasp_moment": _sum(slots, "grasp_moment", names),
@@ -246,6 +249,7 @@ B[MOMENT + k] = <<grasp_moment>>
     "hinge": """
 curvature = (angle - B[ANGLE + p]<<kink>>) * over - (<<rest>>)
 bend = (omega - B[OMEGA + p]) * over
+<<drag>>
 couple = <<moment>>
 B[MOMENT + k] = couple
 """,

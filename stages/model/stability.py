@@ -51,10 +51,11 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """
     axial, bending, grasp = _operators(string, material)
     stiffness, damping = string.integrator.explicit(*slopes(string, material))
+    drag = string.integrator.explicit_drag(highest_drag(string, material))
     length = string.segment
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
     taut = np.array([[1 + TAUT], [1.0], [1.0]])
-    stiff, damped = taut * stiffness * reach, damping * reach
+    stiff, damped = taut * stiffness * reach, (damping + np.stack([0 * drag, drag, 0 * drag])) * reach
     masses, cells = string.masses(material)
     lightest = (cells / masses).max(axis=1)
     for effect in string.effects:
@@ -76,6 +77,12 @@ def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray
     steepest = [[np.abs(rise).max(axis=1) for rise in both] for both in sampled]
     gentlest = [[np.maximum(rise.min(axis=1), 0.0) for rise in both] for both in sampled]
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
+
+
+def highest_drag(string: String, material: np.ndarray) -> np.ndarray:
+    """Of a hinge, at any rate of curvature, (C,) [m4/s]."""
+    _, (rate, speeds) = SAMPLES["moment"]
+    return slot_sum(string, material, "hinge_drag", {rate: speeds[None]}).max(axis=1)
 
 
 def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +125,7 @@ def _drag(string: String, material: np.ndarray) -> np.ndarray:
 
 def load(string: String, material: np.ndarray, given: dict[str, np.ndarray]) -> np.ndarray:
     """Sum of the loads, (C, M, 2) [m/s^2]; arguments not given are 0, the tangent points right."""
-    still = dict.fromkeys(("x", "y", "vx", "vy", "ty", "s", "t"), np.zeros((1, 1))) | {"tx": np.ones((1, 1))}
+    still = dict.fromkeys(("x", "y", "vx", "vy", "ty", "s", "t", "dt"), np.zeros((1, 1))) | {"tx": np.ones((1, 1))}
     known = still | given
     air = vector_sum(string, material, "flow", known)
     known |= {"ux": known["vx"] - air[..., 0], "uy": known["vy"] - air[..., 1]}

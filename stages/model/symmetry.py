@@ -62,6 +62,19 @@ class Dissipative(Symmetry):
 
 
 @dataclass(frozen=True)
+class NeverNegative(Symmetry):
+    """The value has one sign."""
+
+    law: str
+    sentence: str
+
+    def error(self, law: Callable[[Given], np.ndarray], given: Given) -> float:
+        """The most negative value, as a share of the largest."""
+        value = np.asarray(law(given))
+        return float(max(-value.min(), 0.0) / max(np.abs(value).max(), 1e-300))
+
+
+@dataclass(frozen=True)
 class Unmoved(Symmetry):
     """The value is one argument where others are zero."""
 
@@ -79,6 +92,16 @@ class Unmoved(Symmetry):
 def odd(law: str, *names: str) -> Symmetry:
     """The value changes sign with these arguments, all together."""
     return Equivariant(law, f"{law} is odd in {', '.join(names)}", _negated(names), lambda value, given: -value)
+
+
+def even(law: str, *names: str) -> Symmetry:
+    """The value stays when these arguments change sign, all together."""
+    return Equivariant(law, f"{law} is even in {', '.join(names)}", _negated(names), lambda value, given: value)
+
+
+def never_negative(law: str) -> Symmetry:
+    """What a drag must be to take energy and never give any."""
+    return NeverNegative(law, f"{law} is never negative")
 
 
 def nothing_at_zero(law: str, *names: str) -> Symmetry:

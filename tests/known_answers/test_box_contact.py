@@ -25,7 +25,7 @@ def depth(x, y, box=BOX):
 def pushed(x, y, vx=0.0, vy=0.0, stiffness=STIFFNESS, friction=0.0, loss=0.0):
     place = {name: BOX[name] for name in ("centre_x", "centre_y")}
     sides = BoxContact.derived(BOX["width"], BOX["height"])
-    return np.array(BoxContact.load(x, y, vx, vy, stiffness, **place, friction=friction, loss=loss, **sides))
+    return np.array(BoxContact.load(x, y, vx, vy, 0.0, stiffness, **place, friction=friction, loss=loss, **sides))
 
 
 def thrown(start, end, gravity=0.0, **how):

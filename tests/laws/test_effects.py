@@ -82,7 +82,7 @@ def drawn(parameter: Parameter, rng: np.random.Generator, size: int) -> np.ndarr
 
 def arguments_of_string(effect, rng):
     """Samples of all a law can take: its slot's arguments, the paper's parameters, its own."""
-    sizes = {"curvature": 30.0, "rate": 300.0, "x": 1.0, "y": 1.0, "s": 0.1, "t": 1.0}
+    sizes = {"curvature": 30.0, "rate": 300.0, "x": 1.0, "y": 1.0, "s": 0.1, "t": 1.0, "dt": 1e-3}
     known = {
         name: sizes.get(name, 3.0) * rng.normal(size=SAMPLES) for slot in SLOTS.values() for name in slot.arguments
     }

@@ -65,7 +65,7 @@ class BoxContact(StringEffect):
         """The push at rest along a level line through the centre."""
         place = np.linspace(-0.7, 0.7, 281) * values["width"]
         given = {"friction": 0.0, "loss": 0.0} | cls.derived(values["width"], values["height"])
-        push = cls.load(place, 0.0, 0.0, 0.0, values["stiffness"], 0.0, 0.0, **given)[0]
+        push = cls.load(place, 0.0, 0.0, 0.0, 0.0, values["stiffness"], 0.0, 0.0, **given)[0]
         line(axes, values["centre_x"] + place, push, "x / m", "push / (m/s2)")
 
     @staticmethod
@@ -79,6 +79,7 @@ class BoxContact(StringEffect):
         y: Quantity,
         vx: Quantity,
         vy: Quantity,
+        dt: Quantity,
         stiffness: Quantity,
         centre_x: Quantity,
         centre_y: Quantity,
@@ -95,5 +96,7 @@ class BoxContact(StringEffect):
         out_y = np.sign(up) * (a * over) ** 3
         push = stiffness * a * b * over * np.maximum(1.0 - loss * (out_x * vx + out_y * vy), 0.0)
         slide = out_y * vx - out_x * vy
-        rub = friction * slide / np.sqrt(slide * slide + 0.01)  # 0.1 m/s, squared
-        return push * (out_x - rub * out_y), push * (out_y + rub * out_x)
+        rub = friction * push
+        slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s], as a plane's
+        rub = rub * slide / np.sqrt(slide * slide + slow * slow)
+        return push * out_x - rub * out_y, push * out_y + rub * out_x

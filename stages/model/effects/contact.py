@@ -23,7 +23,8 @@ class Contact(StringEffect):
 
     d is the depth and v_n the velocity out of the plane. Without loss a the push has a potential,
     so that a bounce gives back what it took; loss only takes (Hunt and Crossley). Mass points
-    touch, not the segments between them. Friction is smooth below 0.1 m/s.
+    touch, not the segments between them. Friction is smooth below 0.1 m/s, and in a step dt below twice the speed
+    that it could take in it: as a step cannot see it turn round, friction must not be what turns a slide round.
     """
 
     name = "contact"
@@ -52,7 +53,7 @@ class Contact(StringEffect):
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """The push at rest over the place along the normal."""
         place = values["height"] + np.linspace(-0.01, 0.01, 101)
-        push = cls.load(0.0, place, 0.0, 0.0, values["stiffness"], values["height"], 0.0, 0.0, 0.0, 1.0)[1]
+        push = cls.load(0.0, place, 0.0, 0.0, 0.0, values["stiffness"], values["height"], 0.0, 0.0, 0.0, 1.0)[1]
         line(axes, place, push, "along the normal / m", "push / (m/s2)")
 
     @staticmethod
@@ -61,11 +62,10 @@ class Contact(StringEffect):
         return {"normal_x": -np.sin(tilt), "normal_y": np.cos(tilt)}
 
     @staticmethod
-    def bound(stiffness: Quantity, friction: Quantity, loss: Quantity, **place: Quantity) -> tuple[Quantity, Quantity]:
-        """For impacts up to 10 m/s, which go as deep as speed over frequency."""
-        speed, slow = 10.0, 0.1
-        push = speed * np.sqrt(stiffness) * (1 + loss * speed)
-        return stiffness * (1 + loss * speed), loss * speed * np.sqrt(stiffness) + friction * push / slow
+    def bound(stiffness: Quantity, loss: Quantity, **others: Quantity) -> tuple[Quantity, Quantity]:
+        """For impacts up to 10 m/s, which go as deep as speed over frequency. Friction is bounded by its law."""
+        speed = 10.0
+        return stiffness * (1 + loss * speed), loss * speed * np.sqrt(stiffness)
 
     @staticmethod
     def load(
@@ -73,6 +73,7 @@ class Contact(StringEffect):
         y: Quantity,
         vx: Quantity,
         vy: Quantity,
+        dt: Quantity,
         stiffness: Quantity,
         height: Quantity,
         friction: Quantity,
@@ -83,5 +84,7 @@ class Contact(StringEffect):
         depth = np.maximum(height - normal_x * x - normal_y * y, 0.0)
         push = stiffness * depth * np.maximum(1.0 - loss * (normal_x * vx + normal_y * vy), 0.0)
         slide = normal_y * vx - normal_x * vy
-        rub = friction * push * slide / np.sqrt(slide * slide + 0.01)  # 0.1 m/s, squared
+        rub = friction * push
+        slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s]
+        rub = rub * slide / np.sqrt(slide * slide + slow * slow)
         return push * normal_x - rub * normal_y, push * normal_y + rub * normal_x

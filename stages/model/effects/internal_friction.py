@@ -10,7 +10,7 @@ import numpy as np
 from stages.model.effect import Quantity, StringEffect
 from stages.model.parameter import Parameter
 from stages.model.picture import line
-from stages.model.symmetry import nothing_at_zero, odd, resists
+from stages.model.symmetry import even, never_negative, nothing_at_zero
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 class InternalFriction(StringEffect):
     """A moment of constant size against the rate of curvature, smooth through rest; it keeps no memory.
 
-    Below 100/(m s), slow for a cast, it is viscous: the string creeps home where a dry one would stick.
+    Below 100/(m s), slow for a cast, it is viscous: the string creeps home where a dry one would stick. Told as a drag,
+    moment over rate, that falls as it bends faster.
     """
 
     name = "internal_friction"
     parameters = (Parameter("friction", "m3/s2", "dry friction moment over mass per length", 0.0, 0.05, 0.0),)
     reference = "Coulomb friction, regularised; Dahl, Solid friction damping of mechanical vibrations (1976)"
-    symmetries = (odd("moment", "rate"), nothing_at_zero("moment", "rate"), resists("moment"))
+    symmetries = (even("hinge_drag", "rate"), nothing_at_zero("hinge_drag", "friction"), never_negative("hinge_drag"))
 
     @staticmethod
     def words(values: Mapping[str, float]) -> str:
@@ -37,9 +38,10 @@ class InternalFriction(StringEffect):
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """Over the rate of curvature."""
         rate = np.linspace(-1000.0, 1000.0, 401)
-        line(axes, rate, cls.moment(rate, values["friction"]), "rate of curvature / (1/(m s))", "moment / (m3/s2)")
+        moment = rate * cls.hinge_drag(rate, values["friction"])
+        line(axes, rate, moment, "rate of curvature / (1/(m s))", "moment / (m3/s2)")
 
     @staticmethod
-    def moment(rate: Quantity, friction: Quantity) -> Quantity:
+    def hinge_drag(rate: Quantity, friction: Quantity) -> Quantity:
         slow = 100.0  # [1/(m s)]
-        return friction * rate / np.sqrt(rate * rate + slow * slow)
+        return friction / np.sqrt(rate * rate + slow * slow)
