@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from scipy.stats import qmc
 
-from stages.diagnose.evidence import Evidence
+from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import PRIOR, Fit
 from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import Case
@@ -144,7 +144,8 @@ def _scored(trial: _Trial, chi: np.ndarray, fit: Fit, own: np.ndarray, residual:
     along = -direction @ fit.residual
     lowest, highest = trial.room
     step = np.clip(along, lowest * size, highest * size)
-    gain = np.where(size > 1e-6, along * step - step**2 / 2, 0.0)
+    seen = (size > 1e-6) & ~np.any(residual == LOST, axis=1)  # what was rejected says nothing
+    gain = np.where(seen, along * step - step**2 / 2, 0.0)
     scaled = [_taken(trial, *probe) for probe in zip(chi, along, np.maximum(size, 1e-9), strict=True)]
     found = [Probe(trial.theory, trial.effect, *rest) for rest in zip(scaled, gain.tolist(), direction, strict=True)]
     return sorted(found, key=lambda probe: -probe.gain)

@@ -53,7 +53,8 @@ PLACE = {"x": "m", "y": "m"}
 SLOTS: dict[str, Slot] = {
     "tension": Slot("axial force over mass per length", "m2/s2", {"stretch": "1", "rate": "1/s", "s": "m"}),
     "moment": Slot("bending moment over mass per length", "m3/s2", {"curvature": "1/m", "rate": "1/(m s)", "s": "m"}),
-    # for moments that hardly depend on how fast it bends, and rise steeply from rest: implicit steps average them
+    # for moments that are far from linear and can be steep: implicit steps average them as they are
+    "hinge_stiffness": Slot("bending moment over mass per length, per curvature", "m4/s2", {"curvature": "1/m"}),
     "hinge_drag": Slot("bending moment over mass per length, per rate of curvature", "m4/s", {"rate": "1/(m s)"}),
     "grasp_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"angle": "rad", "rate": "rad/s"}),
     # v is the string's velocity, u that through the air, (tx, ty) the string's direction towards the tip, dt the step
@@ -70,6 +71,9 @@ SLOTS: dict[str, Slot] = {
     "tip_mass": Slot("mass at the tip over nominal mass per length", "m", {"length": "m"}),
     "tip_length": Slot("string at the tip beyond its length, of its mass and in its air", "m", {"length": "m"}),
 }
+
+# Slots whose value times one of its arguments belongs to another slot: which, and the argument.
+PER = {"hinge_stiffness": ("moment", "curvature"), "hinge_drag": ("moment", "rate")}
 
 
 class Effect(ABC):

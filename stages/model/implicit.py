@@ -9,8 +9,9 @@ linear in the tension, moment and grasp-moment laws, along and across the segmen
 lie. For linear forces this is the trapezoidal rule (Newmark's beta = 1/4, gamma = 1/2 on the
 staggered grid): second order, stable at any step, and without damping of its own. The air
 sees the velocity extrapolated by half a step, and is second order too. What of a law is not
-linear stays explicit and bounds the step, as in the other methods. The drag of hinges (dry friction)
-is linear with what it is at the step's start, and averaged like the others: of first order, without a bound.
+linear stays explicit and bounds the step, as in the other methods. What hinges have per curvature and per
+rate (a bending that hardens, dry friction) is averaged with what it is at the step's start, and bounds
+nothing: with a drag that changes, of first order.
 
 With D the difference along the string, t and n = rotated t the directions of a segment, r
 its length and e = n / r how its angle turns with its end, the matrix is
@@ -25,7 +26,7 @@ two by two, W candidates at a time, without branches or pivots.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from textwrap import indent
 from typing import TYPE_CHECKING
@@ -39,7 +40,9 @@ from stages.model.stability import slopes
 if TYPE_CHECKING:
     from stages.model.string import String
 
-# Rows: mass of a point [m]; A (one row) and B of each hinge, and B without its drag; e; the matrix of a segment S;
+AHEAD = 10.0  # [1/m] by which a hinge may bend in a step
+
+# Rows: mass of a point [m]; A (one row) and B of each hinge, and B as it is always; e; the matrix of a segment S;
 # then, with D the eliminated diagonal block: U the block to the next point, Q = D^-1 U, z = D^-1 e, and
 # the change of velocity, which is first the acceleration. Rows that nothing is written to are zero:
 # all beyond the tip, and U, Q and z of the grasp.
@@ -164,7 +167,7 @@ class ImplicitLeapfrog(Integrator):
     behind: float = 0.5
     rows: tuple[str, ...] = ROWS
     velocity: tuple[str, ...] = ("qx = B[VX + p] + 0.5 * B[DVX + p]", "qy = B[VY + p] + 0.5 * B[DVY + p]")
-    dragged: tuple[str, ...] = ("B[BEND + k] = B[STEADY + k] + 0.5 * dt * drag * over",)
+    averaged: tuple[str, ...] = ("hinge_stiffness", "hinge_drag")
     turned: str = field(default=turn.ANY, repr=False)
     solver: str = field(default=SOLVER, repr=False)
     solve: str = "settle(B, n, dt)"
@@ -173,9 +176,15 @@ class ImplicitLeapfrog(Integrator):
         """What exceeds the linear part."""
         return steepest - gentlest
 
-    def explicit_drag(self, highest: np.ndarray) -> np.ndarray:
-        """None of it."""
-        return 0.0 * highest
+    def hinge(self, slots: Sequence[str], law: Callable[[str, str], str]) -> list[str]:
+        """The averaged slope with what the laws add to it: of a stiffness twice, for what hardens is that much steeper
+        than it is stiff, and as it is where the hinge may be bent to in this step."""
+        added = {
+            "hinge_stiffness": f"0.5 * dt * dt * max({law('hinge_stiffness', f'abs(curvature) + {AHEAD}')}, 0.0)",
+            "hinge_drag": f"0.5 * dt * {law('hinge_drag', 'bend')}",
+        }
+        more = [text for slot, text in added.items() if slot in slots]
+        return [f"B[BEND + k] = B[STEADY + k] + ({' + '.join(more)}) * over"] if more else []
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Leapfrog's for what is not linear; extrapolated drag c alone needs c dt < 1."""

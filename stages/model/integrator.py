@@ -8,7 +8,7 @@ moves the points together only keeps the acceleration, and moves them after the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -25,9 +25,9 @@ class Integrator:
     """nodes: when in a step the forces are evaluated, in steps, one for each pass. order: of
     convergence. update: source text, a line a string. behind: how far the velocities that it keeps
     are behind the positions, in steps. rows: names of rows of its own. velocity: source text of the
-    velocity qx, qy that loads see. dragged: source text of what else becomes of the drag of a hinge.
-    turned: how a segment's turn in a step is measured. solver:
-    source text of what runs after each pass, and solve: its call."""
+    velocity qx, qy that loads see. averaged: slots of what is per curvature or its rate that bound
+    no step, since `hinge` averages them as they are. turned: how a segment's turn in a step is
+    measured. solver: source text of what runs after each pass, and solve: its call."""
 
     name: str
     nodes: tuple[float, ...]
@@ -36,7 +36,7 @@ class Integrator:
     behind: float = 0.0
     rows: tuple[str, ...] = ()
     velocity: tuple[str, ...] = ("qx = B[VX + p]", "qy = B[VY + p]")
-    dragged: tuple[str, ...] = ()
+    averaged: tuple[str, ...] = ()
     turned: str = field(default=turn.SMALL, repr=False)
     solver: str = field(default="", repr=False)
     solve: str = ""
@@ -53,9 +53,12 @@ class Integrator:
         """What of a law's slope limits the step: all of it. steepest, gentlest: (C,) over the string's range."""
         return steepest
 
-    def explicit_drag(self, highest: np.ndarray) -> np.ndarray:
-        """What of a hinge's drag limits the step: all of it. highest: (C,) over the string's range."""
-        return highest
+    def hinge(self, slots: Sequence[str], law: Callable[[str, str], str]) -> list[str]:
+        """Source text of what becomes of a hinge with laws in these slots, which are per curvature or its rate.
+
+        law: the text of a slot's laws at an argument.
+        """
+        return []
 
     def constants(self, string: String, material: np.ndarray, dt: float) -> Mapping[str, np.ndarray]:
         """What to fill own rows with before the first step [s] of dt, (C, 1 to n) each. material: (C, P)."""

@@ -28,7 +28,7 @@ import os
 import sys
 import tempfile
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -37,7 +37,7 @@ import llvmlite.binding
 import numba
 import numpy as np
 
-from stages.model.effect import StringEffect, arguments
+from stages.model.effect import PER, StringEffect, arguments
 from stages.model.integrator import Integrator
 from stages.model.precision import Precision
 
@@ -53,7 +53,8 @@ ROWS = (
 EXPRESSIONS = {
     "tension": {"stretch": "stretch", "rate": "rate", "s": "s_middle"},
     "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge"},
-    "hinge_drag": {"rate": "bend"},
+    "hinge_stiffness": {},
+    "hinge_drag": {},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
     "load": {
         **{"x": "atx", "y": "aty", "vx": "qx", "vy": "qy", "ux": "(qx - airx)", "uy": "(qy - airy)"},
@@ -87,12 +88,16 @@ def source(
     width = precision.width
     constants = {name: kind * width for name, kind in kinds(integrator, precision).items()}
     constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
-    dry = slots["hinge_drag"]
+    per = [slot for slot in PER if slots[slot]]
+
+    def at(slot: str, argument: str) -> str:
+        return _sum(slots, slot, names, {PER[slot][1]: argument})
+
     heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
-        "moment": _sum(slots, "moment", names) + (" + drag * bend" if dry else ""),
-        "drag": "\n".join((f"drag = {_sum(slots, 'hinge_drag', names)}", *integrator.dragged)) if dry else "",
+        "moment": " + ".join([_sum(slots, "moment", names), *(f"{slot} * {_factor(slot)}" for slot in per)]),
+        "per": "\n".join([*(f"{slot} = {at(slot, _factor(slot))}" for slot in per), *integrator.hinge(per, at)]),
         "rest": _sum(slots, "rest_curvature", names),
         "set": "B[SET + j]" if slots["rest_curvature"] else "0.0",
         "grasp_moment": _sum(slots, "grasp_moment", names),
@@ -152,9 +157,9 @@ def _law_text(effect: type[StringEffect], slot: str) -> str:
     return f"@njit(**LAW)\n{body}"
 
 
-def _call(effect: type[StringEffect], slot: str, names: Sequence[str]) -> str:
+def _call(effect: type[StringEffect], slot: str, names: Sequence[str], more: Mapping[str, str]) -> str:
     """The call of a law with its arguments: those of the slot by name, parameters from their rows."""
-    known = EXPRESSIONS[slot]
+    known = {**EXPRESSIONS[slot], **more}
     taken = arguments(effect.laws()[slot])
     given = [known.get(a) or f"P[np.uintp({_index(effect, a, names)}) * W + j]" for a in taken]
     return f"{effect.name}_{slot}({', '.join(given)})"
@@ -168,12 +173,20 @@ def _index(effect: type[StringEffect], argument: str, names: Sequence[str]) -> i
     raise TypeError(f"effect '{effect.name}': no parameter '{argument}'; there are {', '.join(names)}")
 
 
-def _sum(slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequence[str]) -> str:
-    return " + ".join(_call(e, slot, names) for e in slots[slot]) or "0.0"
+def _sum(
+    slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequence[str], more: Mapping[str, str] | None = None
+) -> str:
+    return " + ".join(_call(e, slot, names, more or {}) for e in slots[slot]) or "0.0"
+
+
+def _factor(slot: str) -> str:
+    """What a slot that is per an argument of another is multiplied by."""
+    other, argument = PER[slot]
+    return EXPRESSIONS[other][argument]
 
 
 def _vector(slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequence[str], prefix: str) -> str:
-    calls = [f"{prefix}{i}x, {prefix}{i}y = {_call(e, slot, names)}" for i, e in enumerate(slots[slot])]
+    calls = [f"{prefix}{i}x, {prefix}{i}y = {_call(e, slot, names, {})}" for i, e in enumerate(slots[slot])]
     total = [f"{prefix}{c} = " + (" + ".join(f"{prefix}{i}{c}" for i in range(len(calls))) or "0.0") for c in "xy"]
     return "\n".join([*calls, *total])
 
@@ -249,7 +262,7 @@ B[MOMENT + k] = <<grasp_moment>>
     "hinge": """
 curvature = (angle - B[ANGLE + p]<<kink>>) * over - (<<rest>>)
 bend = (omega - B[OMEGA + p]) * over
-<<drag>>
+<<per>>
 couple = <<moment>>
 B[MOMENT + k] = couple
 """,

@@ -8,11 +8,12 @@ the chain's axial, bending and grasp operators, whose sum bounds that of all tog
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import taken
+from stages.model.effect import PER, taken
 
 if TYPE_CHECKING:
     from stages.model.string import String
@@ -51,11 +52,10 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """
     axial, bending, grasp = _operators(string, material)
     stiffness, damping = string.integrator.explicit(*slopes(string, material))
-    drag = string.integrator.explicit_drag(highest_drag(string, material))
     length = string.segment
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
     taut = np.array([[1 + TAUT], [1.0], [1.0]])
-    stiff, damped = taut * stiffness * reach, (damping + np.stack([0 * drag, drag, 0 * drag])) * reach
+    stiff, damped = taut * stiffness * reach, damping * reach
     masses, cells = string.masses(material)
     lightest = (cells / masses).max(axis=1)
     for effect in string.effects:
@@ -70,6 +70,8 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Steepest and gentlest rise of the laws of tension, moment and grasp moment, (2, 3, C) each.
 
+    Without what the string's integrator averages as it is.
+
     [0]: with stretch, curvature, angle (stiffness); [1]: with their rates (damping). The
     steepest is the largest magnitude; the gentlest is what rises everywhere, at least 0.
     """
@@ -79,12 +81,6 @@ def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
 
 
-def highest_drag(string: String, material: np.ndarray) -> np.ndarray:
-    """Of a hinge, at any rate of curvature, (C,) [m4/s]."""
-    _, (rate, speeds) = SAMPLES["moment"]
-    return slot_sum(string, material, "hinge_drag", {rate: speeds[None]}).max(axis=1)
-
-
 def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
     """Rise of the slot's laws with their first and second argument over the samples, (C, M) each."""
     (first, values), (second, speeds) = SAMPLES[slot]
@@ -92,22 +88,28 @@ def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np
     da, db = 1e-4 * np.ptp(values), 1e-4 * np.ptp(speeds)
 
     def total(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return slot_sum(string, material, slot, {first: x, second: y})
+        return slot_sum(string, material, slot, {first: x, second: y}, string.integrator.averaged)
 
     stiff = (total(a + da, b) - total(a - da, b)) / (2 * da)
     damped = (total(a, b + db) - total(a, b - db)) / (2 * db)
     return stiff, damped
 
 
-def slot_sum(string: String, material: np.ndarray, slot: str, given: dict[str, np.ndarray]) -> np.ndarray:
-    """Sum of a slot's scalar laws for all candidates, (C, M). given: the slot's arguments, (1 or C, M) each."""
+def slot_sum(
+    string: String, material: np.ndarray, slot: str, given: dict[str, np.ndarray], apart: Sequence[str] = ()
+) -> np.ndarray:
+    """Sum of a slot's scalar laws for all candidates, (C, M), with those that are per one of its arguments.
+
+    given: the slot's arguments, (1 or C, M) each. apart: slots of the latter that do not count.
+    """
     shape = np.broadcast_shapes((len(material), 1), *(np.shape(v) for v in given.values()))
     total = np.zeros(shape)
+    factors = {per: given[name] for per, (other, name) in PER.items() if other == slot and per not in apart}
     for effect in string.effects:
-        law = effect.laws().get(slot)
-        if law is not None:
-            parameters = string.arguments_of(effect, slot, material)
-            total = total + law(**taken(law, given), **parameters)
+        for name, law in effect.laws().items():
+            if name == slot or name in factors:
+                parameters = string.arguments_of(effect, name, material)
+                total = total + law(**taken(law, given), **parameters) * factors.get(name, 1.0)
     return total
 
 

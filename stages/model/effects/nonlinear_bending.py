@@ -10,7 +10,7 @@ import numpy as np
 from stages.model.effect import Quantity, StringEffect
 from stages.model.parameter import Parameter
 from stages.model.picture import line
-from stages.model.symmetry import nothing_at_zero, odd
+from stages.model.symmetry import even, nothing_at_zero
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,23 +26,23 @@ class NonlinearBending(StringEffect):
     name = "nonlinear_bending"
     parameters = (Parameter("hardening", "m2", "relative rise of stiffness with squared curvature", -5e-3, 5e-3, 0.0),)
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), V-D: large bending has nonlinear properties"
-    symmetries = (odd("moment", "curvature"), nothing_at_zero("moment", "curvature"))
+    symmetries = (even("hinge_stiffness", "curvature"), nothing_at_zero("hinge_stiffness", "curvature"))
 
     @staticmethod
     def words(values: Mapping[str, float]) -> str:
         """What is so."""
         kind = "stiffens" if values["hardening"] > 0 else "softens"
-        share = 100 * NonlinearBending.moment(20.0, 1.0, values["hardening"]) / 20.0
+        share = 100 * NonlinearBending.hinge_stiffness(20.0, 1.0, values["hardening"])
         return f"bending {kind} with curvature: the moment at a radius of 50 mm is {share:+.0f} % off the linear one"
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """Over the curvature, in units of the stiffness."""
         curvature = np.linspace(-40.0, 40.0, 201)
-        moment = curvature + cls.moment(curvature, 1.0, values["hardening"])
+        moment = curvature * (1 + cls.hinge_stiffness(curvature, 1.0, values["hardening"]))
         line(axes, curvature, moment, "curvature / (1/m)", "moment / stiffness / (1/m)")
 
     @staticmethod
-    def moment(curvature: Quantity, bending_stiffness: Quantity, hardening: Quantity) -> Quantity:
+    def hinge_stiffness(curvature: Quantity, bending_stiffness: Quantity, hardening: Quantity) -> Quantity:
         q = 2.0 * hardening * curvature * curvature
-        return bending_stiffness * curvature * (np.sqrt(q + np.sqrt(1.0 + q * q)) - 1.0)
+        return bending_stiffness * (np.sqrt(q + np.sqrt(1.0 + q * q)) - 1.0)
