@@ -24,7 +24,7 @@ from rich.markup import escape
 from data import store
 from data.schema import DataError
 from pipeline.brought import brought_along, check_bench, extended_model, measured_camera
-from pipeline.commands import COMMANDS, listed
+from pipeline.commands import NAMES, command, listed
 from pipeline.keep import forget
 from pipeline.perform import perform
 from pipeline.run import Result
@@ -104,7 +104,7 @@ def complain(error: Exception, console: Console) -> None:
 def asked(name: str, arguments: list[str]) -> int:
     """Hand over to a command; its exit status."""
     try:
-        return int(COMMANDS[name].main(arguments))
+        return int(command(name).main(arguments))
     except EXPECTED as error:
         complain(error, Console(stderr=True))
         return UNANSWERED
@@ -116,7 +116,7 @@ def called() -> None:
     """Hand over to a command, or run, and turn what Hydra refuses into one clear message too."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
     try:
-        if sys.argv[1:] and sys.argv[1] in COMMANDS:
+        if sys.argv[1:] and sys.argv[1] in NAMES:
             sys.exit(asked(sys.argv[1], sys.argv[2:]))
         main()
         sys.exit(sweep_ended())

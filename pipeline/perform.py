@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
 
-from pipeline import calibrate, keep, report
-from pipeline.extraction_study import command as extraction_study
-from pipeline.hitting import study as hit_study
+from pipeline import keep
 from pipeline.run import Result, work
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
-from pipeline.study import command as blind_study
 from pipeline.world import World
 
-Study = Callable[[World, Path, Callable[[float], object]], str]
-STUDIES: dict[str, Study] = {
-    "study": blind_study.run,
-    "extraction_study": extraction_study.run,
-    "hit_study": hit_study.run,
-}
+STUDIES = {"study": "study.command", "extraction_study": "extraction_study.command", "hit_study": "hitting.study"}
+
+
+def module(name: str) -> Any:
+    """A module of the pipeline that draws: it is loaded when it is needed, for that takes a second and more."""
+    return import_module(f"pipeline.{name}")
 
 
 def perform(here: World, folder: Path, console: Console) -> Result:
@@ -33,7 +31,7 @@ def perform(here: World, folder: Path, console: Console) -> Result:
             if here.config["steps"] == ["calibrate"]:
                 return calibration(here, folder, console)
             if here.config["steps"][0] in STUDIES:
-                return studied(STUDIES[here.config["steps"][0]], here, folder, console)
+                return studied(here, folder, console)
             return cast_or_look_again(here, folder, console)
 
 
@@ -43,7 +41,7 @@ def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
         result = work(here, folder, keep.Keeper(here, folder, bar, lambda words: console.print(escape(words))))
         if "report" in here.config["leave"]:
             with bar("report"):
-                report.write(here, result)
+                module("report").write(here, result)
         keep.end(result)
     if "frames" not in here.config["leave"]:
         keep.without_frames(here, result)
@@ -53,6 +51,7 @@ def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
 
 def calibration(here: World, folder: Path, console: Console) -> Result:
     """The camera on the terminal and as camera.yaml in the folder, with the page; raises UserError for a bad one."""
+    calibrate = module("calibrate")
     looked = calibrate.taken(here, lambda words: asked(words, console))
     with bars(console) as bar, bar("calibrate") as progress:
         made = calibrate.run(here, folder, looked, progress)
@@ -70,9 +69,10 @@ def asked(words: str, console: Console) -> None:
     console.print("Filming, for as many seconds as the settings say ...")
 
 
-def studied(study: Study, here: World, folder: Path, console: Console) -> Result:
+def studied(here: World, folder: Path, console: Console) -> Result:
     """Its scores on the terminal, its tables and pictures in the folder."""
+    study = module(STUDIES[here.config["steps"][0]])
     with bars(console) as bar, bar(here.config["name"]) as progress:
-        sentence = study(here, folder, progress)
+        sentence = study.run(here, folder, progress)
     console.print(sentence, soft_wrap=True)
     return Result(folder, (), sentence)

@@ -24,6 +24,18 @@ TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, 
 }
 
 
+# Files that take longest, first: side by side, what begins last should not be what ends last.
+LONGEST = (
+    *("diagnosis/test_hidden_causes", "diagnosis/test_leads", "sweep/test_sweep_command"),
+    *("diagnosis/test_from_the_command_line", "diagnosis/test_other_simulations", "pipeline/test_command_line"),
+)
+
+
+def pytest_collection_modifyitems(items):
+    order = [ROOT / f"tests/{name}.py" for name in LONGEST]
+    items.sort(key=lambda item: order.index(item.path) if item.path in order else len(order))
+
+
 def configured(kind, path):
     block = yaml.safe_load((ROOT / "conf" / path).read_text())
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in block.items()})

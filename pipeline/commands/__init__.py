@@ -6,24 +6,24 @@ returns the exit status: 0 is yes or done, 1 is no, 2 means that it could not be
 
 from __future__ import annotations
 
+import ast
+from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 
-from pipeline.commands import board, check, diff, draw, index, lineage, pictures, resume, verify, why
+NAMES = ("check", "board", "draw", "resume", "index", "verify", "why", "diff", "lineage", "pictures")
 
-COMMANDS: dict[str, ModuleType] = {
-    "check": check,
-    "board": board,
-    "draw": draw,
-    "resume": resume,
-    "index": index,
-    "verify": verify,
-    "why": why,
-    "diff": diff,
-    "lineage": lineage,
-    "pictures": pictures,
-}
+
+def command(name: str) -> ModuleType:
+    """A command, loaded: some draw, which takes a second to load, and a run needs none of them."""
+    return import_module(f"pipeline.commands.{name}")
 
 
 def listed() -> str:
     """The commands, a line each, for the help."""
-    return "\n".join(f"  {name:<8} {(module.__doc__ or '').splitlines()[0]}" for name, module in COMMANDS.items())
+    return "\n".join(f"  {name:<8} {_first_line(name)}" for name in NAMES)
+
+
+def _first_line(name: str) -> str:
+    text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
+    return (ast.get_docstring(ast.parse(text)) or "").splitlines()[0]

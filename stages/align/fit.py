@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from stages.align.sightings import Sighted
 from stages.model.library import named
@@ -140,7 +140,7 @@ class Fit:
     def reach(self) -> np.ndarray:
         """(P,) half widths of the 95 % intervals."""
         free = max(len(np.unique(self.blocks)) - 1, 1)
-        return student.ppf(0.975, free) * np.sqrt(np.diag(self.covariance))
+        return stdtrit(free, 0.975) * np.sqrt(np.diag(self.covariance))
 
     @cached_property
     def inflation(self) -> float:

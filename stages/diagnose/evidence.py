@@ -21,6 +21,7 @@ from stages.model.model import Model
 
 LOST = 1e3  # residual of a run that was rejected, in standard deviations
 DOUBT = 1.5  # the simulation's own error may be this much more than two pairs of numbers of segments differ
+SHORTER = 4.0  # times, steps of candidates that were rejected
 CHUNK = 128  # candidates simulated at once
 
 
@@ -102,7 +103,7 @@ class Evidence:
 
     def _at_measured(self, model: Model, values: np.ndarray, segments: int) -> list[np.ndarray]:
         divided = model.divided(segments)
-        seen = seen_together(divided, self.cases, values)
+        seen = _with_shorter_steps(divided, self.cases, values, seen_together(divided, self.cases, values))
         length = divided.string.segment
         pairs = zip(seen, self.cases, strict=True)
         return [_along(points, case.frame, case.s / length) for points, case in pairs]
@@ -113,6 +114,20 @@ class Evidence:
         here, there = (self.extrapolated(model, values, some) for some in (self.segments, segments))
         cases = zip(self.cases, here, there, strict=True)
         return replace(self, cases=tuple(_doubted(case, a[0], b[0]) for case, a, b in cases))
+
+
+def _with_shorter_steps(
+    model: Model, cases: Sequence[Case], values: np.ndarray, seen: list[np.ndarray]
+) -> list[np.ndarray]:
+    """What is seen of candidates, those that were rejected tried once more: steps that are right where the base model
+    is can be too long for what else is asked."""
+    lost = np.flatnonzero(np.any([np.isnan(points[:, 0, 0, 0]) for points in seen], axis=0))
+    if lost.size:
+        string = replace(model.string, largest_step=model.string.largest_step / SHORTER)
+        again = seen_together(replace(model, string=string), cases, values[lost])
+        for points, more in zip(seen, again, strict=True):
+            points[lost] = more
+    return seen
 
 
 def _doubted(case: Case, here: np.ndarray, there: np.ndarray) -> Case:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from stages.diagnose.compare import blocks
 from stages.diagnose.evidence import Evidence
@@ -27,7 +27,7 @@ def interval(evidence: Evidence, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     bread = np.linalg.inv(fit.normal)
     few = count / max(count - len(fit.theory.free), 1)
     deviation = np.sqrt(few * np.sum((sums @ bread) ** 2, axis=0))
-    reach = WIDER * student.ppf(0.975, max(count - len(fit.theory.free), 1)) * deviation
+    reach = WIDER * stdtrit(max(count - len(fit.theory.free), 1), 0.975) * deviation
     chi = fit.chi[fit.theory.free]
     return np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)
 

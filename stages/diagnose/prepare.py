@@ -99,7 +99,7 @@ def prepared(
     named = [theory.named(fit.chi) for fit in found]
     configured = _best(plain, plain_theory(model), named)
     doubted = refined(evidence, theory, best.chi)
-    base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence)), named)
+    base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence), evidence), named)
     undoubted = replace(evidence, segments=doubted.segments)
     return Ground(theory.model, doubted, undoubted, base, configured)
 
@@ -111,7 +111,7 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
     string = replace(plain.model.string, integrator=fine.integrator, largest_step=fine.largest_step)
     model = replace(plain.model, string=string)
     evidence = replace(ground.undoubted, segments=(string.points - 1,))
-    theory = whole(model, candidates(model, library, evidence))
+    theory = whole(model, candidates(model, library, evidence), evidence)
     base = _best(evidence, theory, [plain.named(ground.configured.chi)])
     return Ground(model, evidence, evidence, base, ground.configured)
 

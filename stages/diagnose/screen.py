@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from scipy.stats import qmc
@@ -19,7 +18,7 @@ from stages.diagnose.fit import PRIOR, Fit
 from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import Case
 from stages.estimate.result import values_of
-from stages.model.effect import Effect, StringEffect, placed, taken
+from stages.model.effect import Effect, placed
 from stages.model.model import Model
 
 SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range
@@ -76,6 +75,7 @@ def _closer(
         chi = np.repeat(np.stack([probe.chi for probe in probes[:BEST]]), ABOUT, axis=0)
         where = trial.own[1:]
         chi[:, where] = np.clip(chi[:, where] + rng.uniform(-reach, reach, (len(chi), len(where))), 0, 1)
+        chi = chi[~trial.theory.on_hand(trial.effect, chi)]
         residual = evidence.residuals(trial.theory.model, chi)
         probes = sorted([*probes, *_scored(trial, chi, fit, own, residual)], key=lambda probe: -probe.gain)
     return probes
@@ -186,11 +186,11 @@ def _ends(count: int, seed: int) -> np.ndarray:
 
 
 def followed(evidence: Evidence, fit: Fit) -> dict[str, np.ndarray]:
-    """The way of the fitted string through all trials, at a few places of it: arguments of laws, (1, M) each."""
+    """The way of the fitted string through all trials, at a few places of it: arguments of laws, (M,) each."""
     values = values_of(fit.theory.model.parameters, fit.chi[None])
     parts = [_followed(evidence, fit.theory.model, case, values) for case in evidence.cases]
     every = max(sum(part["s"].size for part in parts) // PATH, 1)
-    return {name: np.concatenate([part[name] for part in parts])[None, ::every] for name in parts[0]}
+    return {name: np.concatenate([part[name] for part in parts])[::every] for name in parts[0]}
 
 
 def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -203,12 +203,11 @@ def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) 
     axes = {"x": points, "vx": velocity, "ux": velocity, "tx": tangent}
     known = {name: array[..., 0] for name, array in axes.items()}
     known |= {name.replace("x", "y"): array[..., 1] for name, array in axes.items()} | {"s": s, "t": t}
-    known["dt"] = np.zeros_like(s)
     return {name: array[:, 1:].ravel() for name, array in known.items()}
 
 
 def touching(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.ndarray:
-    """Exponents (C, P) at which an effect that depends on place would act on the string, and not on all of it.
+    """Exponents (C, P) at which an effect that depends on place acts on the string, but not on all of it nor the hand.
 
     Asked of the law itself along the string's way, without any simulation.
     """
@@ -216,14 +215,8 @@ def touching(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.nda
     chi = np.repeat(trial.start[None], 2**DRAWS, axis=0)
     chi[:, own] = qmc.Sobol(len(own), seed=seed).random_base2(DRAWS)
     chi[:, own[0]] = trial.start[own[0]] + SIZES[-1] * (1 - trial.start[own[0]])
-    string = trial.theory.model.string
-    values = values_of(trial.theory.model.parameters, chi)[:, : len(string.parameters)]
-    material = string.material(values)
-    law = trial.effect.laws()["load"]
-    given = string.arguments_of(cast("type[StringEffect]", trial.effect), "load", material)
-    push = law(**taken(law, path), **given)
-    share = np.mean(np.hypot(*push) > 0, axis=1)
-    return chi[(share > 0) & (share < TOUCHED)][:PLACES]
+    share = np.mean(trial.theory.pushed(trial.effect, chi, path), axis=1)
+    return chi[(share > 0) & (share < TOUCHED) & ~trial.theory.on_hand(trial.effect, chi)][:PLACES]
 
 
 def _scaled(trial: _Trial, chi: np.ndarray, factor: float) -> np.ndarray:

@@ -7,24 +7,30 @@ their start): one compiled loop serves every theory.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
-from stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, placed
+from stages.estimate.result import values_of
+from stages.model.effect import SLOTS, CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed, taken
 from stages.model.hand import HandMotion
 from stages.model.model import Model
+
+HAND = 300  # places on the hand's way at which it is asked whether something stands there
 
 
 @dataclass(frozen=True)
 class Theory:
-    """model: with more effects than are at work, perhaps. causes: those that are, beyond the base model's own."""
+    """model: with more effects than are at work, perhaps. causes: those that are, beyond the base model's own. hand:
+    places where the hand was, (M, 2) [m]."""
 
     model: Model
     causes: tuple[type[Effect], ...]
     base: tuple[str, ...]
+    hand: np.ndarray = field(default_factory=lambda: np.empty((0, 2)), compare=False)
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -73,8 +79,30 @@ class Theory:
         return {name: float(self.model.parameters[i].value(chi[i])) for name, i in places.items()}
 
     def plausible(self, chi: np.ndarray) -> bool:
-        """Whether each cause has values that can be what it says, at exponents (P,)."""
-        return all(cause.plausible(self.of(cause, chi)) for cause in self.causes)
+        """Whether each cause has values that can be what it says, at exponents (P,), and nothing stands where the
+        hand was."""
+        if not all(cause.plausible(self.of(cause, chi)) for cause in self.causes):
+            return False
+        return not any(self.on_hand(cause, chi[None])[0] for cause in self.causes if placed(cause))
+
+    def on_hand(self, cause: type[Effect], chi: np.ndarray) -> np.ndarray:
+        """Whether a cause that depends on place would push where the hand was, (C,), at exponents (C, P)."""
+        there = self.pushed(cause, chi, {"x": self.hand[:, 0], "y": self.hand[:, 1]})
+        return np.asarray(there.any(axis=1))
+
+    def pushed(self, cause: type[Effect], chi: np.ndarray, place: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Whether a cause that depends on place pushes there, (C, M), at exponents (C, P).
+
+        place: arguments of its law, (M,) each; those not given are 0. Asked of the law itself, without any simulation.
+        """
+        string = self.model.string
+        material = string.material(values_of(self.model.parameters, chi)[:, : len(string.parameters)])
+        effect = cast("type[StringEffect]", cause)
+        known = dict.fromkeys(SLOTS["load"].arguments, np.zeros((1, 1))) | {n: p[None] for n, p in place.items()}
+        push = effect.laws()["load"](
+            **taken(effect.laws()["load"], known), **string.arguments_of(effect, "load", material)
+        )
+        return np.hypot(*push) > 0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,17 +125,24 @@ def candidates(base: Model, library: Mapping[str, type[Effect]], evidence: Evide
     ]
 
 
-def whole(base: Model, effects: Sequence[type[Effect]]) -> Theory:
+def whole(base: Model, effects: Sequence[type[Effect]], evidence: Evidence) -> Theory:
     """The base model as a theory, with effects at hand that are absent: candidates of which then share a batch.
 
     Not those that depend on place, since what they push must be found anew for each place of the string at rest,
     nor those of the camera, which ask for velocities: these cost more than all the others.
     """
     cheap = [e for e in effects if not issubclass(e, CameraEffect) and not placed(e)]
-    return Theory(base.with_effects(*cheap), (), base.names)
+    return Theory(base.with_effects(*cheap), (), base.names, hand_way(base, evidence))
+
+
+def hand_way(model: Model, evidence: Evidence) -> np.ndarray:
+    """Some places on the hand's way through all trials, (M, 2) [m]."""
+    start = np.array([[p.start for p in model.parameters]])
+    way = np.concatenate([model.hand(case.motion, start).pose[0, :, :2] for case in evidence.cases])
+    return way[:: max(len(way) // HAND, 1)]
 
 
 def joined(theory: Theory, *effects: type[Effect]) -> Theory:
     """The theory with more causes."""
     new = tuple(e for e in effects if e not in theory.model.effects)
-    return Theory(theory.model.with_effects(*new), (*theory.causes, *effects), theory.base)
+    return replace(theory, model=theory.model.with_effects(*new), causes=(*theory.causes, *effects))

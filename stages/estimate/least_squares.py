@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 from scipy.optimize import least_squares as trust_region
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from data.artifacts import Estimate, Observation
 from stages.estimate.forward import Case
@@ -119,7 +119,7 @@ def interval(cases: Sequence[Case], chi: np.ndarray) -> Interval:
     parameters = cases[0].model.parameters
     covariance, blocks = _covariance(cases, chi)
     deviation = np.sqrt(np.diag(covariance))
-    reach = student.ppf(0.975, max(blocks - len(chi), 1)) * deviation
+    reach = stdtrit(max(blocks - len(chi), 1), 0.975) * deviation
     low, high = np.clip(chi - reach, 0, 1), np.clip(chi + reach, 0, 1)
     determined = (high - low < WIDE) & (chi > EDGE) & (chi < 1 - EDGE)
     sentence = words(parameters, determined, "This data determines every parameter.")

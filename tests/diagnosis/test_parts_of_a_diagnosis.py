@@ -62,7 +62,7 @@ def measured(arm, model, hidden=None, trials=3, noise=SIGMA):
 
 def base(model, evidence):
     """The base model fitted from the truth, with the library at hand."""
-    theory = whole(model, candidates(model, library(), evidence))
+    theory = whole(model, candidates(model, library(), evidence), evidence)
     return fitted(evidence, [theory], [theory.at(TRUTH)], 15)[0]
 
 
@@ -90,7 +90,7 @@ def test_a_fit_goes_along_the_valley_where_one_drag_takes_the_place_of_the_other
 def test_a_fit_that_stopped_short_is_levelled_with_one_of_more_causes(arm, model):
     """Else what it missed would count as explained by a cause: measured, 20 against 1."""
     evidence = measured(arm, model)
-    theory = whole(model, candidates(model, library(), evidence))
+    theory = whole(model, candidates(model, library(), evidence), evidence)
     short = fitted(evidence, [theory], [theory.at({**TRUTH, "bending_stiffness": 12.0})], 0)[0]
     more = joined(theory, library()["tip_mass"])
     court = Court(evidence, evidence, evidence, model, library(), 0)
@@ -165,6 +165,21 @@ def test_a_trial_left_out_is_predicted_by_a_right_cause_and_not_by_a_wrong_one(a
     gains = [float((before.costs - held_out(evidence, fit, before).costs).sum()) for fit in (right, wrong)]
     assert gains[0] > 1000
     assert gains[1] < 0.2 * gains[0]
+
+
+def test_nothing_stands_where_the_hand_was(arm, model):
+    """A plane below the hand's way may be a cause, one that the hand goes through may not; nor is it asked of."""
+    evidence = measured(arm, model, trials=2)
+    plain = base(model, evidence)
+    contact = library()["contact"]
+    theory = joined(plain.theory, contact)
+    hand = np.concatenate([case.motion.really(arm, ()).pose[0, :, 1] for case in evidence.cases])
+    hard = TRUTH | {"contact.stiffness": 2e4}
+    assert theory.plausible(theory.at(hard | {"contact.height": hand.min() - 0.01}))
+    assert not theory.plausible(theory.at(hard | {"contact.height": hand.min() + 0.01}))
+    probes = screened(evidence, plain, [contact], 0)["contact"]
+    assert len(probes) > 10
+    assert not theory.on_hand(contact, np.stack([probe.chi for probe in probes])).any()
 
 
 def test_a_cause_that_does_not_explain_the_only_trial_is_not_confirmed_by_it(arm, model):

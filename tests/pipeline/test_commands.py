@@ -14,13 +14,12 @@ import pytest
 from data import store
 from data.artifacts import Points
 from pipeline import __main__ as shell
-from pipeline import fresh
-from pipeline.commands import COMMANDS
+from pipeline import commands, fresh
 from pipeline.commands.verify import verify
 from pipeline.compare import differences
 from tests.faults.toy import contents, toy_run, toy_world
 
-PAGE = Path(COMMANDS["index"].__file__).with_name("README.md")
+PAGE = Path(commands.__file__).with_name("README.md")
 
 
 @pytest.fixture(scope="module")
@@ -293,13 +292,15 @@ def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
 
 
 def test_every_command_has_a_help_and_is_listed(capsys):
-    for name, module in COMMANDS.items():
+    for name in commands.NAMES:
+        module = commands.command(name)
         with pytest.raises(SystemExit) as stopped:
             module.main(["--help"])
         assert stopped.value.code == 0
         said = re.sub(r"\s+", " ", capsys.readouterr().out)
         assert re.sub(r"\s+", " ", module.__doc__.splitlines()[0]) in said
         assert f"pipeline {name}" in said
+        assert f"{name} {module.__doc__.splitlines()[0]}" in re.sub(r" +", " ", commands.listed())
 
 
 def blocks(language):
