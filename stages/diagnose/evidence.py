@@ -21,7 +21,8 @@ from stages.model.model import Model
 
 LOST = 1e3  # residual of a run that was rejected, in standard deviations
 DOUBT = 1.5  # the simulation's own error may be this much more than two pairs of numbers of segments differ
-SHORTER = 4.0  # times, steps of candidates that were rejected
+SHORTER = 4.0  # times, steps of candidates that were torn
+TORN = 3.0  # lengths between the ends of a string
 CHUNK = 128  # candidates simulated at once
 
 
@@ -119,15 +120,21 @@ class Evidence:
 def _with_shorter_steps(
     model: Model, cases: Sequence[Case], values: np.ndarray, seen: list[np.ndarray]
 ) -> list[np.ndarray]:
-    """What is seen of candidates, those that were rejected tried once more: steps that are right where the base model
-    is can be too long for what else is asked."""
-    lost = np.flatnonzero(np.any([np.isnan(points[:, 0, 0, 0]) for points in seen], axis=0))
+    """What is seen of candidates, those that were torn tried once more: steps that are right where the base model is
+    can be too long for what else is asked."""
+    lost = np.flatnonzero(np.any([_torn(points, model.string.length) for points in seen], axis=0))
     if lost.size:
         string = replace(model.string, largest_step=model.string.largest_step / SHORTER)
         again = seen_together(replace(model, string=string), cases, values[lost])
         for points, more in zip(seen, again, strict=True):
             points[lost] = more
     return seen
+
+
+def _torn(points: np.ndarray, length: float) -> np.ndarray:
+    """Whether candidates (C, F, n, 2) were rejected, or went apart as nothing does, (C,)."""
+    reach = np.linalg.norm(points[:, :, -1] - points[:, :, 0], axis=-1).max(axis=1)
+    return ~(reach < TORN * length)
 
 
 def _doubted(case: Case, here: np.ndarray, there: np.ndarray) -> Case:

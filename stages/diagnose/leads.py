@@ -14,7 +14,7 @@ import numpy as np
 
 from data.artifacts import Observation
 from data.schema import DataError
-from stages.diagnose.choose import SHORTLIST, STEPS, Court, chosen
+from stages.diagnose.choose import SHORTLIST, STEPS, Causes, Court, chosen
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.prepare import Ground
 from stages.diagnose.search import horizons
@@ -50,19 +50,27 @@ def follow(court: Court, early: Callable[[float], tuple[Ground, Court]]) -> None
         if not astray(ground):
             own, causes = chosen(own, lambda share: None)
             if causes:
-                _carried_on(court, [fit for some, fit in own.tried.items() if some], seconds[number + 1 :])
+                _carried_on(court, leads(own, causes), seconds[number + 1 :])
             return
+
+
+def leads(court: Court, causes: Causes) -> list[Fit]:
+    """The best of what was tried, and what was chosen with each part of it: causes are added one by one."""
+    tried = {some: fit for some, fit in court.tried.items() if some}
+    best = ranked(list(tried.values()))[:SHORTLIST]
+    return best + [fit for some, fit in tried.items() if some <= causes and all(fit is not other for other in best)]
 
 
 def _carried_on(court: Court, fits: Sequence[Fit], seconds: Sequence[float]) -> None:
     """Fits of beginnings go on to longer ones, and then to all that the court has for evidence, and are heard."""
     base = court.tried[frozenset()].theory
-    best = ranked(fits)[:SHORTLIST]
-    theories = [joined(base, *fit.theory.causes) for fit in best]
+    theories = [joined(base, *fit.theory.causes) for fit in fits]
     # Ranges that were widened for the beginnings need not be those of the whole.
-    chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, best, strict=True)]
+    chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, fits, strict=True)]
     for horizon in seconds:
         chi = [fit.chi for fit in fitted(court.evidence.rough.until(horizon), theories, chi, EACH)]
     for fit in fitted(court.evidence, theories, chi, STEPS):
         court.hear(fit)
-    court.contexts[frozenset()] = {n: fit for key, fit in court.tried.items() if len(key) == 1 for n in key}
+    alone = {name: fit for key, fit in court.tried.items() if len(key) == 1 for name in key}
+    if alone:
+        court.contexts[frozenset()] = alone

@@ -1,6 +1,7 @@
 """Hard-swung strings, whose trials' ends say nothing of why the simulation is off: causes come from the beginnings."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -10,9 +11,12 @@ from conftest import TRUTH
 from data.artifacts import JOINTS, MASKS, READINGS, Observation
 from data.schema import DataError
 from stages.diagnose.casts import Design
+from stages.diagnose.choose import Court
 from stages.diagnose.diagnose import diagnose
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.leads import beginnings, follow
+from stages.diagnose.fit import Fit
+from stages.diagnose.leads import SHORTLIST, beginnings, follow, leads
+from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import case
 from stages.estimate.matching import Matching
 from stages.generate.curves import first_curves
@@ -20,6 +24,7 @@ from stages.generate.generate import arm_faults
 from stages.model.camera import Camera
 from stages.model.effects.arm_lag import ArmLag
 from stages.model.hand import joint_motion
+from stages.model.library import library
 from stages.model.model import Model
 from stages.model.string import String
 
@@ -82,6 +87,25 @@ def test_what_could_be_explained_by_another_beginning_is_cut_with_the_points(mod
         np.testing.assert_array_equal(moves[:, 0], np.arange(2.0 * len(made.points)))
 
 
+def test_what_was_chosen_is_followed_with_each_of_its_parts(model, observations):
+    """Of six pairs that fit best none can be added to no cause: one by one is how causes are chosen."""
+    theory = Theory(model, (), model.names)
+    evidence = Evidence(tuple(case(model, o) for o in observations), (10,))
+    court = Court(evidence, evidence, evidence, model, library(), 0)
+    names = ["arm_lag", "time_offset", "wind", "tip_mass", "rest_curvature"]
+    for cost, some in [
+        (9, ()),
+        (8, names[:1]),
+        (7, names[1:2]),
+        *((k, p) for k, p in enumerate(combinations(names, 2))),
+    ]:
+        fit = joined(theory, *(library()[name] for name in some))
+        court.hear(Fit(fit, fit.start, np.full(4, float(cost)), np.zeros((4, len(fit.free)))))
+    followed = {frozenset(fit.theory.names) for fit in leads(court, frozenset(names[:2]))}
+    assert followed >= {frozenset(names[:1]), frozenset(names[1:2]), frozenset(names[:2])}
+    assert len(followed) == SHORTLIST + 2
+
+
 def test_a_trial_without_a_beginning_leaves_the_court_as_it_was(model, observations):
     """Points that come too late or too seldom for a beginning are no reason to refuse the diagnosis."""
     asked = []
@@ -90,8 +114,8 @@ def test_a_trial_without_a_beginning_leaves_the_court_as_it_was(model, observati
         asked.append(seconds)
         raise DataError("no valid point of the string")
 
-    class Court:
+    class Empty:
         evidence = Evidence(tuple(case(model, o) for o in observations), (10,))
 
-    assert follow(Court(), early) is None
+    assert follow(Empty(), early) is None
     assert len(asked) == 1
