@@ -90,7 +90,9 @@ def test(rest: list[str]) -> int:
     results = [call(*check) for check in CHECKS]
     if rest:
         return max(*results, call("pytest", *rest))
-    results.append(call("pytest", "--numprocesses=auto", "--dist=loadfile", f"--ignore={TIMED}"))
+    results.append(
+        call("pytest", "--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder", f"--ignore={TIMED}")
+    )
     return max(*results, call("pytest", TIMED))
 
 
