@@ -242,6 +242,15 @@ class Points:
 
     TABLES: ClassVar[dict[str, Table]] = {"points": POINTS, "readings": READINGS, "masks": MASKS}
 
+    @property
+    def read(self) -> pd.DataFrame:
+        """The points that were read; all where it is not said which were."""
+        return _read(self.points)
+
+
+def _read(points: pd.DataFrame) -> pd.DataFrame:
+    return points[points["valid"].astype(bool)] if "valid" in points else points
+
 
 # --- observation ------------------------------------------------------------------------
 GRASP = Table(
@@ -276,7 +285,7 @@ class Observation:
     @property
     def read(self) -> pd.DataFrame:
         """The points that were read; all where it is not said which were."""
-        return self.points[self.points["valid"].astype(bool)] if "valid" in self.points else self.points
+        return _read(self.points)
 
 
 # --- estimate ---------------------------------------------------------------------------

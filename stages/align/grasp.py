@@ -20,9 +20,8 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
     """Where a trial's points have the grasp, each in x and in y. Raises DataError where they do not show it."""
     if observation.arm is None:
         raise DataError(f"trial {observation.trial}: alignment needs joint angles. Add arm.parquet.")
-    points = observation.points
-    valid = points["valid"].astype(bool) if "valid" in points else np.ones(len(points), bool)
-    grasp = points[valid & (points["s"] <= NEAR) & np.isfinite(points[["x", "y"]]).all(axis=1)].sort_values("t")
+    points = observation.read
+    grasp = points[(points["s"] <= NEAR) & np.isfinite(points[["x", "y"]]).all(axis=1)].sort_values("t")
     if grasp.empty:
         raise DataError(
             f"trial {observation.trial}: no frames, and no point at the grasp (s = 0). Measure the string's beginning, "

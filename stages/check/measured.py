@@ -41,9 +41,7 @@ class Seen:
     @cached_property
     def points(self) -> pd.DataFrame:
         """Valid points, in the order of time and arc length."""
-        points = self.observation.points
-        valid = points["valid"] if "valid" in points else np.ones(len(points), dtype=bool)
-        return points[valid].sort_values(["t", "s"], kind="stable")
+        return self.observation.read.sort_values(["t", "s"], kind="stable")
 
     @cached_property
     def motion(self) -> pd.DataFrame:

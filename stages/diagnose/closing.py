@@ -56,7 +56,7 @@ def _about(
     theory = fits[0].theory
     chi = np.repeat(np.stack([fit.chi for fit in fits]), ABOUT, axis=0)
     chi[:, where] = np.clip(chi[:, where] + rng.uniform(-reach, reach, (len(chi), len(where))), 0, 1)
-    chi = np.array([each for each in chi if theory.plausible(each)]).reshape(-1, chi.shape[1])
+    chi = chi[[theory.plausible(each) for each in chi]]
     cost = np.sum(evidence.residuals(theory.model, chi) ** 2, axis=1)
     chosen = np.argsort(cost)[:FITTED]
     return fitted(evidence, [theory] * len(chosen), list(chi[chosen]), STEPS)

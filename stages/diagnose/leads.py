@@ -15,7 +15,7 @@ import numpy as np
 from data.artifacts import Observation
 from data.schema import DataError
 from stages.diagnose.choose import SHORTLIST, STEPS, Causes, Court, chosen
-from stages.diagnose.fit import Fit, fitted, ranked
+from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.prepare import Ground
 from stages.diagnose.search import horizons
 from stages.diagnose.theory import joined
@@ -57,8 +57,8 @@ def follow(court: Court, early: Callable[[float], tuple[Ground, Court]]) -> None
 def leads(court: Court, causes: Causes) -> list[Fit]:
     """The best of what was tried, and what was chosen with each part of it: causes are added one by one."""
     tried = {some: fit for some, fit in court.tried.items() if some}
-    best = ranked(list(tried.values()))[:SHORTLIST]
-    return best + [fit for some, fit in tried.items() if some <= causes and all(fit is not other for other in best)]
+    best = sorted(tried, key=lambda some: tried[some].cost)[:SHORTLIST]
+    return [tried[some] for some in dict.fromkeys([*best, *(some for some in tried if some <= causes)])]
 
 
 def _carried_on(court: Court, fits: Sequence[Fit], seconds: Sequence[float]) -> None:

@@ -15,9 +15,10 @@ import numpy as np
 
 from stages.diagnose.evidence import Evidence
 from stages.estimate.result import values_of
-from stages.model.effect import SLOTS, CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed, taken
+from stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed
 from stages.model.hand import HandMotion
 from stages.model.model import Model
+from stages.model.stability import load
 
 HAND = 300  # places on the hand's way at which it is asked whether something stands there
 
@@ -97,12 +98,8 @@ class Theory:
         """
         string = self.model.string
         material = string.material(values_of(self.model.parameters, chi)[:, : len(string.parameters)])
-        effect = cast("type[StringEffect]", cause)
-        known = dict.fromkeys(SLOTS["load"].arguments, np.zeros((1, 1))) | {n: p[None] for n, p in place.items()}
-        push = effect.laws()["load"](
-            **taken(effect.laws()["load"], known), **string.arguments_of(effect, "load", material)
-        )
-        return np.hypot(*push) > 0
+        alone = string.only((cast("type[StringEffect]", cause),), material)
+        return np.asarray(np.any(load(*alone, {name: each[None] for name, each in place.items()}) != 0, axis=-1))
 
     @property
     def names(self) -> tuple[str, ...]:

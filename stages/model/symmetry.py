@@ -58,7 +58,7 @@ class Dissipative(Symmetry):
         """Largest power given, as a share of the largest taken."""
         value = np.asarray(law(given)).reshape(len(self.rates), -1)
         power = self.sign * sum(value[i] * given[rate] for i, rate in enumerate(self.rates))
-        return float(max(-power.min(), 0.0) / max(np.abs(power).max(), 1e-300))
+        return _below_zero(power)
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,7 @@ class NeverNegative(Symmetry):
 
     def error(self, law: Callable[[Given], np.ndarray], given: Given) -> float:
         """The most negative value, as a share of the largest."""
-        value = np.asarray(law(given))
-        return float(max(-value.min(), 0.0) / max(np.abs(value).max(), 1e-300))
+        return _below_zero(np.asarray(law(given)))
 
 
 @dataclass(frozen=True)
@@ -165,6 +164,11 @@ def turns_about_centre(law: str) -> Symmetry:
     return Equivariant(
         law, f"{law} knows no direction", before, lambda value, given: turned(value, given["camera"].centre)
     )
+
+
+def _below_zero(values: np.ndarray) -> float:
+    """The most negative value, as a share of the largest."""
+    return float(max(-values.min(), 0.0) / max(np.abs(values).max(), 1e-300))
 
 
 def _negated(names: tuple[str, ...]) -> Callable[[Given], Given]:

@@ -57,10 +57,7 @@ class Cast:
     @cached_property
     def measured(self) -> dict[int, np.ndarray]:
         """The centre-lines that were read, by frame: (K, 3) of x, y and arc length [m]."""
-        points = self.points.points
-        if "valid" in points:
-            points = points[points["valid"].astype(bool)]
-        times = points.groupby("t", sort=True)[["x", "y", "s"]]
+        times = self.points.read.groupby("t", sort=True)[["x", "y", "s"]]
         return {self.frame(t): rows.to_numpy() for t, rows in times}
 
     def tip(self, t: np.ndarray) -> np.ndarray:

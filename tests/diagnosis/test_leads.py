@@ -11,11 +11,11 @@ from conftest import TRUTH
 from data.artifacts import JOINTS, MASKS, READINGS, Observation
 from data.schema import DataError
 from stages.diagnose.casts import Design
-from stages.diagnose.choose import Court
+from stages.diagnose.choose import SHORTLIST, Court
 from stages.diagnose.diagnose import diagnose
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit
-from stages.diagnose.leads import SHORTLIST, beginnings, follow, leads
+from stages.diagnose.leads import beginnings, follow, leads
 from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import case
 from stages.estimate.matching import Matching
