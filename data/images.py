@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,13 @@ import cv2
 import numpy as np
 
 from data.schema import DataError
+
+ROOM = 1 << 29  # [bytes] of images that are held at a time
+PACKING = (
+    *(cv2.IMWRITE_PNG_COMPRESSION, 1),
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
+    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB),
+)
 
 
 class Images(Sequence[np.ndarray]):
@@ -83,8 +90,25 @@ class Video(Images):
         return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
+class Held(Images):
+    """Images that are read or unpacked once where they are looked at often: as many as `ROOM` holds, the latest."""
+
+    def __init__(self, images: Sequence[np.ndarray]) -> None:
+        """images: uint8 arrays (height, width), at least one."""
+        self._count = len(images)
+        self._held = lru_cache(max(ROOM // images[0].nbytes, 1))(images.__getitem__)
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return self._count
+
+    def read(self, index: int) -> np.ndarray:
+        """One image, not to be written to."""
+        return self._held(index)
+
+
 def png(image: np.ndarray) -> bytes:
-    """An image as PNG, without loss, packed fast rather than small."""
-    good, content = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    """An image as PNG, without loss, packed fast rather than small: of a sensor's noise nothing repeats."""
+    good, content = cv2.imencode(".png", image, PACKING)
     assert good, f"an image of shape {image.shape} and type {image.dtype} cannot be a PNG"
     return content.tobytes()

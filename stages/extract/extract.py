@@ -12,6 +12,7 @@ import pandas as pd
 from pydantic import Field
 
 from data.artifacts import MASKS, POINTS, READINGS, Points
+from data.images import Held
 from data.schema import DataError
 from stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
 from stages.extract.doubt import check
@@ -69,7 +70,7 @@ def extract(
     line may differ before the frame is refused (a swung string stretches).
     """
     _check_size(footage, camera)
-    images, sway = steadied(footage.images)
+    images, sway = steadied(Held(footage.images))
     footage = replace(footage, images=images)
     reach = string_length * (1 + longer) * camera.px_per_m + MARGIN
     backdrop = _backdrop(footage, camera, string_length, arm_width, sway)

@@ -88,7 +88,8 @@ def _closer(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int)
     rest = (image - found[0] * like)[2:-2, 2:-2]
     still = np.abs(rest) < MOVES * (float(spread(rest.ravel()[::7])) + 1e-3)
     sums = _by_part(np.concatenate([columns, rest[None]]) * still)
-    steps = [np.linalg.solve(some[:3, :3] + 1e-6 * np.eye(3), some[:3, 3]) for some in (sums.sum(axis=0) - sums)]
+    others = sums.sum(axis=0) - sums
+    steps = np.linalg.solve(others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:])[..., 0]
     scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))  # the jackknife: without each part in turn
     return found + np.mean(steps, axis=0), float(np.linalg.norm(scatter[1:]))
 

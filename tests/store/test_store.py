@@ -11,6 +11,7 @@ import pytest
 
 from data import store
 from data.artifacts import Points, Trial
+from data.images import Held, Images
 
 AWKWARD = [0.1, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1 / 3, np.nextafter(1.0, 2.0)]
 
@@ -98,3 +99,29 @@ def test_images_are_read_one_by_one_in_the_order_of_their_table(tmp_path):
     assert [int(image[0, 0]) for image in back[::2]] == [10, 30]
     with pytest.raises(IndexError):
         back[3]
+
+
+def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
+    """With room for two of three images, the two looked at last are held."""
+    pictures = [np.full((4, 5), i, np.uint8) for i in range(3)]
+    read = []
+
+    class Files(Images):
+        def __len__(self):
+            return len(pictures)
+
+        def read(self, index):
+            read.append(index)
+            return pictures[index]
+
+    held = Held(Files())
+    assert [int(image[0, 0]) for _ in range(3) for image in held] == [0, 1, 2] * 3
+    assert held[-1] is pictures[2]
+    assert sorted(read) == [0, 0, 1, 2]  # the first once more, for its size
+
+    monkeypatch.setattr("data.images.ROOM", 2 * pictures[0].nbytes)
+    read.clear()
+    held = Held(Files())
+    for index in (0, 1, 0, 1, 2, 1, 0):
+        assert held[index] is pictures[index]
+    assert read == [0, 0, 1, 2, 0]
