@@ -33,7 +33,7 @@ def samples(count: int) -> list[int]:
 def steadied(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
     """The film without flicker and tremble, itself where it has none; and one sigma of where it looks then [px]."""
     several = [_pyramid(images[i]) for i in samples(len(images))]
-    template = {by: np.median([one[by] for one in several], axis=0) for by in PYRAMID}
+    template = {by: np.median([one[by] for one in several], axis=0) for by in set(PYRAMID)}
     found = np.array([_against(_pyramid(image), template) for image in images])
     gain, shift = found[:, 0] / np.median(found[:, 0]), found[:, 1:] - np.median(found[:, 1:], axis=0)
     shift = shift if np.sqrt(np.mean(shift**2)) > TREMBLE else np.zeros_like(shift)
@@ -64,7 +64,7 @@ class Steadied(Sequence[np.ndarray]):
 
 def _pyramid(image: np.ndarray) -> dict[int, np.ndarray]:
     """The image so many times smaller, float32."""
-    return {by: _smaller(image.astype(np.float32), by) for by in PYRAMID}
+    return {by: _smaller(image.astype(np.float32), by) for by in set(PYRAMID)}
 
 
 def _smaller(image: np.ndarray, by: int) -> np.ndarray:
