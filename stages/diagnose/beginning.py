@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence
+from stages.diagnose.evidence import Evidence, torn, with_shorter_steps
 from stages.estimate.forward import Case
 from stages.estimate.result import values_of
 from stages.estimate.settle import settled, slopes
@@ -27,7 +27,7 @@ def begun(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
     if not move_at_first(evidence):
         return evidence
     values = values_of(model.parameters, chi[None])[0]
-    return replace(evidence, cases=tuple(settled(case, values) for case in _divided(evidence, model)))
+    return replace(evidence, cases=tuple(settled(case, values) for case in _divided(evidence, model, values)))
 
 
 def doubted_beginnings(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
@@ -35,10 +35,16 @@ def doubted_beginnings(evidence: Evidence, model: Model, chi: np.ndarray) -> Evi
     if not move_at_first(evidence):
         return evidence
     values = values_of(model.parameters, chi[None])[0]
-    return replace(evidence, unsure=tuple(slopes(case, values) for case in _divided(evidence, model)))
+    return replace(evidence, unsure=tuple(slopes(case, values) for case in _divided(evidence, model, values)))
 
 
-def _divided(evidence: Evidence, model: Model) -> list[Case]:
-    """The trials with the larger number of segments."""
+def _divided(evidence: Evidence, model: Model, values: np.ndarray) -> list[Case]:
+    """The trials with the larger number of segments, and steps that bear these values (P,)."""
     finest = model.divided(evidence.segments[-1])
-    return [replace(case, model=finest) for case in evidence.cases]
+    return [_borne(replace(case, model=finest), values) for case in evidence.cases]
+
+
+def _borne(case: Case, values: np.ndarray) -> Case:
+    """With shorter steps where the model's tear the string, as candidates are tried."""
+    points = next(case.simulate(values[None]))[1].points
+    return replace(case, model=with_shorter_steps(case.model)) if torn(points, case.model.string.length)[0] else case

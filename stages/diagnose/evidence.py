@@ -104,7 +104,7 @@ class Evidence:
 
     def _at_measured(self, model: Model, values: np.ndarray, segments: int) -> list[np.ndarray]:
         divided = model.divided(segments)
-        seen = _with_shorter_steps(divided, self.cases, values, seen_together(divided, self.cases, values))
+        seen = _tried_again(divided, self.cases, values, seen_together(divided, self.cases, values))
         length = divided.string.segment
         pairs = zip(seen, self.cases, strict=True)
         return [_along(points, case.frame, case.s / length) for points, case in pairs]
@@ -117,21 +117,23 @@ class Evidence:
         return replace(self, cases=tuple(_doubted(case, a[0], b[0]) for case, a, b in cases))
 
 
-def _with_shorter_steps(
-    model: Model, cases: Sequence[Case], values: np.ndarray, seen: list[np.ndarray]
-) -> list[np.ndarray]:
+def _tried_again(model: Model, cases: Sequence[Case], values: np.ndarray, seen: list[np.ndarray]) -> list[np.ndarray]:
     """What is seen of candidates, those that were torn tried once more: steps that are right where the base model is
     can be too long for what else is asked."""
-    lost = np.flatnonzero(np.any([_torn(points, model.string.length) for points in seen], axis=0))
+    lost = np.flatnonzero(np.any([torn(points, model.string.length) for points in seen], axis=0))
     if lost.size:
-        string = replace(model.string, largest_step=model.string.largest_step / SHORTER)
-        again = seen_together(replace(model, string=string), cases, values[lost])
+        again = seen_together(with_shorter_steps(model), cases, values[lost])
         for points, more in zip(seen, again, strict=True):
             points[lost] = more
     return seen
 
 
-def _torn(points: np.ndarray, length: float) -> np.ndarray:
+def with_shorter_steps(model: Model) -> Model:
+    """For candidates that were torn."""
+    return replace(model, string=replace(model.string, largest_step=model.string.largest_step / SHORTER))
+
+
+def torn(points: np.ndarray, length: float) -> np.ndarray:
     """Whether candidates (C, F, n, 2) were rejected, or went apart as nothing does, (C,)."""
     reach = np.linalg.norm(points[:, :, -1] - points[:, :, 0], axis=-1).max(axis=1)
     return ~(reach < TORN * length)

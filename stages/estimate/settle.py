@@ -26,12 +26,15 @@ TRIES = 20  # steps at most; it mostly takes 5
 
 
 def settled(ready: Case, values: np.ndarray) -> Case:
-    """The case with the initial state that suits these parameters (P,) best; as it is where it begins at rest."""
+    """The case with the initial state that suits these parameters (P,) best; as it is where it begins at rest, or where
+    the string cannot be simulated with them."""
     if ready.initial is None:
         return ready
     begin = ready.initial
     early = ready.until(min(SPAN / float(np.ptp(ready.times)), 1.0))
     noise = float(spread(_residual(early, values))) + 1e-12
+    if not np.isfinite(noise):
+        return ready
 
     def mismatch(change: np.ndarray) -> np.ndarray:
         moved = replace(early, initial=_changed(begin, change, ready.model.string.length))
@@ -44,15 +47,16 @@ def settled(ready: Case, values: np.ndarray) -> Case:
 
 
 def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
-    """How the measured points move with each mode of the state in which the trial begins, (2 N, 2 MODES) [m]; without
-    columns where it begins at rest. values: (P,)."""
+    """How the measured points move with the modes of the state in which the trial begins, a column each, (2 N, M) [m];
+    none where it begins at rest, nor for what cannot be simulated. values: (P,)."""
     begin = ready.initial
     if begin is None:
         return np.empty((2 * len(ready.points), 0))
     metres = replace(ready, sigma=np.ones(len(ready.points)))
     changes = STEP * np.eye(2 * MODES)
     moved = [replace(metres, initial=_changed(begin, change, ready.model.string.length)) for change in changes]
-    return np.stack([_residual(each, values) - _residual(metres, values) for each in moved], axis=1) / STEP
+    columns = np.stack([_residual(each, values) - _residual(metres, values) for each in moved], axis=1) / STEP
+    return columns[:, np.isfinite(columns).all(axis=0)]
 
 
 def _residual(ready: Case, values: np.ndarray) -> np.ndarray:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from conftest import TRUTH
 
+from stages.diagnose import beginning
 from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
-from stages.diagnose.evidence import Evidence
+from stages.diagnose.evidence import SHORTER, Evidence
 from stages.diagnose.theory import Theory
 from stages.estimate.forward import Case
 from stages.generate.curves import plain_cast
@@ -78,3 +79,15 @@ def test_trials_that_begin_at_rest_have_nothing_to_doubt(model, evidence):
     assert both.only([0]).unsure[0] is both.unsure[0]
     plain, doubted = (each.residuals(model, exponents(model)[None])[0][rest.trial == 0] for each in (rest, both))
     np.testing.assert_array_equal(plain, doubted)
+
+
+def test_beginnings_are_found_with_steps_that_bear_what_was_fitted(model, evidence, monkeypatch):
+    """A fit may live on shorter steps than the model's; told that these tear its string, so does its beginning."""
+    chi = exponents(model, 0.3)
+    [case] = begun(evidence, model, chi).cases
+    assert case.model.string.largest_step == model.string.largest_step
+    monkeypatch.setattr(beginning, "torn", lambda points, length: np.array([True]))
+    [case] = begun(evidence, model, chi).cases
+    assert case.model.string.largest_step == model.string.largest_step / SHORTER
+    again = replace(evidence, cases=(case,))
+    assert size(again, model, 0.3) < 1.1 < size(evidence, model, 0.3)

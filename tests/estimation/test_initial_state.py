@@ -14,7 +14,7 @@ from stages.estimate import least_squares
 from stages.estimate.forward import case
 from stages.estimate.initial import initial_state, kinematics
 from stages.estimate.matching import Matching
-from stages.estimate.settle import settled
+from stages.estimate.settle import MODES, settled, slopes
 from stages.model.hand import hand_motion_from_grasp
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.model import Model
@@ -136,6 +136,16 @@ def test_the_motion_that_follows_corrects_the_state(model, where, fps, noise, wo
     ready = case(model, replace(trial, points=trial.points.assign(sigma=noise)))
     values = model.values(NAMED)
     assert settled(ready, values).rms(values) < worst * np.sqrt(2) * noise
+
+
+def test_a_state_stays_where_the_string_cannot_be_simulated(model):
+    """With parameters that tear the string nothing is known of what another beginning would do."""
+    t, seen = released(TURN, PLACES["two"], 30, 3e-3)
+    ready = case(model, observed(t, seen, PLACES["two"], moving=True))
+    nowhere = model.values(NAMED) * np.nan
+    assert settled(ready, nowhere) is ready
+    assert slopes(ready, nowhere).shape == (2 * len(ready.points), 0)
+    assert slopes(ready, model.values(NAMED)).shape == (2 * len(ready.points), 2 * MODES)
 
 
 def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
