@@ -34,8 +34,8 @@ from stages.model.box import Box
 from stages.model.effect import Effect
 from stages.model.library import library
 from stages.model.model import Model
+from stages.progress import Progress, part
 
-Progress = Callable[[float], object]
 AGAIN = 20  # steps of a fit to other trials
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
@@ -92,7 +92,7 @@ def _heard(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, Cou
         court = _court(each, data)
         if astray(each):
             follow(court, partial(_early, data, kind))
-        heard.append((each, *chosen(court, partial(_share_of, progress, number, len(kinds)))))
+        heard.append((each, *chosen(court, part(progress, number, len(kinds)))))
         if heard[-1][1].mismatch(heard[-1][2]) < 0:
             break
     return min(heard, key=lambda one: _left(one[1], one[2]))
@@ -106,11 +106,6 @@ def _early(data: _Data, kind: Callable[[Ground], Ground], seconds: float) -> tup
 
 def _as_it_is(ground: Ground) -> Ground:
     return ground
-
-
-def _share_of(progress: Progress, number: int, count: int, share: float) -> None:
-    """Report the progress of one part of several."""
-    progress((number + share) / count)
 
 
 def _court(ground: Ground, data: _Data) -> Court:

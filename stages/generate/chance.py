@@ -14,40 +14,46 @@ from stages.model.hand import JointMotion
 from stages.model.model import Model
 
 TOGETHER = 256  # strings simulated at once: what is handed on stays in memory that is used again
-TOUCHING = 0.02  # of the worth of a draw that touches nothing: what is left to one that hardly touches anything
+STRICT, LENIENT = 0.02, 0.3  # of the worth of a draw that touches nothing: of one that touches something at the end
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a cast is to go. obstacles: what neither the arm nor the string may touch during the movement."""
+    """Where a cast is to go. obstacles: what neither the arm nor the string may touch during the movement. late: what a
+    draw is worth that touches something only at the end, of one that touches nothing: little where many draws are to
+    be clear, more where a way through is still sought."""
 
     model: Model
     target: Box
     obstacles: Sequence[Box]
+    late: float = STRICT
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What becomes of M motions under K draws. distance: (M, K) of the tip from the target's centre in half widths and
-    half heights, the least during the movement; infinite where the simulation does not stay finite. clear: (M, K) share
-    of the movement in which nothing touches an obstacle. hit: (M, K) the tip enters the box, and all of it is clear."""
+    """What becomes of M motions under K draws. clear: (M, K) share of the movement until something touches an obstacle,
+    1 where nothing does. distance: (M, K) of the tip from the target's centre in half widths and half heights, the
+    least until then; infinite where the simulation does not stay finite. hit: (M, K) the tip enters the box, and
+    nothing touches anything. late: of the place."""
 
     distance: np.ndarray
     clear: np.ndarray
     hit: np.ndarray
+    late: float
 
     @property
     def closeness(self) -> np.ndarray:
         """(M,) a smooth stand-in for the share of draws that hit: 1 / (1 + d^2) is 1 at the centre and 1/2 at the
         inscribed ellipse, and still tells far from farther; so does what remains to a draw that touches something."""
-        worth = np.where(self.clear == 1, 1, TOUCHING * self.clear)
+        worth = np.where(self.clear == 1, 1, self.late * self.clear)
         return np.mean(worth / (1 + self.distance**2), axis=1)
 
 
 def outcome(place: Place, curves: Curves, draws: Draws) -> Outcome:
     """Simulate every motion under every draw. Movements of like duration run together: none waits long for another."""
     count = len(curves.duration)
-    made = Outcome(*(np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool)))
+    distance, clear, hit = (np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool))
+    made = Outcome(distance, clear, hit, place.late)
     order = np.argsort(curves.duration, kind="stable")
     for some in np.array_split(order, min(-(-count * len(draws) // TOGETHER), count)):
         part = _together(place, curves.only(some), draws)
@@ -80,11 +86,13 @@ def _together(place: Place, curves: Curves, draws: Draws) -> Outcome:
     way = between(points[:, :, -1])
     counts = moving[:, 1:].repeat(2, axis=1)  # pieces of the way, two to a tick
     finite = np.isfinite(way).all(axis=(1, 2))
-    clear = 1 - (_touching(place, angles, points) & moving).sum(axis=1) / moving.sum(axis=1)
-    away = np.where(counts, _nearest(place.target, way), np.inf).min(axis=1)
+    touches = _touching(place, angles, points) & moving
+    before = ~np.logical_or.accumulate(touches, axis=1)
+    clear = (before & moving).sum(axis=1) / moving.sum(axis=1)
+    away = np.where(counts & before[:, 1:].repeat(2, axis=1), _nearest(place.target, way), np.inf).min(axis=1)
     inside = (place.target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1)
     hit = inside & finite & (clear == 1)
-    return Outcome(np.where(finite, away, np.inf).reshape(shape), clear.reshape(shape), hit.reshape(shape))
+    return Outcome(np.where(finite, away, np.inf).reshape(shape), clear.reshape(shape), hit.reshape(shape), place.late)
 
 
 def between(tip: np.ndarray) -> np.ndarray:

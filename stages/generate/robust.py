@@ -6,7 +6,8 @@ chosen motion hits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.stats import binomtest
 
 from data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
 from data.schema import DataError
-from stages.generate.chance import Place, between, outcome, simulated
+from stages.generate.chance import LENIENT, Place, between, outcome, simulated
 from stages.generate.curves import Curves, joined
 from stages.generate.draws import Doubt, Draws, drawn
 from stages.generate.generate import HIT, MotionNotFoundError, commands_of, control_points_of
@@ -26,9 +27,20 @@ from stages.generate.refine import Space, refine
 from stages.generate.space import check_reach
 from stages.model.box import Box
 from stages.model.model import Model
+from stages.progress import Progress, part
 
 FINALISTS = 4  # winners of the race that are refined
 NEAREST = 8  # winners of the race that may be chosen all the same
+ENOUGH = 0.5  # of the draws hit: nothing else is sought
+
+
+@dataclass(frozen=True)
+class Sought:
+    """Motions found, of how many tried, and the largest share of draws that one of those refined hits."""
+
+    best: Curves
+    tried: int
+    share: float
 
 
 def generate(
@@ -42,6 +54,7 @@ def generate(
     motions: Annotated[int, Field(ge=16)],
     strings: Annotated[int, Field(ge=4)],
     rounds: Annotated[int, Field(ge=0)],
+    tries: Annotated[int, Field(ge=1)],
     informative: Annotated[float, Field(ge=0, le=1)],
     fresh: Annotated[int, Field(ge=10)],
     shortest: Annotated[float, Field(gt=0)],
@@ -49,18 +62,19 @@ def generate(
     alpha: Annotated[float, Field(gt=0)],
     fraction: Annotated[float, Field(gt=0, le=1)],
     doubt: Doubt,
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Motion:
     """The motion with the highest chance that the tip enters the target box, as far as is known.
 
     previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
     string, None before the first trial. motions: random ones that race. strings: draws on which the winners are
-    refined, for `rounds` of CMA-ES. informative: closeness (see `Outcome`) that may be given up for a cast that
-    teaches more. fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha: limit of the
-    random accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ. doubt: of
-    what is not the string. Raises MotionNotFoundError where the arm can make no motion or none is clear of the
-    obstacles, and DataError for a target out of reach or an empty range; a motion that hits with no draw is still the
-    one that comes nearest.
+    refined, for `rounds` of CMA-ES. tries: how often that is done at most, from other random motions, while none
+    found hits half of the draws; after the first time, what touches obstacles late counts for more. informative:
+    closeness (see `Outcome`) that may be given up for a cast that teaches more. fresh: draws that say what the chance
+    is. shortest, longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2]. fraction: of the control
+    points' range by which slight changes differ. doubt: of what is not the string. Raises MotionNotFoundError where
+    the arm can make no motion or none is clear of the obstacles, and DataError for a target out of reach or an empty
+    range; a motion that hits with no draw is still the one that comes nearest.
     """
     if shortest > longest:
         raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
@@ -68,7 +82,27 @@ def generate(
     rng = np.random.default_rng(seed)
     place, space = Place(model, target, obstacles), Space(model.arm, shortest, longest, alpha)
     draws = drawn(model, estimate, doubt, strings, rng)
-    random = entrants(place, space, previous, fraction, motions, rng)
+    found: list[Sought] = []
+    while len(found) < tries and not any(each.share >= ENOUGH for each in found):
+        random = entrants(place, space, previous, fraction, motions, rng)
+        there = replace(place, late=LENIENT) if found else place
+        found.append(sought(there, space, random, draws, rounds, seed, part(progress, len(found), tries)))
+    final = joined([each.best for each in found])
+    chosen = choice(place, final, drawn(model, estimate, doubt, strings, rng), informative)
+    progress(1.0)
+    return stated(place, chosen, drawn(model, estimate, doubt, fresh, rng), sum(each.tried for each in found))
+
+
+def sought(
+    place: Place,
+    space: Space,
+    random: Curves,
+    draws: Draws,
+    rounds: int,
+    seed: int,
+    progress: Progress,
+) -> Sought:
+    """The best of random motions, and these refined; raises MotionNotFoundError where there is none."""
     if not len(random.duration):
         raise MotionNotFoundError(
             "no random motion keeps the arm's limits and clear of the obstacles. Widen them, or lower generate.alpha."
@@ -77,10 +111,8 @@ def generate(
     progress(0.4)
     refined = refine(place, space, best.only(slice(FINALISTS)), draws, rounds, seed)
     progress(0.9)
-    final = joined([refined, best.only(slice(NEAREST))])
-    chosen = choice(place, final, drawn(model, estimate, doubt, strings, rng), informative)
-    progress(1.0)
-    return stated(place, chosen, drawn(model, estimate, doubt, fresh, rng), len(random.duration))
+    share = float(outcome(place, refined, draws).hit.mean(axis=1).max())
+    return Sought(joined([refined, best.only(slice(NEAREST))]), len(random.duration), share)
 
 
 def choice(place: Place, curves: Curves, draws: Draws, informative: float) -> Curves:

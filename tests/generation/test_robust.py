@@ -12,8 +12,8 @@ from data.artifacts import Estimate
 from data.schema import DataError
 from stages.generate import Box, MotionNotFoundError, generate, race
 from stages.generate import robust as chosen
-from stages.generate.chance import TOGETHER, Place, between, outcome, simulated
-from stages.generate.curves import Curves, joined, plain_cast
+from stages.generate.chance import LENIENT, TOGETHER, Place, between, outcome, simulated
+from stages.generate.curves import Curves, first_curves, joined, plain_cast
 from stages.generate.draws import Doubt, Draws, drawn
 from stages.generate.generate import arm_faults, curves_of
 from stages.generate.learning import spread_after
@@ -28,6 +28,7 @@ SETTINGS = {
     "motions": 200,
     "strings": 12,
     "rounds": 4,
+    "tries": 1,
     "informative": 0.0,
     "fresh": 200,
     "shortest": 0.2,
@@ -135,6 +136,24 @@ def test_what_touches_an_obstacle_does_not_hit(model):
     assert not wall.crossed(joints[:, :-1], joints[:, 1:]).any()
 
 
+def test_what_comes_after_a_touch_does_not_count(model):
+    """A wall that some strings swing into: how near they came until then, looked at anew."""
+    wall, free = Box(0.6, 0.35, 0.03, 0.3), Place(model, Box(0.75, 0.55, 0.06, 0.06), ())
+    rng = np.random.default_rng(5)
+    curves = first_curves(model.arm, rng, 40, (0.4, 0.6), 100.0)
+    draws = drawn(model, known(SOFT), NONE, 1, rng)
+    behind = replace(free, obstacles=(wall,))
+    some, none = outcome(behind, curves, draws), outcome(free, curves, draws)
+    touched = some.clear[:, 0] < 1
+    assert 5 < touched.sum() < 35
+    assert (some.distance >= none.distance).all()
+    assert (some.distance[~touched] == none.distance[~touched]).all()
+    assert (some.distance[touched] > none.distance[touched]).any()  # these came nearer behind the wall
+    lenient = outcome(replace(behind, late=LENIENT), curves, draws)
+    assert (lenient.closeness[touched] >= some.closeness[touched]).all()
+    assert (lenient.closeness[~touched] == some.closeness[~touched]).all()
+
+
 def test_every_limit_of_the_arm_is_kept(model):
     slow = replace(model, arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)))
     motion = chosen.generate(slow, TARGET, (), None, known(SOFT), seed=4, **SETTINGS)
@@ -201,10 +220,12 @@ def test_failures_say_why(model, monkeypatch):
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     """The cast will teach what the string is like."""
     tiny = SETTINGS | {"motions": 60, "rounds": 0, "fresh": 10}
+    again = chosen.generate(model, Box(0.4, 0.7, 1e-7, 1e-7), (), None, None, seed=0, **tiny | {"tries": 2})
     motion = chosen.generate(model, Box(0.4, 0.7, 1e-7, 1e-7), (), None, None, seed=0, **tiny)
     told = motion.outcome.iloc[0]
     assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
     assert told["chance_high"] > 0.2
+    assert again.outcome["tried"].iloc[0] >= told["tried"] + 60  # nothing was hit: it was sought once more
     assert len(motion.commands) == round(told["duration"] / model.arm.tick) + 1
 
 
