@@ -1,5 +1,6 @@
 """The hit study: what its desk measures, and what its tables count."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -90,6 +91,17 @@ def test_a_case_says_only_what_differs_and_another_stage_comes_whole():
     assert config["specimen"]["hidden"] == {}
     practice = settings(config, {}, {"generate": hits["lessons"]["generate"]}, 3, 2)
     assert practice["generate"] == composed()["generate"]
+
+
+def test_ways_of_learning_differ_in_their_motions_alone():
+    """But for the paper's, all methods of the study have one string and one estimation."""
+    config = composed(["+experiment=learn_study"])
+    hits = config["hits"]
+    ways = {name: settings(config, hits["cases"]["B"], method, 7, 4) for name, method in hits["methods"].items()}
+    own = ways.pop("paper")
+    assert len({json.dumps(way | {"generate": None}, sort_keys=True) for way in ways.values()}) == 1
+    assert len({json.dumps(way["generate"], sort_keys=True) for way in ways.values()}) == len(ways) == 4
+    assert own["generate"] == ways["random"]["generate"]
 
 
 @pytest.fixture
