@@ -69,12 +69,13 @@ def generate(
     previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
     string, None before the first trial. motions: random ones that race. strings: draws on which the winners are
     refined, for `rounds` of CMA-ES. tries: how often that is done at most, from other random motions, while none
-    found hits half of the draws; after the first time, what touches obstacles late counts for more. informative:
-    closeness (see `Outcome`) that may be given up for a cast that teaches more. fresh: draws that say what the chance
-    is. shortest, longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2]. fraction: of the control
-    points' range by which slight changes differ. doubt: of what is not the string. Raises MotionNotFoundError where
-    the arm can make no motion or none is clear of the obstacles, and DataError for a target out of reach or an empty
-    range; a motion that hits with no draw is still the one that comes nearest.
+    found hits half of the draws; after the first time, what touches obstacles late counts for more. Before the first
+    trial it is done once. informative: closeness (see `Outcome`) that may be given up for a cast that teaches more.
+    fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha: limit of the random
+    accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ. doubt: of what is
+    not the string. Raises MotionNotFoundError where the arm can make no motion or none is clear of the obstacles, and
+    DataError for a target out of reach or an empty range; a motion that hits with no draw is still the one that comes
+    nearest.
     """
     if shortest > longest:
         raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
@@ -82,11 +83,12 @@ def generate(
     rng = np.random.default_rng(seed)
     place, space = Place(model, target, obstacles), Space(model.arm, shortest, longest, alpha)
     draws = drawn(model, estimate, doubt, strings, rng)
+    most = 1 if estimate is None else tries  # half of all strings there may be are not hit by any motion
     found: list[Sought] = []
-    while len(found) < tries and not any(each.share >= ENOUGH for each in found):
+    while len(found) < most and not any(each.share >= ENOUGH for each in found):
         random = entrants(place, space, previous, fraction, motions, rng)
         there = replace(place, late=LENIENT) if found else place
-        found.append(sought(there, space, random, draws, rounds, seed, part(progress, len(found), tries)))
+        found.append(sought(there, space, random, draws, rounds, seed, part(progress, len(found), most)))
     final = joined([each.best for each in found])
     chosen = choice(place, final, drawn(model, estimate, doubt, strings, rng), informative)
     progress(1.0)
