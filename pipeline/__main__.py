@@ -23,7 +23,7 @@ from rich.markup import escape
 
 from data import store
 from data.schema import DataError
-from pipeline.brought import brought_along, check_bench, extended_model, measured_camera
+from pipeline.brought import LENGTH, brought_along, check_bench, extended_model, measured_camera
 from pipeline.commands import NAMES, command, listed
 from pipeline.keep import forget
 from pipeline.perform import perform
@@ -72,10 +72,12 @@ def with_brought_settings(config: DictConfig, given: set[str]) -> Any:
     given: names on the command line, which stand above all.
     """
     whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
+    brought: dict[str, Any] = {}
     if config.trials is not None:
         if "execute" in config.steps:
             check_bench(Path(config.trials), given)
-        for name, value in brought_along(Path(config.trials), given).items():
+        brought = brought_along(Path(config.trials), given)
+        for name, value in brought.items():
             OmegaConf.update(whole, name, value, merge=False)
     if config.extended is not None:
         for name, value in extended_model(Path(config.extended)).items():
@@ -85,6 +87,8 @@ def with_brought_settings(config: DictConfig, given: set[str]) -> Any:
     if any(folder is not None for folder in (config.trials, config.extended, config.calibrated)):
         for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
             OmegaConf.update(whole, name, OmegaConf.select(config, name))
+    if LENGTH in brought:
+        OmegaConf.update(whole, LENGTH, brought[LENGTH])
     return OmegaConf.to_container(whole, resolve=True)
 
 

@@ -12,6 +12,7 @@ from pipeline.settings import UserError
 
 EXTENDED = "extended.yaml"  # the model that a diagnosis made, or an alignment
 CAMERA = "camera.yaml"  # the camera that a calibration measured
+LENGTH = "string.length"  # that of the string that was measured, however it is simulated
 FROM_DATASETS = {
     "string": ("length",),
     "arm": ("links", "base"),
@@ -59,18 +60,26 @@ def _left(folder: Path, file: str, setting: str, what: str, remedy: str) -> dict
 def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
     """Settings of stored trials, by name: those of a run of ours, or what another's dataset.yaml says.
 
-    given: names on the command line; a group that is chosen there is not brought along.
+    given: names on the command line; a group that is chosen there is not brought along, but for the string's length.
     """
     if (folder / "config.json").exists():
         known = dataset.settings(folder / "config.json")
-        return {name: known[name] for name in FROM_TRIALS if name in known and name not in given}
-    about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
-    return {
-        f"{group}.{key}": value
-        for group, values in about.items()
-        for key, value in values.items()
-        if key in FROM_DATASETS[group] and group not in given
-    }
+        brought = {name: known[name] for name in FROM_TRIALS if name in known}
+        brought |= {LENGTH: known["string"]["length"]} if "string" in known else {}
+    else:
+        about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
+        brought = {
+            f"{group}.{key}": value
+            for group, values in about.items()
+            for key, value in values.items()
+            if key in FROM_DATASETS[group]
+        }
+    return {name: value for name, value in brought.items() if not _taken(name, given)}
+
+
+def _taken(name: str, given: set[str]) -> bool:
+    """Whether the command line says this itself. string=... says how a string is simulated, and not how long it is."""
+    return name in given or (name != LENGTH and name.partition(".")[0] in given)
 
 
 def check_bench(folder: Path, given: set[str]) -> None:

@@ -57,8 +57,7 @@ def measured(folder: Path, overrides: Sequence[str]) -> Measured:
     given = names_given(overrides)
     config = OmegaConf.create(composed(overrides))
     for name, value in brought_along(folder, given).items():
-        if name not in given:
-            OmegaConf.update(config, name, value, merge=False, force_add=True)
+        OmegaConf.update(config, name, value, merge=False, force_add=True)
     blocks: Any = OmegaConf.to_container(config)
     arm = build(Arm, blocks["arm"], "arm", "conf/arm")
     camera = build(Camera, blocks["camera"], "camera", "conf/camera")

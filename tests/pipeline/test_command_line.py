@@ -11,9 +11,11 @@ from pathlib import Path
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from omegaconf import OmegaConf
 
 from data import store
 from pipeline import __main__ as shell
+from pipeline import settings
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -199,6 +201,23 @@ def test_stored_trials_keep_their_settings_but_for_what_is_given(quick, tmp_path
     refused = pipeline("+experiment=estimate", f"trials={about}", folder=tmp_path / "other")
     assert refused.returncode == 1
     assert "config.json: damaged" in refused.stderr.replace("\n", " ")
+
+
+def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tmp_path):
+    """Also a run of ours; what the command line says of the length itself stands."""
+    (tmp_path / "dataset.yaml").write_text("format: 1\nstring: {length: 0.45}\n")
+
+    def used(folder, *more):
+        config = OmegaConf.create(settings.composed([f"trials={folder}", "steps=[estimate]", *more]))
+        return shell.with_brought_settings(config, settings.names_given([f"trials={folder}", *more]))["string"]
+
+    assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.45, 10)
+    assert (used(tmp_path, "string=fine")["length"], used(tmp_path, "string=fine")["points"]) == (0.45, 29)
+    assert used(tmp_path, "string=fine", "string.length=0.4")["length"] == 0.4
+    known = json.loads((quick / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps(known | {"string": known["string"] | {"length": 0.35}}))
+    assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.35, known["string"]["points"])
+    assert (used(tmp_path, "string=fine")["length"], used(tmp_path, "string=fine")["points"]) == (0.35, 29)
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path):
