@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -67,38 +68,52 @@ def generate(
 ) -> Motion:
     """A motion whose simulated tip hits the target during the movement.
 
-    previous: the last motion, slightly changed from the second manipulation on. estimate: of
-    the string, None before the first trial. attempts: motions tried at most, `together` at a time. shortest,
-    longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2]. fraction: of
-    the control points' range by which they change. hits: motions that hit from which the one
-    whose tip stays longest in the box is taken (1 is the paper's first come). Raises
-    MotionNotFoundError, and DataError for a target out of reach or an empty range.
+    previous: the last motion, slightly changed from the second manipulation on; where no such change hits, any motion
+    may (the paper does not say). estimate: of the string, None before the first trial. attempts: motions of a kind
+    tried at most, `together` at a time. shortest, longest: range of T [s]. alpha: limit of the random accelerations
+    [rad/s^2]. fraction: of the control points' range by which they change. hits: motions that hit from which the one
+    whose tip stays longest in the box is taken (1 is the paper's first come). Raises MotionNotFoundError, and DataError
+    for a target out of reach or an empty range.
     """
     if shortest > longest:
         raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
-    count: Counter[str] = Counter()
-    found: list[tuple[float, Motion]] = []
     values = model.values({} if estimate is None else estimate.values())
-    while sum(count.values()) < attempts and len(found) < hits:
-        size = min(together, attempts - sum(count.values()))
-        curves = _drawn(model.arm, rng, size, (shortest, longest), alpha, previous, fraction)
-        found += _tried(model, target, obstacles, values, curves, count, hits - len(found))
-        progress(sum(count.values()) / attempts)
-    if not found:
-        raise MotionNotFoundError(_failure(count, attempts))
-    return _counted(max(found, key=lambda one: one[0])[1], count)
+    check, count = partial(_tried, model, target, obstacles, values), Counter[str]()
+    for near in [None] if previous is None else [previous, None]:
+        draw = partial(_drawn, model.arm, rng, (shortest, longest), alpha, near, fraction)
+        found, tried = _searched(check, draw, attempts, together, hits, progress)
+        count += tried
+        if found:
+            return _counted(max(found, key=lambda one: one[0])[1], count)
+    raise MotionNotFoundError(_failure(count))
+
+
+def _searched(
+    check: Callable[[Curves, Counter[str], int], list[tuple[float, Motion]]],
+    draw: Callable[[int], Curves],
+    attempts: int,
+    together: int,
+    hits: int,
+    progress: Callable[[float], object],
+) -> tuple[list[tuple[float, Motion]], Counter[str]]:
+    """Motions that hit, with how long each stays in the box [s], and what became of all that were tried."""
+    count, found = Counter[str](), list[tuple[float, Motion]]()
+    while count.total() < attempts and len(found) < hits:
+        found += check(draw(min(together, attempts - count.total())), count, hits - len(found))
+        progress(count.total() / attempts)
+    return found, count
 
 
 def _drawn(
     arm: Arm,
     rng: np.random.Generator,
-    size: int,
     durations: tuple[float, float],
     alpha: float,
     previous: Motion | None,
     fraction: float,
+    size: int,
 ) -> Curves:
     """First or later candidates."""
     if previous is None:
@@ -244,10 +259,10 @@ def _counted(motion: Motion, count: Counter[str]) -> Motion:
     return Motion(motion.commands, motion.control_points, motion.string, ATTEMPTS.check(attempts), outcome)
 
 
-def _failure(count: Counter[str], attempts: int) -> str:
+def _failure(count: Counter[str]) -> str:
     """What to tell the user."""
     reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
     return (
-        f"no motion hits the target in generate.attempts={attempts} tries ({reasons}). "
-        "Allow more attempts, a larger target box, or other limits of the arm."
+        f"no motion hits the target in {count.total()} tries ({reasons}). "
+        "Allow more generate.attempts, a larger target box, or other limits of the arm."
     )

@@ -108,6 +108,16 @@ def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
     assert sum(best) > sum(first) + 0.002
 
 
+def test_where_no_slight_change_of_the_last_motion_hits_any_motion_may(arm, camera):
+    """Changes of one part in a million stay where the last motion went, 0.5 m from this target."""
+    model = Model(STRING, arm, camera)
+    last = generate(model, TARGET, (), None, None, seed=0, **SETTINGS)
+    stuck = SETTINGS | {"fraction": 1e-6, "attempts": 4096}
+    motion = generate(model, Box(0.75, 0.3, 0.06, 0.06), (), last, None, seed=0, **stuck)
+    assert 4096 < motion.outcome["tried"].iloc[0] < 8192
+    assert motion.attempts.set_index("outcome")["count"]["the tip misses the target"] >= 4096
+
+
 def test_failures_say_why(arm, camera):
     with pytest.raises(DataError, match="out of reach"):
         generate(Model(STRING, arm, camera), Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
