@@ -14,46 +14,42 @@ from stages.model.hand import JointMotion
 from stages.model.model import Model
 
 TOGETHER = 256  # strings simulated at once: what is handed on stays in memory that is used again
-STRICT, LENIENT = 0.02, 0.3  # of the worth of a draw that touches nothing: of one that touches something at the end
+TOUCHING = 0.5  # of the worth of a draw that touches nothing: of one that touches something at last
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a cast is to go. obstacles: what neither the arm nor the string may touch during the movement. late: what a
-    draw is worth that touches something only at the end, of one that touches nothing: little where many draws are to
-    be clear, more where a way through is still sought."""
+    """Where a cast is to go. obstacles: what the arm may not touch at all, and the string not before it hits."""
 
     model: Model
     target: Box
     obstacles: Sequence[Box]
-    late: float = STRICT
 
 
 @dataclass(frozen=True)
 class Outcome:
     """What becomes of M motions under K draws. clear: (M, K) share of the movement until something touches an obstacle,
     1 where nothing does. distance: (M, K) of the tip from the target's centre in half widths and half heights, the
-    least until then; infinite where the simulation does not stay finite. hit: (M, K) the tip enters the box, and
-    nothing touches anything. late: of the place."""
+    least until then; infinite where the simulation does not stay finite. hit: (M, K) the tip enters the box until
+    then, as `stages.judge` has it, and the arm touches nothing afterwards either."""
 
     distance: np.ndarray
     clear: np.ndarray
     hit: np.ndarray
-    late: float
 
     @property
     def closeness(self) -> np.ndarray:
         """(M,) a smooth stand-in for the share of draws that hit: 1 / (1 + d^2) is 1 at the centre and 1/2 at the
-        inscribed ellipse, and still tells far from farther; so does what remains to a draw that touches something."""
-        worth = np.where(self.clear == 1, 1, self.late * self.clear)
+        inscribed ellipse, and still tells far from farther. Of two that come as near, one that touches nothing is worth
+        more, and one that touches something late."""
+        worth = np.where(self.clear == 1, 1, TOUCHING * self.clear)
         return np.mean(worth / (1 + self.distance**2), axis=1)
 
 
 def outcome(place: Place, curves: Curves, draws: Draws) -> Outcome:
     """Simulate every motion under every draw. Movements of like duration run together: none waits long for another."""
     count = len(curves.duration)
-    distance, clear, hit = (np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool))
-    made = Outcome(distance, clear, hit, place.late)
+    made = Outcome(*(np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool)))
     order = np.argsort(curves.duration, kind="stable")
     for some in np.array_split(order, min(-(-count * len(draws) // TOGETHER), count)):
         part = _together(place, curves.only(some), draws)
@@ -84,15 +80,14 @@ def _together(place: Place, curves: Curves, draws: Draws) -> Outcome:
     tick, end = place.model.arm.tick, (curves.duration[:, None] - draws.lag).ravel()
     moving = np.arange(points.shape[1]) * tick <= end[:, None] + 1e-9
     way = between(points[:, :, -1])
-    counts = moving[:, 1:].repeat(2, axis=1)  # pieces of the way, two to a tick
     finite = np.isfinite(way).all(axis=(1, 2))
-    touches = _touching(place, angles, points) & moving
-    before = ~np.logical_or.accumulate(touches, axis=1)
+    arm, string = (each & moving for each in _touching(place, angles, points))
+    before = ~np.logical_or.accumulate(arm | string, axis=1)
     clear = (before & moving).sum(axis=1) / moving.sum(axis=1)
-    away = np.where(counts & before[:, 1:].repeat(2, axis=1), _nearest(place.target, way), np.inf).min(axis=1)
-    inside = (place.target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1)
-    hit = inside & finite & (clear == 1)
-    return Outcome(np.where(finite, away, np.inf).reshape(shape), clear.reshape(shape), hit.reshape(shape), place.late)
+    counts = (before & moving)[:, 1:].repeat(2, axis=1)  # pieces of the way, two to a tick
+    away = np.where(counts, _nearest(place.target, way), np.inf).min(axis=1)
+    hit = (place.target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1) & finite & ~arm.any(axis=1)
+    return Outcome(np.where(finite, away, np.inf).reshape(shape), clear.reshape(shape), hit.reshape(shape))
 
 
 def between(tip: np.ndarray) -> np.ndarray:
@@ -105,16 +100,16 @@ def between(tip: np.ndarray) -> np.ndarray:
     return way
 
 
-def _touching(place: Place, angles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """At which ticks the arm, the string or the tip's way from the tick before touch an obstacle, (C, T)."""
-    touching = np.zeros(points.shape[:2], dtype=bool)
-    if not place.obstacles:
-        return touching
-    joints = place.model.arm.joints(angles)
+def _touching(place: Place, angles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """At which ticks an obstacle is touched by the arm, and by the string or the tip's way from the tick before; each
+    (C, T)."""
+    arm, string = np.zeros((2, *points.shape[:2]), dtype=bool)
+    joints = place.model.arm.joints(angles) if place.obstacles else angles
     for box in place.obstacles:
-        touching |= _lies_in(box, points) | box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
-        touching[:, 1:] |= box.crossed(points[:, :-1, -1], points[:, 1:, -1])
-    return touching
+        arm |= box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
+        string |= _lies_in(box, points)
+        string[:, 1:] |= box.crossed(points[:, :-1, -1], points[:, 1:, -1])
+    return arm, string
 
 
 def _lies_in(box: Box, points: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ chosen motion hits.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 
 from data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
 from data.schema import DataError
-from stages.generate.chance import LENIENT, Place, between, outcome, simulated
+from stages.generate.chance import Place, between, outcome, simulated
 from stages.generate.curves import Curves, joined
 from stages.generate.draws import Doubt, Draws, drawn
 from stages.generate.generate import HIT, MotionNotFoundError, commands_of, control_points_of
@@ -69,13 +69,12 @@ def generate(
     previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
     string, None before the first trial. motions: random ones that race. strings: draws on which the winners are
     refined, for `rounds` of CMA-ES. tries: how often that is done at most, from other random motions, while none
-    found hits half of the draws; after the first time, what touches obstacles late counts for more. Before the first
-    trial it is done once. informative: closeness (see `Outcome`) that may be given up for a cast that teaches more.
-    fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha: limit of the random
-    accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ. doubt: of what is
-    not the string. Raises MotionNotFoundError where the arm can make no motion or none is clear of the obstacles, and
-    DataError for a target out of reach or an empty range; a motion that hits with no draw is still the one that comes
-    nearest.
+    found hits half of the draws; before the first trial, once. informative: closeness (see `Outcome`) that may be given
+    up for a cast that teaches more. fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha:
+    limit of the random accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ.
+    doubt: of what is not the string. Raises MotionNotFoundError where the arm can make no motion or none is clear of
+    the obstacles, and DataError for a target out of reach or an empty range; a motion that hits with no draw is still
+    the one that comes nearest.
     """
     if shortest > longest:
         raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
@@ -87,8 +86,7 @@ def generate(
     found: list[Sought] = []
     while len(found) < most and not any(each.share >= ENOUGH for each in found):
         random = entrants(place, space, previous, fraction, motions, rng)
-        there = replace(place, late=LENIENT) if found else place
-        found.append(sought(there, space, random, draws, rounds, seed, part(progress, len(found), most)))
+        found.append(sought(place, space, random, draws, rounds, seed, part(progress, len(found), most)))
     final = joined([each.best for each in found])
     chosen = choice(place, final, drawn(model, estimate, doubt, strings, rng), informative)
     progress(1.0)
@@ -131,7 +129,7 @@ def choice(place: Place, curves: Curves, draws: Draws, informative: float) -> Cu
 def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:
     """The artifact of one movement, with its chance of hitting as these draws find it."""
     made = outcome(place, curve, draws)
-    hit, distance = made.hit[0], np.where(made.clear[0] == 1, made.distance[0], np.inf)
+    hit, distance = made.hit[0], np.where(made.hit[0] | (made.clear[0] == 1), made.distance[0], np.inf)
     if np.isinf(distance).all():
         raise MotionNotFoundError(
             f"on the best motion found, each of {len(hit)} likely strings touches an obstacle or cannot be simulated. "

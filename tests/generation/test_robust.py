@@ -12,7 +12,7 @@ from data.artifacts import Estimate
 from data.schema import DataError
 from stages.generate import Box, MotionNotFoundError, generate, race
 from stages.generate import robust as chosen
-from stages.generate.chance import LENIENT, TOGETHER, Place, between, outcome, simulated
+from stages.generate.chance import TOGETHER, Place, between, outcome, simulated
 from stages.generate.curves import Curves, first_curves, joined, plain_cast
 from stages.generate.draws import Doubt, Draws, drawn
 from stages.generate.generate import arm_faults, curves_of
@@ -120,18 +120,20 @@ def test_a_certain_string_is_hit_as_plain_generation_promises(model):
     assert told["t_hit"] <= told["duration"]
 
 
-def test_what_touches_an_obstacle_does_not_hit(model):
-    """A wall under the target: of strings that are said to hit, none touches it, looked at anew."""
+def test_what_touches_an_obstacle_first_does_not_hit(model):
+    """A wall under the target: strings that are said to hit reach it before they touch the wall, looked at anew."""
     wall = Box(0.6, 0.35, 0.03, 0.3)
     target = Box(0.75, 0.55, 0.06, 0.06)
     motion = chosen.generate(model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400})
     draws = drawn(model, None, NONE, 60, np.random.default_rng(7))
     made = outcome(Place(model, target, (wall,)), curves_of(motion), draws)
     points = performed(model, motion, draws.values)
-    clear = ~wall.crossed(points[:, :, :-1], points[:, :, 1:]).any(axis=(1, 2))
+    touched = wall.crossed(points[:, :, :-1], points[:, :, 1:]).any(axis=2)
+    before = ~np.logical_or.accumulate(touched, axis=1)
+    entered = target.crossed(points[:, :-1, -1], points[:, 1:, -1])
     assert made.hit.any()
-    assert clear[made.hit[0]].all()
-    assert (made.clear[0][~clear] < 1).all()
+    assert (entered & before[:, 1:]).any(axis=1)[made.hit[0]].all()
+    assert (made.clear[0][touched.any(axis=1)] < 1).all()
     joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
     assert not wall.crossed(joints[:, :-1], joints[:, 1:]).any()
 
@@ -142,16 +144,26 @@ def test_what_comes_after_a_touch_does_not_count(model):
     rng = np.random.default_rng(5)
     curves = first_curves(model.arm, rng, 40, (0.4, 0.6), 100.0)
     draws = drawn(model, known(SOFT), NONE, 1, rng)
-    behind = replace(free, obstacles=(wall,))
-    some, none = outcome(behind, curves, draws), outcome(free, curves, draws)
+    some, none = outcome(replace(free, obstacles=(wall,)), curves, draws), outcome(free, curves, draws)
     touched = some.clear[:, 0] < 1
     assert 5 < touched.sum() < 35
     assert (some.distance >= none.distance).all()
     assert (some.distance[~touched] == none.distance[~touched]).all()
     assert (some.distance[touched] > none.distance[touched]).any()  # these came nearer behind the wall
-    lenient = outcome(replace(behind, late=LENIENT), curves, draws)
-    assert (lenient.closeness[touched] >= some.closeness[touched]).all()
-    assert (lenient.closeness[~touched] == some.closeness[~touched]).all()
+    assert (some.closeness[touched] < none.closeness[touched]).all()
+
+
+def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
+    """A post where the hand is at the end, and nowhere near before: the string has hit long since."""
+    motion = chosen.generate(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
+    joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
+    x, y = joints[-1, -1]
+    post = Box(float(x), float(y), 1e-3, 1e-3)
+    assert motion.outcome["t_hit"].iloc[0] < motion.duration - 0.02
+    draws = drawn(model, known(SOFT), NONE, 4, np.random.default_rng(0))
+    free, barred = (outcome(Place(model, TARGET, boxes), curves_of(motion), draws) for boxes in ((), (post,)))
+    assert free.hit.all()
+    assert not barred.hit.any()
 
 
 def test_every_limit_of_the_arm_is_kept(model):
