@@ -14,6 +14,7 @@ from pipeline.hitting.scores import ALL, WANTED
 from stages.report.picture import LIGHT, MM, STYLE
 
 ACROSS = 5  # pictures side by side
+MARKS = "os^Dv<>"  # of methods, whose colours come again after the fourth
 
 
 def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
@@ -46,15 +47,15 @@ def _bars(some: pd.DataFrame) -> np.ndarray:
 def _hits(axes: Axes, rates: pd.DataFrame, case: str) -> None:
     for number, (method, some) in enumerate(rates.groupby("method", sort=False)):
         across = some["within"] + 0.08 * number  # side by side, so that bars can be told apart
-        axes.errorbar(across, some["share"], _bars(some), fmt="o-", ms=4, label=method)
+        axes.errorbar(across, some["share"], _bars(some), fmt=f"{MARKS[number]}-", ms=4, label=method)
     axes.axhline(WANTED, color=LIGHT["wall"], ls="--", lw=1)
     axes.set(xlabel="casts", ylabel="runs that have hit", ylim=(-0.03, 1.05), title=case)
     axes.set_xticks(sorted(rates["within"].unique()))
 
 
 def _learned(axes: Axes, learned: pd.DataFrame) -> None:
-    for method, some in learned.groupby("method", sort=False):
-        axes.plot(some["after"], some["median"] * MM, "o-", ms=4, label=method)
+    for number, (_, some) in enumerate(learned.groupby("method", sort=False)):
+        axes.plot(some["after"], some["median"] * MM, f"{MARKS[number]}-", ms=4)
     axes.set(xlabel="casts", ylabel="tip on other casts / mm", title="how well it foretells", yscale="log")
     axes.set_xticks(sorted(learned["after"].unique()))
 
@@ -62,6 +63,7 @@ def _learned(axes: Axes, learned: pd.DataFrame) -> None:
 def _calibration(axes: Axes, table: pd.DataFrame, methods: list[str]) -> None:
     axes.plot([0, 1], [0, 1], color=LIGHT["wall"], ls="--", lw=1)
     for method, some in table.groupby("method", sort=False):
-        axes.errorbar(some["foretold"], some["share"], _bars(some), fmt="o", ms=4, color=f"C{methods.index(method)}")
+        number = methods.index(method)
+        axes.errorbar(some["foretold"], some["share"], _bars(some), fmt=MARKS[number], ms=4, color=f"C{number}")
     axes.set(xlabel="chance foretold", ylabel="share that hit", xlim=(0, 1.03), ylim=(-0.03, 1.05))
     axes.set_title("do foretold chances hold?")
