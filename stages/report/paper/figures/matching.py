@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from stages.report.figures.timeline import broken
 from stages.report.paper.record import Drawn, PaperRecord
 from stages.report.picture import LIGHT, MM
 from stages.report.words import rate
@@ -23,7 +24,8 @@ def matching(record: PaperRecord, condition: str) -> Drawn | None:
     near: dict[int, float] = {}
     for number, colour in zip(dict.fromkeys([made[0], compared(made)]), ("before", "after"), strict=False):
         table = record.cast("matching", condition, number).sort_values("t")
-        axes.plot(table["t"] * MM, table["before"], color=LIGHT[colour], label=f"manipulation {number}")
+        t, rates = table["t"].to_numpy(), table["before"].to_numpy()
+        axes.plot(t * MM, broken(t, rates), color=LIGHT[colour], label=f"manipulation {number}")
         closest = record.verdict(condition, number)["t_closest"]
         axes.axvline(closest * MM, color=LIGHT[colour], lw=1, ls="--")
         near[number] = float(np.nanmean(table.loc[(table["t"] - closest).abs() <= AROUND, "before"]))
