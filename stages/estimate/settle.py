@@ -55,7 +55,8 @@ def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
     metres = replace(ready, sigma=np.ones(len(ready.points)))
     changes = STEP * np.eye(2 * MODES)
     moved = [replace(metres, initial=_changed(begin, change, ready.model.string.length)) for change in changes]
-    columns = np.stack([_residual(each, values) - _residual(metres, values) for each in moved], axis=1) / STEP
+    here = _residual(metres, values)
+    columns = np.stack([_residual(each, values) - here for each in moved], axis=1) / STEP
     return columns[:, np.isfinite(columns).all(axis=0)]
 
 

@@ -104,7 +104,9 @@ def _touching(place: Place, angles: np.ndarray, points: np.ndarray) -> tuple[np.
     """At which ticks an obstacle is touched by the arm, and by the string or the tip's way from the tick before; each
     (C, T)."""
     arm, string = np.zeros((2, *points.shape[:2]), dtype=bool)
-    joints = place.model.arm.joints(angles) if place.obstacles else angles
+    if not place.obstacles:
+        return arm, string
+    joints = place.model.arm.joints(angles)
     for box in place.obstacles:
         arm |= box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
         string |= _lies_in(box, points)
