@@ -19,6 +19,7 @@ from pipeline.origin import PACKAGES, code, origin, versions
 from pipeline.settings import UserError, build, chosen
 from pipeline.world import World
 from stages.calibrate import Board
+from stages.progress import Progress
 from stages.report.calibration import CalibrationRecord, calibration_report
 
 TILT = "Move the board slowly, tilted in all directions, all over the picture."
@@ -51,7 +52,7 @@ def source(here: World, name: str) -> Source:
     return made
 
 
-def run(here: World, folder: Path, looked: Taken, progress: Callable[[float], object]) -> Calibration:
+def run(here: World, folder: Path, looked: Taken, progress: Progress) -> Calibration:
     """Measure, and leave the artifact, the page and, of a good one, camera.yaml."""
     pictures = (looked.tilted, looked.flat)
     made: Calibration = here.stages["calibrate"](*pictures, looked.board, here.camera, progress=progress)

@@ -12,8 +12,7 @@ from data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Point
 from pipeline.world import World
 from stages.estimate.untouched import untouched
 from stages.extract import aligned_footage
-
-Progress = Callable[[float], object]
+from stages.progress import Progress
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ lag, which swallows the quick ones, from a clock that is off.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -36,6 +36,7 @@ from stages.model.arm import Arm
 from stages.model.box import Box
 from stages.model.hand import JointMotion
 from stages.model.model import Model
+from stages.progress import Progress
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm
@@ -54,7 +55,7 @@ def excite(
     highest: Annotated[float, Field(gt=0)],
     sines: Annotated[int, Field(ge=1)],
     motions: Annotated[int, Field(ge=1)],
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Motion:
     """The motion. duration: [s]. speed: of the hand at most [m/s]. highest: frequency of a sine [Hz]. sines: of each
     joint. motions: drawn, of which the best is taken.

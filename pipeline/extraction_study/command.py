@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,6 +19,7 @@ from pipeline.extraction_study.scores import FRAMES, SHARES, compared, shares
 from pipeline.origin import origin
 from pipeline.settings import build
 from pipeline.world import World
+from stages.progress import Progress
 
 WHERE = "conf/experiment/extraction_study.yaml"
 
@@ -32,7 +33,7 @@ class ExtractionStudy:
     strings: Mapping[str, Any]
 
 
-def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
+def run(here: World, folder: Path, progress: Progress) -> str:
     """Film, read and score; what came out, in a sentence. What is in `folder` already is not made again."""
     asked = build(ExtractionStudy, here.config["extraction_study"], "extraction_study", WHERE)
     takes = [one for name, block in asked.strings.items() for one in _takes(here, asked, name, block)]

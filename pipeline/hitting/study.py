@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from pipeline.origin import origin
 from pipeline.settings import build
 from pipeline.study.benches import workers
 from pipeline.world import World
+from stages.progress import Progress
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -62,7 +63,7 @@ class Job:
         return folder / "rows" / f"{self.case}-{self.method}-{self.seed:04d}.json"
 
 
-def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
+def run(here: World, folder: Path, progress: Progress) -> str:
     """Cast, count and draw; what came out, in a sentence. What is in `folder` already is not made again."""
     asked = build(Hits, here.config["hits"], "hits", "conf/experiment/hit_study.yaml")
     seeds = range(asked.first, asked.first + asked.seeds)
@@ -75,9 +76,7 @@ def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
     return sentence(tables)
 
 
-def _all_made(
-    jobs: list[Job], config: Mapping[str, Any], folder: Path, processes: int, progress: Callable[[float], object]
-) -> None:
+def _all_made(jobs: list[Job], config: Mapping[str, Any], folder: Path, processes: int, progress: Progress) -> None:
     """Rows of every job on disk."""
     with workers(processes) as pool:
         made = [pool.submit(make, job, config, folder) for job in jobs if not job.kept(folder).exists()]

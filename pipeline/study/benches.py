@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from data.store import write_text
+from stages.progress import Progress
 
 Row = dict[str, Any]
 
@@ -42,7 +43,7 @@ def study(
     diagnose: Diagnose,
     *,
     processes: int,
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> list[Row]:
     """One row for each seed, in their order, whatever the number of processes.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from pipeline.study.benches import study
 from pipeline.study.pictures import pictures
 from pipeline.study.scores import TABLES, scores
 from pipeline.world import World, world
+from stages.progress import Progress
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Study:
     processes: Annotated[int, Field(ge=0)]
 
 
-def run(here: World, folder: Path, progress: Callable[[float], object]) -> str:
+def run(here: World, folder: Path, progress: Progress) -> str:
     """Draw, diagnose and score; what came out, in a sentence. What is in `folder` already is not made again."""
     asked = build(Study, here.config["study"], "study", "conf/config.yaml")
     seeds = range(asked.first, asked.first + asked.benches)

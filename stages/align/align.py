@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -20,6 +20,7 @@ from stages.align.outline import from_films
 from stages.align.refuse import refuse_fit, refuse_sight, speed
 from stages.model.library import named
 from stages.model.model import Model
+from stages.progress import Progress
 
 AIM = 1e-3  # [s] to which the clocks should be known
 
@@ -30,7 +31,7 @@ def align(
     films: Mapping[str, Film],
     *,
     arm_width: Annotated[float, Field(gt=0)],
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Alignment:
     """The alignment of camera and arm in all trials together.
 

@@ -7,7 +7,7 @@ Medioni 1992). It begins with few frames and far off, and ends with all and with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -22,6 +22,7 @@ from stages.extract.steady import samples
 from stages.model.body import arm_seen
 from stages.model.hand import JointMotion, joint_motion
 from stages.model.model import Model
+from stages.progress import Progress
 
 PIECES = 6  # pieces of a link, each a sighting
 ENDS = 0.15  # share of a link at its ends that is left out: there links and gripper overlap
@@ -46,9 +47,7 @@ class Silhouettes:
     pixels: Sequence[np.ndarray]
 
 
-def from_films(
-    model: Model, films: Mapping[str, Film], width: float, progress: Callable[[float], object]
-) -> tuple[Sighted, ...]:
+def from_films(model: Model, films: Mapping[str, Film], width: float, progress: Progress) -> tuple[Sighted, ...]:
     """Trials as their films show them. model: with every effect that is looked for. width: of the links [m].
 
     Raises DataError where no arm is seen.

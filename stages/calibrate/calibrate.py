@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
 
@@ -19,6 +19,7 @@ from stages.calibrate.plane import Place, in_plane
 from stages.calibrate.tables import tables
 from stages.calibrate.views import View, look
 from stages.model.camera import Camera
+from stages.progress import Progress
 
 SOLVABLE = 4  # views below which there is nothing to judge
 FOLDS = 4
@@ -36,7 +37,7 @@ def calibrate(
     coverage: Annotated[float, Field(gt=0, le=1)],
     rms: Annotated[float, Field(gt=0)],
     astray: Annotated[float, Field(gt=1)],
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Calibration:
     """What `camera` really is; its rate and exposure are kept.
 
@@ -61,7 +62,7 @@ def calibrate(
     return tables(evidence, seen, reason(evidence, Demands(views, spread, coverage, rms, astray)))
 
 
-def _looked(pictures: Sequence[np.ndarray], board: Board, progress: Callable[[float], object]) -> list[View]:
+def _looked(pictures: Sequence[np.ndarray], board: Board, progress: Progress) -> list[View]:
     """Every picture, most of whose time goes into finding the markers."""
     seen = []
     for number, picture in enumerate(pictures):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from stages.diagnose.screen import Probe, screened, spread
 from stages.diagnose.theory import Theory, candidates, joined
 from stages.model.effect import Effect, placed
 from stages.model.model import Model
+from stages.progress import Progress
 
 Causes = frozenset[str]
 
@@ -172,7 +173,7 @@ def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: fl
     return fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
 
 
-def chosen(court: Court, progress: Callable[[float], object]) -> tuple[Court, Causes]:
+def chosen(court: Court, progress: Progress) -> tuple[Court, Causes]:
     """The causes that earn their place: added one by one, then each tried again without and replaced by others.
 
     Also what was tried in the end: where a cause moves the string elsewhere, the simulation's doubt is found anew.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from stages.model.effect import Effect
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.model import Model
 from stages.model.parameter import Parameter
+from stages.progress import Progress
 
 GUESS = 1e-3  # [m] of noise before anything is known
 TOLD_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
@@ -81,7 +82,7 @@ def prepared(
     library: Mapping[str, type[Effect]],
     rng: np.random.Generator,
     starts: int,
-    progress: Callable[[float], object],
+    progress: Progress,
 ) -> Ground:
     """Evidence and base model. Raises DataError where a trial cannot be used."""
     told = all("sigma" in o.points for o in observations)

@@ -7,13 +7,12 @@ of them goes on.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.theory import Theory
+from stages.progress import Progress
 
 FIRST = 0.2  # [s] of every trial that are fitted first
 GROWTH = 1.75  # of the horizon, from one to the next
@@ -37,7 +36,7 @@ def searched(
     theory: Theory,
     rng: np.random.Generator,
     starts: int,
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> list[Fit]:
     """The best fits of a theory, best first. starts: how many of the drawn candidates are followed."""
     free = theory.free

@@ -5,7 +5,7 @@ Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -17,6 +17,7 @@ from stages.estimate.least_squares import possible
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
 from stages.model.model import Model
+from stages.progress import Progress
 
 
 def estimate(
@@ -30,7 +31,7 @@ def estimate(
     sigma: Annotated[float, Field(gt=0, le=1)],
     population: Annotated[int, Field(ge=4)],
     matching: Matching,
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Estimate:
     """Parameters with the highest E. sigma: first step in chi, divided by `manipulation`.
 

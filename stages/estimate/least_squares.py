@@ -15,7 +15,7 @@ no data touches, alone or in combination, as wide as the range.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
 
@@ -30,6 +30,7 @@ from stages.estimate.matching import Matching, Target, matching_rate, targets
 from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
 from stages.estimate.settle import settled
 from stages.model.model import Model
+from stages.progress import Progress
 from stages.spread import spread
 
 STEP = 1e-4  # of chi, for the central difference
@@ -58,7 +59,7 @@ def estimate(
     screening: Annotated[int, Field(ge=1)],
     iterations: Annotated[int, Field(ge=1)],
     matching: Matching,
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Estimate:
     """Parameters of least squared distance to the measured points, with 95 % intervals.
 

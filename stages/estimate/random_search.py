@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -13,6 +13,7 @@ from stages.estimate.least_squares import possible
 from stages.estimate.matching import Matching, matching_rate, targets
 from stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
 from stages.model.model import Model
+from stages.progress import Progress
 
 
 def estimate(
@@ -27,7 +28,7 @@ def estimate(
     beta: Annotated[float, Field(gt=0, le=1)],
     together: Annotated[int, Field(ge=1)],
     matching: Matching,
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Estimate:
     """Parameters with the highest matching rate E.
 

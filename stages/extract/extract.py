@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -32,6 +31,7 @@ from stages.extract.score import rasterise
 from stages.extract.steady import samples, steadied
 from stages.extract.window import around
 from stages.model.camera import Camera
+from stages.progress import Progress
 
 MARGIN = 12.0  # [px] around what the string can reach
 BLURRED = 2.0  # [px] by how much half the string's width may be more than in the other frames
@@ -60,7 +60,7 @@ def extract(
     hidden: Annotated[float, Field(ge=0)],
     shorter: Annotated[float, Field(gt=0, lt=1)],
     longer: Annotated[float, Field(gt=0)],
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Points:
     """The string in each frame.
 

@@ -31,6 +31,7 @@ from stages.model.box import Box
 from stages.model.hand import JointMotion
 from stages.model.model import Model
 from stages.model.string import String
+from stages.progress import Progress
 
 FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
 HIT = "hit"
@@ -64,7 +65,7 @@ def generate(
     alpha: Annotated[float, Field(gt=0)],
     fraction: Annotated[float, Field(gt=0, le=1)],
     hits: Annotated[int, Field(ge=1)],
-    progress: Callable[[float], object] = lambda share: None,
+    progress: Progress = lambda share: None,
 ) -> Motion:
     """A motion whose simulated tip hits the target during the movement.
 
@@ -96,7 +97,7 @@ def _searched(
     attempts: int,
     together: int,
     hits: int,
-    progress: Callable[[float], object],
+    progress: Progress,
 ) -> tuple[list[tuple[float, Motion]], Counter[str]]:
     """Motions that hit, with how long each stays in the box [s], and what became of all that were tried."""
     count, found = Counter[str](), list[tuple[float, Motion]]()
