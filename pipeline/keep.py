@@ -31,6 +31,7 @@ ENDED = "run.json"
 FAILED = "failed.txt"  # why a run stopped
 LOCK = ".lock"
 NOTHING = {"config.json", LOCK, FAILED}  # what a run that made nothing leaves
+HOW_MANY = {"study": ("benches", "first", "processes"), "hits": ("seeds", "first", "processes")}  # no row depends on it
 
 
 @dataclass(frozen=True)
@@ -96,17 +97,26 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 def begin(world: World, folder: Path) -> None:
-    """Note the settings in the run's folder, or see that it is this run's."""
+    """Note the settings in the run's folder, or see that it is this one; a study may be asked for more than before."""
     path = folder / "config.json"
     text = json.dumps(world.config, indent=2, sort_keys=True)
-    if path.exists() and path.read_text(encoding="utf-8") != text:
+    if path.exists() and _rows_alike(json.loads(path.read_text(encoding="utf-8"))) != _rows_alike(json.loads(text)):
         raise DataError(
             f"{folder}: this folder holds a run with other settings (see config.json). "
             "Leave hydra.run.dir to its default, or repeat the settings of that run."
         )
-    if not path.exists():
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
         store.write_text(path, text)
     disk.remove(folder / FAILED)
+
+
+def _rows_alike(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings less those that only say how many rows of a study are made."""
+    less = dict(config)
+    for block, names in HOW_MANY.items():
+        if isinstance(less.get(block), Mapping):
+            less[block] = {name: value for name, value in less[block].items() if name not in names}
+    return less
 
 
 def end(result: Result) -> None:

@@ -162,3 +162,11 @@ def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
     toy_run(tmp_path / "run", toy_world(1))
     keep.forget(tmp_path / "run")
     assert (tmp_path / "run" / "run.json").exists()
+
+
+def test_a_study_may_be_asked_for_more_in_its_folder_but_not_for_something_else(tmp_path):
+    keep.begin(toy_world(study={"benches": 2, "first": 0, "processes": 1}), tmp_path)
+    keep.begin(toy_world(study={"benches": 5, "first": 2, "processes": 0}), tmp_path)
+    assert json.loads((tmp_path / "config.json").read_text())["study"] == {"benches": 5, "first": 2, "processes": 0}
+    with pytest.raises(DataError, match="other settings"):
+        keep.begin(toy_world(memory=4, study={"benches": 5, "first": 2, "processes": 0}), tmp_path)
