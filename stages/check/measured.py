@@ -14,6 +14,7 @@ from data.dataset import Dataset
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.spread import spread
+from stages.tracks import at_places, tracked, wander
 
 STILL = 3  # frames that tell where the string is at first
 MOVED = 0.03  # of the string's length: who has gone so far has left his place
@@ -72,9 +73,15 @@ class Seen:
 
     @cached_property
     def tracks(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Times (F,) [s] and positions (F, 2) [m] of each arc length that was seen in five frames or more."""
-        groups = self.points.groupby(self.points["s"].round(3))
-        return [(g["t"].to_numpy(), g[["x", "y"]].to_numpy()) for _, g in groups if g["t"].nunique() >= 5]
+        """Times (F,) [s] and positions (F, 2) [m] of each place on the string that was seen in five frames or more."""
+        times, frame = np.unique(self.points["t"], return_inverse=True)
+        s, xy = self.points["s"].to_numpy(), self.points[["x", "y"]].to_numpy()
+        found = [track for track in tracked(frame, s) if len(track) >= 5]
+        if not wander(frame, s):
+            return [(times[frame[track]], xy[track]) for track in found]
+        lines = at_places(frame, s, xy, np.array([np.median(s[track]) for track in found]))
+        there = np.isfinite(lines[..., 0])
+        return [(times[there[:, k]], lines[there[:, k], k]) for k in range(len(found))]
 
     @cached_property
     def noise(self) -> float:

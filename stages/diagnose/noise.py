@@ -15,6 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from stages.diagnose.evidence import Evidence
 from stages.estimate.forward import Case
 from stages.spread import spread
+from stages.tracks import tracked
 
 FEWEST = 30  # second differences from which a noise can be told
 CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames
@@ -27,10 +28,8 @@ FAR = 6.0  # noises from its neighbours in time at which a point is left out
 
 
 def tracks(case: Case) -> Iterator[np.ndarray]:
-    """Indices of the measured points of each arc length, in the order of time."""
-    place = np.round(case.s / 1e-3).astype(int)
-    for value in np.unique(place):
-        yield np.flatnonzero(place == value)
+    """Indices of the measured points of each place on the string, in the order of time."""
+    yield from tracked(case.frame, case.s)
 
 
 def estimated(evidence: Evidence, residual: np.ndarray) -> float:

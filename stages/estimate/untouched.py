@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from data.artifacts import Observation
 from stages.model.box import Box
+from stages.tracks import at_places, wander
 
 NEAR = 0.01  # [m] of an obstacle at which a measured string may be touching it
 FEWEST = 3  # frames that are worth keeping
+PLACES = 40  # along the string, where every frame was measured at others
 
 
 def untouched(observation: Observation, obstacles: Sequence[Box]) -> Observation:
@@ -22,12 +25,21 @@ def untouched(observation: Observation, obstacles: Sequence[Box]) -> Observation
     points = observation.read
     if not obstacles or points.empty:
         return observation
-    wide = points.pivot_table(index="t", columns="s", values=["x", "y"])
-    line = np.stack([wide["x"].to_numpy(), wide["y"].to_numpy()], axis=-1)
-    late = np.flatnonzero(_near(line, obstacles))
+    times, lines = _lines(points.sort_values(["t", "s"], kind="stable"))
+    late = np.flatnonzero(_near(lines, obstacles))
     if not late.size or late[0] < FEWEST:
         return observation
-    return replace(observation, points=observation.points[observation.points["t"] < wide.index[late[0]]])
+    return replace(observation, points=observation.points[observation.points["t"] < times[late[0]]])
+
+
+def _lines(points: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Times (F,) [s], and where the same places are at all of them, (F, S, 2) [m], NaN where they were not seen."""
+    times, frame = np.unique(points["t"], return_inverse=True)
+    s, xy = points["s"].to_numpy(), points[["x", "y"]].to_numpy()
+    if wander(frame, s):
+        return times, at_places(frame, s, xy, np.linspace(s.min(), s.max(), PLACES))
+    wide = points.pivot_table(index="t", columns="s", values=["x", "y"])
+    return times, np.stack([wide["x"].to_numpy(), wide["y"].to_numpy()], axis=-1)
 
 
 def _near(line: np.ndarray, obstacles: Sequence[Box]) -> np.ndarray:

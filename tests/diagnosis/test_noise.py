@@ -55,3 +55,22 @@ def test_points_with_a_time_of_their_own_have_neighbours_all_the_same(late):
     residual = (lacking.reshape(-1, 2)[order] / 1e-3).ravel()
     assert estimated(evidence, residual) == pytest.approx(0.7, rel=0.05)
     assert systematic(evidence, residual) == pytest.approx(3.0**2 / 2, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", ["wandering", "dense", "occluded"])
+def test_places_need_not_be_the_same_in_every_frame(kind):
+    """A traced line has points where it has them, some closer than a millimetre, and frames lack some: what the model
+    lacks must not be taken for noise."""
+    rng = np.random.default_rng(1)
+    grid = np.linspace(0.02, 0.3, 600 if kind == "dense" else 15)
+    frame, s = np.repeat(np.arange(len(T)), len(grid)), np.tile(grid, len(T))
+    if kind == "wandering":
+        s = s + np.repeat(rng.uniform(-0.01, 0.01, len(T)), len(grid))
+    elif kind == "occluded":
+        there = rng.random(len(s)) < 0.5
+        frame, s = frame[there], s[there]
+    lacking = 3e-3 * np.sin(4 * np.pi * T[frame] + 5 * s)[:, None] * np.ones(2)
+    off = lacking + 7e-4 * rng.standard_normal((len(s), 2))
+    evidence = Evidence((Case("t", None, None, T, frame, s, off, np.full(len(s), 1e-3)),), (10,))
+    assert estimated(evidence, off.ravel() / 1e-3) == pytest.approx(0.7, rel=0.05)
+    assert systematic(evidence, off.ravel() / 1e-3) == pytest.approx(3.0**2 / 2, rel=0.1)

@@ -1,0 +1,62 @@
+"""The way of each place on the string through the frames, from points that need not be at the same places in all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+PLACE = 1e-3  # [m] points of two frames so near along the string are of one place
+FULL = 0.9  # of the frames have no more points than a full one
+AGAIN = 0.3  # of the steps along a place's way that take as many frames as those before them, where places are fixed
+
+
+def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
+    """Indices of the points of each place, in the order of time, at most one a frame.
+
+    frame: (N,) number of each point's frame, in order. s: (N,) its arc length [m], in order within a frame. Where
+    points were measured at other places in every frame, places are as many as a full frame has points.
+    """
+    fixed, most = _binned(frame, s, _narrow(frame, s)), _points(frame)
+    if most < 2 or np.ptp(s) <= PLACE or _even(frame, fixed):
+        return fixed
+    return _binned(frame, s, float(np.ptp(s)) / (most - 1))
+
+
+def wander(frame: np.ndarray, s: np.ndarray) -> bool:
+    """Whether points are measured at other places in every frame; arguments as above."""
+    return any(np.ptp(s[track]) > PLACE for track in tracked(frame, s))
+
+
+def at_places(frame: np.ndarray, s: np.ndarray, points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Where places (M,) [m] are in each frame, between its points (N, 2) [m]; (F, M, 2), NaN beyond its ends."""
+    result = np.full((int(frame.max()) + 1, len(places), 2), np.nan)
+    for number, line in enumerate(result):
+        now = frame == number
+        for axis in range(2):
+            line[:, axis] = np.interp(places, s[now], points[now, axis], left=np.nan, right=np.nan)
+    return result
+
+
+def _points(frame: np.ndarray) -> int:
+    """How many a full frame has."""
+    return int(np.quantile(np.unique(frame, return_counts=True)[1], FULL)) if len(frame) else 0
+
+
+def _narrow(frame: np.ndarray, s: np.ndarray) -> float:
+    """How far along the string [m] points are of one place, if places are the same in all frames."""
+    apart = np.diff(s)[np.diff(frame) == 0]
+    apart = apart[apart > 0]
+    return min(PLACE, float(np.median(apart)) / 2) if apart.size else PLACE
+
+
+def _binned(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:
+    """Tracks of places so wide [m]."""
+    place = np.round(s / width).astype(int)
+    tracks = [np.flatnonzero(place == value) for value in np.unique(place)]
+    return [track[np.unique(frame[track], return_index=True)[1]] for track in tracks]
+
+
+def _even(frame: np.ndarray, tracks: list[np.ndarray]) -> bool:
+    """Whether places come again as regularly as they do where they are fixed."""
+    gaps = [np.diff(frame[track]) for track in tracks]
+    same = np.concatenate([gap[1:] == gap[:-1] for gap in gaps])
+    return same.size > 0 and float(np.mean(same)) > AGAIN
