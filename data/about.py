@@ -20,6 +20,7 @@ MUST = {
     "dict_type": "it must hold names and values",
     "literal_error": "it must be {expected}",
     "greater_than": "it must be above {gt}",
+    "greater_than_equal": "it must be {ge} or more",
     "float_parsing": "it must be a number, without a unit",
     "float_type": "it must be a number",
 }
@@ -52,19 +53,25 @@ class ArmBlock(Block):
 
 
 class CameraBlock(Block):
-    """fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the world's origin [px]."""
+    """fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the world's origin [px]. distortion:
+    radial, of the squared share of half the picture's width. rotation, tilt: [rad]."""
 
     fps: Positive = UNSET
-    width: Annotated[int, Field(gt=0)] = UNSET
-    height: Annotated[int, Field(gt=0)] = UNSET
+    width: Annotated[int, Field(ge=16)] = UNSET
+    height: Annotated[int, Field(ge=16)] = UNSET
     px_per_m: Positive = UNSET
     origin_px: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
+    distortion: Number = UNSET
+    rotation: Number = UNSET
+    tilt: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
 
 
 class TrialBlock(Block):
-    """role: held_out trials measure the gain. initial: whether the string rests when the trial begins."""
+    """role: held_out trials measure the gain. initial: whether the string rests when the trial begins. invalid: why it
+    is not to be used."""
 
     role: str | None = None
+    invalid: str | None = None
     initial: Literal["rest", "moving"] = UNSET
 
 
@@ -97,7 +104,8 @@ def about(folder: Path) -> dict[str, Any]:
         About.model_validate(known)
     except ValidationError as error:
         raise DataError(f"{path}: {_first(error)}. Correct it; all is in metres, seconds and radians.") from error
-    return known
+    trials = {str(name): block or {} for name, block in (known.get("trials") or {}).items()}
+    return known | ({"trials": trials} if trials else {})
 
 
 def _first(error: ValidationError) -> str:

@@ -29,7 +29,10 @@ from data.store import content_hash, read_table, write_table, write_text
 TRIAL = Column("trial", "", "name of the trial", "text")
 PUBLISHED = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours
 BEYOND = 1.05  # times the string's length: points further along are another string's
+STRAY = 0.05  # of a trial's points: so few that lie beyond are left out, and not the trial
 OVERLAP = 0.1  # [s] that arm and camera must have in common
+FRAMES_NEEDED = 3  # in which the string was seen
+LATE = 10.0  # [s] from which a clock began long before its trial, whose times are then counted from a second of its own
 
 
 def with_trial(table: Table) -> Table:
@@ -41,7 +44,8 @@ def with_trial(table: Table) -> Table:
 class Dataset:
     """trials: what can be used, by name. films: their frames, where there are any. rejected: why the others
     cannot. about: dataset.yaml. hashes: of every file that was read, by name. rows: what became of the rows of the
-    tables that were measured, by file."""
+    tables that were measured, by file. clocks: what was taken from the times of a trial [s], where its clock began
+    long before it."""
 
     folder: Path
     trials: Mapping[str, Observation]
@@ -50,6 +54,7 @@ class Dataset:
     about: Mapping[str, Any]
     hashes: Mapping[str, str]
     rows: Mapping[str, Rows] = field(default_factory=dict)
+    clocks: Mapping[str, float] = field(default_factory=dict)
 
 
 def publish(
@@ -91,21 +96,36 @@ def read(folder: Path) -> Dataset:
     motion_table = ARM if _find(folder, "arm") else GRASP
     motion = _read(motion_table, folder, rows)
     points, readings, masks = _seen(folder, known, rows, need_points=not shots)
-    trials, films, rejected = {}, {}, {}
+    trials: dict[str, Observation] = {}
+    films: dict[str, Film] = {}
+    rejected: dict[str, str] = {}
     names = sorted({*motion["trial"], *shots, *points["trial"]})
     moving = _moving(known, names)
+    clocks = _clocks(motion)
     for name in names:
-        moved = {motion_table.name: _of(motion, name)}
-        parts = [_of(frame, name) for frame in (points, readings, masks)]
-        times = shots[name][0] if parts[0].empty and name in shots else parts[0]["t"].to_numpy()
-        reason = _invalid(known, name) or _unusable(moved[motion_table.name]["t"].to_numpy(), times)
+        begin = clocks.get(name, 0.0)
+        moved, *parts = (_since(_of(frame, name), begin) for frame in (motion, points, readings, masks))
+        hand = {motion_table.name: moved}
+        trial = replace(Observation(name, *parts, **hand), moving=name in moving)
+        film = Film(shots[name][0] - begin, shots[name][1], **hand) if name in shots else None
+        reason = _invalid(known, name) or _unusable(moved["t"].to_numpy(), trial, film)
         if reason:
             rejected[name] = reason
-            continue
-        trials[name] = replace(Observation(name, *parts, **moved), moving=name in moving)
-        if name in shots:
-            films[name] = Film(*shots[name], **moved)
-    return Dataset(folder, trials, films, rejected, known, _hashes(folder, shots), rows)
+        else:
+            trials[name] = trial
+            films |= {name: film} if film else {}
+    return Dataset(folder, trials, films, rejected, known, _hashes(folder, shots), rows, clocks)
+
+
+def _clocks(motion: pd.DataFrame) -> dict[str, float]:
+    """A whole second at which the hand's motion begins [s], of trials whose clock began long before them."""
+    first = motion.groupby("trial")["t"].min()
+    return {str(name): float(np.floor(t)) for name, t in first.items() if abs(t) > LATE}
+
+
+def _since(frame: pd.DataFrame, begin: float) -> pd.DataFrame:
+    """A trial's table with its times counted from there."""
+    return frame.assign(t=frame["t"] - begin) if begin else frame
 
 
 def _seen(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows], need_points: bool) -> list[pd.DataFrame]:
@@ -127,7 +147,7 @@ def _with_sigma(points: pd.DataFrame, known: Mapping[str, Any]) -> pd.DataFrame:
 
 def _moving(known: Mapping[str, Any], names: Iterable[str]) -> set[str]:
     """Which trials begin with the string in motion: as dataset.yaml says of one, or else of all."""
-    own = {str(name): block or {} for name, block in (known.get("trials") or {}).items()}
+    own = known.get("trials", {})
     said = {name: own.get(name, {}).get("initial", known.get("initial", "rest")) for name in names}
     return {name for name, begins in said.items() if begins == "moving"}
 
@@ -199,26 +219,36 @@ def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def fits(data: Dataset, length: float) -> Dataset:
-    """Without the trials whose points lie further along than a string of `length` [m] is long."""
-    beyond = {name: float(o.points["s"].max()) for name, o in data.trials.items() if len(o.points)}
-    long = {name: s for name, s in beyond.items() if s > BEYOND * length}
-    reasons = {
-        name: f"points up to s = {s:.3f} m on a string of {length:.3f} m (string.length)" for name, s in long.items()
-    }
-    kept = {name: o for name, o in data.trials.items() if name not in long}
+    """Without what lies further along than a string of `length` [m] is long: a few points, or else whole trials."""
+    kept, reasons = {}, {}
+    for name, observation in data.trials.items():
+        beyond = observation.points["s"] > BEYOND * length
+        if beyond[observation.read.index].mean() > STRAY:
+            far = observation.read["s"].max()
+            reasons[name] = f"points up to s = {far:.3f} m on a string of {length:.3f} m (string.length)"
+            continue
+        kept[name] = (
+            replace(observation, points=observation.points[~beyond].reset_index(drop=True))
+            if beyond.any()
+            else observation
+        )
     return replace(data, trials=kept, rejected={**data.rejected, **reasons})
 
 
 def _invalid(known: Mapping[str, Any], name: str) -> str:
     """Why dataset.yaml says that a trial is not to be used; empty if it does not."""
-    return str(((known.get("trials") or {}).get(name) or {}).get("invalid", ""))
+    return str(known.get("trials", {}).get(name, {}).get("invalid") or "")
 
 
-def _unusable(moved: np.ndarray, seen: np.ndarray) -> str:
-    """Why a trial with these times of the hand and of what was seen [s] cannot be used; empty if it can."""
+def _unusable(moved: np.ndarray, trial: Observation, film: Film | None) -> str:
+    """Why a trial cannot be used, whose hand was seen at these times [s]; empty if it can."""
     if not len(moved):
         return "no motion of the hand"
-    if not len(seen):
-        return "no measured point and no frame"
+    seen = np.unique(trial.read["t"])
+    if not len(seen) and film is None:
+        return "no measured point and no frame" if trial.points.empty else "no measured point is valid"
+    seen = seen if len(seen) else film.t if film else seen
     common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
+    if len(seen) < FRAMES_NEEDED:
+        return f"the string was seen in {len(seen)} frame(s) only"
     return f"arm and camera overlap for {max(common, 0):.2f} s only" if common < OVERLAP else ""

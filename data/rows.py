@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from data.artifacts import ARM, GRASP
 from data.schema import DataError, Table
+from data.spikes import spikes
 
 ROUNDING = 1e-6  # [m] below which an arc length under zero is one
+MOTIONS = (ARM.name, GRASP.name)
 
 
 @dataclass(frozen=True)
@@ -29,9 +32,11 @@ def from_csv(table: Table, path: Path) -> pd.DataFrame:
 
     What is no number in a column of numbers is NaN, unless nothing in it is one. Names keep their leading zeros.
     """
-    texts = {column.name: str for column in table.columns if column.kind == "text"}
+    texts = [column.name for column in table.columns if column.kind == "text"]
     try:
-        frame = pd.read_csv(path, dtype=texts, skipinitialspace=True)
+        names = pd.read_csv(path, nrows=0).columns
+        kinds = {name: str for name in names if name.strip() in texts}
+        frame = pd.read_csv(path, dtype=kinds, skipinitialspace=True, index_col=False)  # lines may end with a comma
     except (ValueError, OSError) as error:
         raise DataError(
             f"{path}: cannot be read as CSV ({error}). Save it as plain text, UTF-8, with commas."
@@ -78,11 +83,23 @@ def sifted(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
     if "s" in numbers:
         sieve.drop("s is below 0", sieve.frame["s"] < -ROUNDING)
     if "sigma" in sieve.frame:
-        sieve.drop("sigma is not above 0", ~(sieve.frame["sigma"] > 0))
+        sieve.drop("sigma is not a number above 0", ~(np.isfinite(sieve.frame["sigma"]) & (sieve.frame["sigma"] > 0)))
     keys = [name for name in ("trial", "t", "s") if name in sieve.frame]
     sieve.drop("a row twice", sieve.frame.duplicated())
     sieve.drop(f"another value at the same {', '.join(keys)}; the first is kept", sieve.frame.duplicated(keys))
-    kept = sieve.frame.assign(trial=sieve.frame["trial"].map(str))
-    series = [name for name in ("trial", "s") if name in kept]  # points may be listed place by place
-    unordered = int((kept.groupby(series)["t"].diff() < 0).sum())
-    return kept.sort_values(["trial", "t"], kind="stable"), Rows(len(frame), sieve.dropped, unordered)
+    sieve.frame = sieve.frame.assign(trial=sieve.frame["trial"].map(str))
+    series = [name for name in ("trial", "s") if name in sieve.frame]  # points may be listed place by place
+    unordered = int((sieve.frame.groupby(series)["t"].diff() < 0).sum())
+    sieve.frame = sieve.frame.sort_values(["trial", "t"], kind="stable")
+    if table.name in MOTIONS:
+        sieve.drop("the hand jumps away and back within two samples", _jumps(sieve.frame, numbers))
+    return sieve.frame, Rows(len(frame), sieve.dropped, unordered)
+
+
+def _jumps(motion: pd.DataFrame, numbers: list[str]) -> pd.Series:
+    """Which rows of a hand's motion, in order, are spikes in their trial."""
+    values = [name for name in numbers if name != "t"]
+    found = pd.Series(False, index=motion.index)
+    for _, rows in motion.groupby("trial", sort=False):
+        found[rows.index] = spikes(rows["t"].to_numpy(), np.unwrap(rows[values].to_numpy(), axis=0))
+    return found

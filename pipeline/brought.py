@@ -72,7 +72,7 @@ def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
             f"{group}.{key}": value
             for group, values in about.items()
             for key, value in values.items()
-            if key in FROM_DATASETS[group]
+            if key in FROM_DATASETS[group] and value is not None
         }
     return {name: value for name, value in brought.items() if not _taken(name, given)}
 

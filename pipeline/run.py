@@ -225,8 +225,7 @@ def _hashes(data: dataset.Dataset) -> dict[str, str]:
 
 def _held_out(data: dataset.Dataset) -> tuple[str, ...]:
     """Trials that dataset.yaml sets aside."""
-    roles = data.about.get("trials") or {}
-    return tuple(str(name) for name, about in roles.items() if (about or {}).get("role") == "held_out")
+    return tuple(name for name, about in data.about.get("trials", {}).items() if about.get("role") == "held_out")
 
 
 def _usable(world: World, trials: Path) -> dataset.Dataset:

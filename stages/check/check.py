@@ -31,7 +31,9 @@ CHECKS: tuple[Check, ...] = (
     motion.frozen,
     motion.held,
     motion.still,
+    contents.twice,
     contents.rows,
+    clocks.begun,
     clocks.gaps,
     frames.dropped,
 )

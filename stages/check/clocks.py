@@ -10,6 +10,7 @@ from stages.check.finding import Finding, Severity
 from stages.check.measured import Measured, Seen
 
 SLOW = 0.5  # [s] between samples: no string's motion can be told from them
+CERTAIN = 10  # samples from which a unit is told
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 FEW = 0.5  # of the time in which the string was seen: so little of the hand's motion says too little
 RATE = 0.05  # by which fps may differ from what the times say
@@ -32,12 +33,19 @@ def unit(measured: Measured) -> Iterator[Finding]:
     """Times that are no seconds."""
     for seen in measured.with_points():
         for file, t in times(measured, seen).items():
-            if usual(t) < SLOW:
+            if usual(t) < SLOW or len(t) < CERTAIN:
                 continue
             factor = next(f for f in (*UNITS, np.inf) if usual(t) / f < SLOW)
             if factor in UNITS:
                 said = f"times are in {UNITS[factor]}, not in seconds as it seems: samples are {usual(t):.4g} apart"
                 yield Finding(Severity.ERROR, file, "t", said, f"Multiply t by {1 / factor:g}", (seen.name,))
+
+
+def begun(measured: Measured) -> Iterator[Finding]:
+    """Clocks that began long before their trial."""
+    for name, begin in measured.data.clocks.items():
+        said = f"times begin at {begin:.0f} s; in what is made of them they are counted from there"
+        yield Finding(Severity.NOTE, measured.hand_file, "t", said, "Nothing needs to be done", (name,))
 
 
 def rate(measured: Measured) -> Iterator[Finding]:

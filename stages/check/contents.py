@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,12 +43,22 @@ def rejected(measured: Measured) -> Iterator[Finding]:
     """Trials that cannot be used."""
     remedies = {
         "no motion": "Add its rows to the arm's or the grasp's table, or see that its name is the same in both",
+        "no measured point is valid": "Look at 'valid' in its points: a blank is false",
+        "the string was seen": "A motion is told by more frames: record it again",
         "no measured": "Add its rows to points or frames, or see that its name is the same in both",
         "arm and camera": "See that both clocks begin together and that both count seconds",
     }
     for name, reason in measured.data.rejected.items():
         remedy = next((words for start, words in remedies.items() if reason.startswith(start)), "Look at its rows")
         yield Finding(Severity.WARNING, "", "", f"the trial is left out: {reason}", remedy, (name,))
+
+
+def twice(measured: Measured) -> Iterator[Finding]:
+    """Tables that are there as Parquet and as CSV: one of them is not looked at."""
+    for file in measured.data.rows:
+        other = Path(file).with_suffix(".csv").name
+        if file != other and (measured.data.folder / other).exists():
+            yield Finding(Severity.WARNING, file, "", f"it is read, and {other} is not", "Remove the one that is old")
 
 
 def one_trial(measured: Measured) -> Iterator[Finding]:
@@ -109,8 +120,8 @@ def names(measured: Measured) -> Iterator[Finding]:
     yield from _nearly(about, About.model_fields, "")
     for block, kind in BLOCKS.items():
         yield from _nearly(about.get(block) or {}, kind.model_fields, f"{block}.")
-    for trial, own in (about.get("trials") or {}).items():
-        yield from _nearly(own or {}, TrialBlock.model_fields, f"trials.{trial}.")
+    for trial, own in about.get("trials", {}).items():
+        yield from _nearly(own, TrialBlock.model_fields, f"trials.{trial}.")
     for seen in measured.trials[:1]:
         for table, frame in ((POINTS, seen.points), (GRASP if seen.joints is None else ARM, seen.motion)):
             known = [column.name for column in table.columns if len(column.name) > 2]
@@ -128,7 +139,7 @@ def _nearly(given: Mapping[Any, Any], known: Any, place: str, file: str = NAME) 
 
 def roles(measured: Measured) -> Iterator[Finding]:
     """Trials that dataset.yaml speaks of and that are not there; trials all held out."""
-    spoken = {str(name): own or {} for name, own in (measured.data.about.get("trials") or {}).items()}
+    spoken = measured.data.about.get("trials", {})
     there = {seen.name for seen in measured.trials}
     for name in sorted(set(spoken) - there - set(measured.data.rejected)):
         yield Finding(Severity.WARNING, NAME, f"trials.{name}", "there is no such trial", "Correct the name")

@@ -11,19 +11,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from data.dataset import BEYOND
 from stages.check.finding import Finding, Severity
 from stages.check.measured import Measured, Seen
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 
 FRAMES = 10  # at the beginning, when the clocks matter least
-BEYOND = 1.05  # times the length, as `data.dataset.fits` has it
 APART = 0.25  # of the length: so much further from the hand than its arc length is no point of this string
 MOST = 0.8  # of the points must be possible: others may be outliers
 STRETCH = 1.5  # times as long as its arc length is no piece of it
 DENSE = 0.15  # of the length: pieces so short are nearly straight
 LENGTHS = (0.01, 20.0)  # [m] of strings that arms swing
-RADIANS = 4 * np.pi  # a joint or a hand does not turn further
+RADIANS = 4 * np.pi  # a joint does not turn further
+TURNS = 12 * np.pi  # nor does a hand
+MOSTLY = 0.9  # of the samples: others may be outliers
 
 
 @dataclass(frozen=True)
@@ -264,8 +266,8 @@ def angles(measured: Measured) -> Iterator[Finding]:
     """Angles beyond what anything turns."""
     for seen in measured.trials:
         names = ("theta",) if seen.joints is None else ("q1", "q2", "q3")
-        worst = float(seen.motion[list(names)].abs().to_numpy().max())
-        if worst > RADIANS:
+        worst = float(seen.motion[list(names)].abs().quantile(MOSTLY).max())
+        if worst > (TURNS if seen.joints is None else RADIANS):
             field = ", ".join(names)
             said = f"angles are in degrees, not in radians as it seems: they go up to {worst:.4g}"
             yield Finding(Severity.ERROR, measured.hand_file, field, said, "Multiply them by pi / 180", (seen.name,))

@@ -265,6 +265,15 @@ def named_sigma(dirty):
     dirty.points["Sigma"] = 1e-3
 
 
+def none_valid(dirty):
+    dirty.points["valid"] = dirty.points["trial"] != "t03"
+
+
+def two_frames(dirty):
+    late = dirty.points.groupby("trial")["t"].rank("dense") > 2
+    dirty.points = dirty.points[(dirty.points["trial"] != "t03") | ~late]
+
+
 SUSPICIOUS = {
     "camera early": (offset(-0.3), "points.csv t", "add it to"),
     "camera late": (offset(0.4), "points.csv t", "subtract it from"),
@@ -287,6 +296,8 @@ SUSPICIOUS = {
     "misspelt column": (named_sigma, "points.csv Sigma", "Call it 'sigma'"),
     "no such trial": (about(trials={"t77": {"role": "held_out"}}), "dataset.yaml trials.t77", "Correct the name"),
     "upside down": (turned, "points.csv y", "y points down"),
+    "none valid": (none_valid, " ", "a blank is false"),
+    "two frames": (two_frames, " ", "told by more frames"),
 }
 
 
@@ -316,6 +327,55 @@ def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
     assert any("(1: y is not a finite number; 40: a row twice)" in f.said for f in told)
 
 
+def long_running(dirty):
+    for table in (dirty.arm, dirty.points):
+        table["t"] += 1.75e9
+
+
+def spiked(dirty):
+    dirty.arm.loc[[30, 77], "q2"] += 0.5
+
+
+def stray(dirty):
+    dirty.points.loc[len(dirty.points)] = {"trial": "t00", "t": 0.4, "s": 7.0, "x": 0.1, "y": 0.2}
+
+
+def commas(dirty):
+    """Lines that end with a comma, as some programs write them, and names with blanks."""
+    dirty.commas = True
+
+
+DIRT = {"clocks that run for years": long_running, "spikes": spiked, "a stray point": stray, "commas": commas}
+
+
+@pytest.mark.parametrize("kind", DIRT)
+def test_dirty_data_are_read_as_the_clean_ones(dirty, tmp_path, kind):
+    for name in ("clean", "dirty"):
+        (tmp_path / name).mkdir()
+    clean = dataset.read(dirty.write(tmp_path / "clean"))
+    DIRT[kind](dirty)
+    folder = dirty.write(tmp_path / "dirty")
+    if kind == "commas":
+        head, *lines = (folder / "arm.csv").read_text().splitlines()
+        (folder / "arm.csv").write_text("\n".join([head.replace(",", " ,"), *(f"{line}," for line in lines)]))
+    here = looked_at(folder)
+    assert not [f for f in findings(here) if f.severity is Severity.ERROR]
+    read = dataset.fits(here.data, here.length)
+    assert set(read.trials) == set(clean.trials)
+    for name, trial in read.trials.items():
+        for table, keys in (("arm", ["t"]), ("points", ["t", "s"])):
+            same = from_its_start(getattr(clean.trials[name], table)).merge(
+                from_its_start(getattr(trial, table)), on=keys, suffixes=("", "_read")
+            )
+            assert len(same) >= len(getattr(clean.trials[name], table)) - 2
+            columns = [c for c in same if f"{c}_read" in same]
+            np.testing.assert_allclose(same[columns], same[[f"{c}_read" for c in columns]], atol=1e-9)
+
+
+def from_its_start(table):
+    return table.assign(t=(table["t"] - table["t"].min()).round(4))
+
+
 @pytest.mark.parametrize("share", [0.3, 1.0])
 def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(dirty, tmp_path, share):
     """Fewer points, fewer frames, the tip alone: not suspicious."""
@@ -326,7 +386,7 @@ def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(dirty, tmp_pat
 
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
-    assert len(set(names)) == len(names) == 22
+    assert len(set(names)) == len(names) == 24
 
 
 def pipeline(*arguments):
