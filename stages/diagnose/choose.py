@@ -97,14 +97,22 @@ class Court:
         return self.predictions[causes]
 
     def by_chance(self, causes: Causes) -> float:
-        """What the best of the library would gain on the noise that these causes leave; 0 before it was asked.
+        """What the best of the library would gain on the noise that these causes leave.
 
         Of all probes, those first made: without any cause, but where leads came before them.
         """
         if causes not in self.lucky:
-            asked = next(iter(self.probes.values()), {})
+            asked = next(iter(self.probes.values()), None) or self.probed(causes)
             self.lucky[causes] = by_chance(self.evidence, self.tried[causes], asked, self.seed) if asked else 0.0
         return self.lucky[causes]
+
+    def probed(self, context: Causes) -> dict[str, list[Probe]]:
+        """What every effect of the library but the context's would do beside it, to first order."""
+        if context not in self.probes:
+            known = candidates(self.base, self.library, self.evidence)
+            effects = [effect for effect in known if effect.name not in context]
+            self.probes[context] = screened(self.evidence, self.tried[context], effects, self.seed)
+        return self.probes[context]
 
     def mismatch(self, causes: Causes) -> float:
         """What these causes leave that is not noise: half with the simulation's doubt as it was before there was a
@@ -132,10 +140,7 @@ class Court:
         """The fits with one cause more than the context, for every promising effect."""
         if context not in self.contexts:
             fit = self.tried[context]
-            known = candidates(self.base, self.library, self.evidence)
-            effects = [effect for effect in known if effect.name not in context]
-            self.probes[context] = screened(self.evidence, fit, effects, self.seed)
-            chosen = promising(self.probes[context])
+            chosen = promising(self.probed(context))
             explained = self.tried[frozenset()].cost - fit.cost
             for made in shortlisted(self.evidence, fit, chosen, INEXACT * explained):
                 self.hear(made)

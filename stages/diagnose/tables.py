@@ -13,6 +13,7 @@ from stages.diagnose.compare import moved
 from stages.diagnose.fit import Fit
 from stages.diagnose.intervals import interval
 from stages.diagnose.noise import parts, systematic
+from stages.diagnose.screen import Probe
 from stages.diagnose.verdict import Judgement
 from stages.model.effect import Effect, ModelChange
 
@@ -93,7 +94,7 @@ def screening(court: Court) -> pd.DataFrame:
 
 def likeness(court: Court) -> pd.DataFrame:
     """Table LIKENESS: of the most promising effects of the first screening."""
-    probes = court.probes.get(frozenset(), {})
+    probes: dict[str, list[Probe]] = next(iter(court.probes.values()), {})
     best = sorted((some[0] for some in probes.values()), key=lambda probe: -probe.gain)[:ALIKE]
     rows = [
         {"effect": a.effect.name, "other": b.effect.name, "cosine": abs(float(a.direction @ b.direction))}
@@ -113,13 +114,13 @@ def causes(court: Court, chosen: Causes, judgement: Judgement, library: Mapping[
             nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
             rows.append(common | {"sentence": effect.words({}), "parameter": "", **nothing})
             continue
-        fit = court.tried[_with(court, chosen, judgement, name)]
+        fit = court.tried[_with(chosen, judgement, name)]
         common["sentence"] = effect.words(fit.theory.of(effect, fit.chi))
         rows += [common | row for row in _parameters(court, fit, effect)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
 
-def _with(court: Court, chosen: Causes, judgement: Judgement, name: str) -> Causes:
+def _with(chosen: Causes, judgement: Judgement, name: str) -> Causes:
     """The likeliest set with this cause, of those as large as the chosen."""
     if name in chosen:
         return chosen

@@ -14,7 +14,7 @@ from stages.diagnose.casts import Design
 from stages.diagnose.choose import SHORTLIST, Court
 from stages.diagnose.diagnose import diagnose
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit
+from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.leads import beginnings, follow, leads
 from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import case
@@ -104,6 +104,18 @@ def test_what_was_chosen_is_followed_with_each_of_its_parts(model, observations)
     followed = {frozenset(fit.theory.names) for fit in leads(court, frozenset(names[:2]))}
     assert followed >= {frozenset(names[:1]), frozenset(names[1:2]), frozenset(names[:2])}
     assert len(followed) == SHORTLIST + 2
+
+
+def test_what_leads_name_pays_for_all_that_was_asked_too(model, observations):
+    """Where leads came first the library was never asked beside no cause; it then is beside theirs."""
+    theory = Theory(model, (), model.names)
+    evidence = Evidence((case(model, observations[0]),), (10,)).until(0.15)
+    known = {name: library()[name] for name in ("arm_lag", "wind", "tip_mass")}
+    court = Court(evidence, evidence, evidence, model, known, 0)
+    for some in ((), (ArmLag,)):
+        court.hear(fitted(evidence, [joined(theory, *some)], [joined(theory, *some).at(STIFF)], 2)[0])
+    court.contexts[frozenset()] = {"arm_lag": court.tried[frozenset({"arm_lag"})]}
+    assert court.by_chance(frozenset({"arm_lag"})) > 1.0
 
 
 def test_a_trial_without_a_beginning_leaves_the_court_as_it_was(model, observations):
