@@ -38,7 +38,11 @@ def document(
         "base": {"parameters": base.values},
         "gain": gain(held_out),
         "unexplained": dict(unexplained),
-        "trials": {"used": [case.name for case in court.evidence.cases], "rejected": dict(rejected)},
+        "trials": {
+            "used": [case.name for case in court.evidence.cases],
+            "rejected": dict(rejected),
+            "points_left_out": {"outliers": ground.outliers, "at_rest": ground.resting},
+        },
         "next_experiment": next_experiment,
     }
 

@@ -173,8 +173,8 @@ def coarse(ground: Ground) -> float:
 def _gained(court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data) -> pd.DataFrame:
     """Table HELD_OUT. Where too few mass points are what is wrong, that is what the base model has."""
     few = judgement.causes == (RESOLUTION,) and not causes
-    base = configured(ground, data.kept, data.rest) if few else side(court, ground, frozenset(), data.kept, data.rest)
-    extended, chance = side(court, ground, causes, data.kept, data.rest), noisiness(court.evidence, court.tried[causes])
+    base = configured(ground, data.kept, data.rest) if few else side(court, ground, frozenset(), data.rest)
+    extended, chance = side(court, ground, causes, data.rest), noisiness(court.evidence, court.tried[causes])
     numbers = data.rest or data.kept
     return held_out_table(base, extended, numbers, ground.floor, chance, data.observations, data.matching)
 
@@ -192,6 +192,7 @@ def _written(
     gains = _gained(court, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
     named = tables.causes(court, causes, judgement, data.library)
     text = document(court, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
+    text["gain"]["causes_chosen_from_them"] = not data.rest
     settings = extended_settings(data.model, court, causes)
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}

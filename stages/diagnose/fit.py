@@ -119,7 +119,8 @@ def _linearised(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
         own = seen[first : first + len(rows)]
         first += len(rows)
         run.residual = own[0]
-        change = np.where(own[1:] == LOST, 0.0, own[1:] - own[0])  # a run that was rejected tells no slope
+        lost = (own == LOST)[1:] | (own[0] == LOST)  # a run that was rejected tells no slope
+        change = np.where(lost, 0.0, own[1:] - own[0])
         run.slopes = (change / (STEP * sign[:, None])).T
         run.cost = cost_of(run.theory, own[0], run.chi)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import HELD_OUT, Observation
+from stages.diagnose.beginning import begun, doubted_beginnings
 from stages.diagnose.choose import Causes, Court
 from stages.diagnose.compare import AGAIN, held_out
 from stages.diagnose.evidence import Evidence
@@ -18,6 +19,7 @@ from stages.estimate.forward import Case
 from stages.estimate.matching import Matching, targets
 from stages.estimate.result import values_of
 from stages.model.model import Model
+from stages.model.state import State
 
 FRAMES = 20  # of a trial, from which E is counted
 
@@ -41,10 +43,13 @@ class Side:
         return self.model.divided(self.evidence.segments[-1])
 
 
-def side(court: Court, ground: Ground, causes: Causes, kept: Sequence[int], rest: Sequence[int]) -> Side:
+def side(court: Court, ground: Ground, causes: Causes, rest: Sequence[int]) -> Side:
     """The model with these causes. rest: numbers of the trials set aside; without any, each of the kept is left out in
-    turn."""
-    fit, evidence = court.tried[causes], replace(ground.evidence, segments=court.evidence.segments)
+    turn. Trials that begin moving begin in the state that suits it."""
+    fit = court.tried[causes]
+    evidence = replace(ground.evidence, segments=court.evidence.segments)
+    evidence = begun(evidence, fit.theory.model, fit.chi)
+    evidence = doubted_beginnings(evidence, fit.theory.model, fit.chi)
     chi = [fit.chi] * len(rest) if rest else list(court.held(causes).chi)
     return Side(fit.theory.model, evidence, chi)
 
@@ -77,7 +82,8 @@ def held_out_table(
         row["log_likelihood_difference"] = float(np.sum(off[0] ** 2) - np.sum(off[1] ** 2)) / 2 / chance
         for name, residual, one in zip(("base", "extended"), off, (base, extended), strict=True):
             row |= _measures(case, residual, name)
-            row[f"E_{name}"] = _rate(one.finest, one.chi[place], case, observations[number], matching)
+            begin = one.evidence.cases[number].initial
+            row[f"E_{name}"] = _rate(one.finest, one.chi[place], begin, observations[number], matching)
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
 
@@ -90,18 +96,19 @@ def _measures(case: Case, residual: np.ndarray, name: str) -> dict[str, float]:
     return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
 
 
-def _rate(model: Model, chi: np.ndarray, case: Case, observation: Observation, matching: Matching) -> float:
-    """E of a trial, from the state in which the case begins."""
+def _rate(model: Model, chi: np.ndarray, begin: State | None, observation: Observation, matching: Matching) -> float:
+    """E of a trial that begins in a state, or at rest."""
     goal = targets(model, [thinned(observation)], matching)[0]
-    goal = replace(goal, case=replace(goal.case, initial=case.initial))
+    goal = replace(goal, case=replace(goal.case, initial=begin))
     return float(np.mean(goal.per_frame(values_of(model.parameters, chi[None]))[0]))
 
 
 def thinned(observation: Observation) -> Observation:
     """With some FRAMES frames, which are too far apart to tell how it begins: that is not asked of them."""
-    times = np.unique(observation.points["t"])
+    points = observation.read
+    times = np.unique(points["t"])
     kept = times[:: max(len(times) // FRAMES, 1)]
-    return replace(observation, points=observation.points[observation.points["t"].isin(kept)], moving=False)
+    return replace(observation, points=points[points["t"].isin(kept)], moving=False)
 
 
 def extended_settings(model: Model, court: Court, causes: Causes) -> dict[str, object]:

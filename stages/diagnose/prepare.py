@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data.artifacts import Observation
+from data.dataset import FRAMES_NEEDED
 from data.schema import DataError
 from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stages.diagnose.evidence import Evidence
@@ -44,7 +45,8 @@ class Ground:
 
     model: the base model with mass points that do not matter. evidence: with noise and the simulation's own doubt as
     sigma; undoubted: with noise alone. base: the base model at its best, of all effects absent. configured: the same
-    as it is configured, with its own number of mass points.
+    as it is configured, with its own number of mass points. outliers, resting: points left out, for they are far from
+    those before and after, or of a string that hangs still at its trial's end.
     """
 
     model: Model
@@ -52,6 +54,8 @@ class Ground:
     undoubted: Evidence
     base: Fit
     configured: Fit
+    outliers: int = 0
+    resting: int = 0
 
     @property
     def floor(self) -> np.ndarray:
@@ -86,7 +90,9 @@ def prepared(
 ) -> Ground:
     """Evidence and base model. Raises DataError where a trial cannot be used."""
     told = all("sigma" in o.points for o in observations)
-    evidence = Evidence(tuple(awake(_known(case(resolved(model), o), told)) for o in observations), SEGMENTS[0])
+    whole_trials = [_known(case(resolved(model), o), told) for o in observations]
+    evidence = Evidence(tuple(awake(ready) for ready in whole_trials), SEGMENTS[0])
+    resting = sum(len(ready.s) for ready in whole_trials) - sum(len(ready.s) for ready in evidence.cases)
     found = searched(evidence, plain_theory(resolved(model)), rng, starts, progress)
     model, found = widened(evidence, model, found)
     evidence, found = settled_starts(evidence, found)
@@ -94,7 +100,7 @@ def prepared(
     noise = estimated(evidence, best.residual)
     evidence = evidence.scaled(noise if not told or noise > TOLD_WRONG else 1.0)
     theory = eased(evidence, theory, best.chi)
-    evidence, _ = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
+    evidence, outliers = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
     evidence = doubted_beginnings(evidence, theory.model, best.chi)
     plain = replace(evidence, segments=(model.string.points - 1,))
     named = [theory.named(fit.chi) for fit in found]
@@ -102,7 +108,7 @@ def prepared(
     doubted = refined(evidence, theory, best.chi)
     base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence), evidence), named)
     undoubted = replace(evidence, segments=doubted.segments)
-    return Ground(theory.model, doubted, undoubted, base, configured)
+    return Ground(theory.model, doubted, undoubted, base, configured, outliers, resting)
 
 
 def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
@@ -114,7 +120,7 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
     evidence = replace(ground.undoubted, segments=(string.points - 1,))
     theory = whole(model, candidates(model, library, evidence), evidence)
     base = _best(evidence, theory, [plain.named(ground.configured.chi)])
-    return Ground(model, evidence, evidence, base, ground.configured)
+    return replace(ground, model=model, evidence=evidence, undoubted=evidence, base=base)
 
 
 def plain_theory(model: Model) -> Theory:
@@ -187,7 +193,8 @@ def awake(ready: Case) -> Case:
             np.maximum.at(away, ready.frame[track], np.linalg.norm(ready.points[track] - end, axis=1))
     moving = np.flatnonzero(away > STILL * ready.model.string.length)
     last = ready.times[moving[-1]] if moving.size else ready.times[0]
-    return ready.until((last + RESTING - ready.times[0]) / max(float(np.ptp(ready.times)), 1e-9))
+    last = max(last + RESTING, ready.times[:FRAMES_NEEDED][-1])
+    return ready.until((last - ready.times[0]) / max(float(np.ptp(ready.times)), 1e-9))
 
 
 def _known(ready: Case, told: bool) -> Case:

@@ -238,7 +238,7 @@ def test_mass_points_that_are_enough_gain_over_those_that_are_configured(arm, mo
     court = Court(evidence, evidence, evidence, model, library(), 0)
     court.hear(fit)
     ground = Ground(model, evidence, evidence, fit, plain)
-    sides = configured(ground, [0, 1], []), side(court, ground, frozenset(), [0, 1], [])
+    sides = configured(ground, [0, 1], []), side(court, ground, frozenset(), [])
     off = np.array([[np.mean(one.residual(k, k) ** 2) for k in (0, 1)] for one in sides])
     assert (off[0] > 1.5).all()
     assert off[1] == pytest.approx([1, 1], abs=0.15)
