@@ -1,4 +1,4 @@
-"""Folders of measured data: a run of ours, or anybody's (shared format, version 1).
+"""Folders of measured data: a run of ours, or anybody's (format version 1, in `data/README.md`).
 
 A dataset is one folder: `arm` or `grasp`, and `points`, each as Parquet or CSV with the
 leading column `trial`, and `dataset.yaml`. Where points are yet to be made there are frames
