@@ -8,9 +8,7 @@ import os
 import re
 import sys
 import uuid
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
@@ -23,12 +21,12 @@ from rich.markup import escape
 
 from data import store
 from data.schema import DataError
-from pipeline.brought import LENGTH, brought_along, check_bench, extended_model, measured_camera
+from pipeline.brought import check_bench, with_brought_settings
 from pipeline.commands import NAMES, command, listed
 from pipeline.keep import forget
 from pipeline.perform import perform
 from pipeline.run import Result
-from pipeline.settings import UserError, composed, names_given
+from pipeline.settings import UserError, composed, flat, names_given
 from pipeline.sweep.launcher import ended as sweep_ended
 from pipeline.world import world
 from stages.generate import MotionNotFoundError
@@ -62,34 +60,11 @@ def main(config: DictConfig) -> float | None:
 
 def run(config: DictConfig, console: Console) -> Result:
     """Check, run, report."""
-    here = world(with_brought_settings(config, names_given(HydraConfig.get().overrides.task)), where)
+    given = names_given(HydraConfig.get().overrides.task)
+    if config.trials is not None and "execute" in config.steps:
+        check_bench(Path(config.trials), given)
+    here = world(with_brought_settings(config, given), where)
     return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
-
-
-def with_brought_settings(config: DictConfig, given: set[str]) -> Any:
-    """All settings. Folders of trials, of a model and of a calibration bring some along, and the later of these stands.
-
-    given: names on the command line, which stand above all.
-    """
-    whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
-    brought: dict[str, Any] = {}
-    if config.trials is not None:
-        if "execute" in config.steps:
-            check_bench(Path(config.trials), given)
-        brought = brought_along(Path(config.trials), given)
-        for name, value in brought.items():
-            OmegaConf.update(whole, name, value, merge=False)
-    if config.extended is not None:
-        for name, value in extended_model(Path(config.extended)).items():
-            OmegaConf.update(whole, name, value, merge=True)
-    if config.calibrated is not None:
-        OmegaConf.update(whole, "camera", measured_camera(Path(config.calibrated)), merge=False)
-    if any(folder is not None for folder in (config.trials, config.extended, config.calibrated)):
-        for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
-            OmegaConf.update(whole, name, OmegaConf.select(config, name))
-    if LENGTH in brought:
-        OmegaConf.update(whole, LENGTH, brought[LENGTH])
-    return OmegaConf.to_container(whole, resolve=True)
 
 
 def where(block: str) -> str:
@@ -148,14 +123,6 @@ def refusal(error: BaseException) -> str:
     near = difflib.get_close_matches(key[1], names, 1)
     remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
     return f"{key[1]} (command line): there is no such setting. {remedy}"
-
-
-def flat(block: Any, place: str = "") -> Iterator[str]:
-    """Names of all settings, with dots."""
-    for name, value in block.items():
-        yield f"{place}{name}"
-        if isinstance(value, dict):
-            yield from flat(value, f"{place}{name}.")
 
 
 if __name__ == "__main__":

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from omegaconf import DictConfig, OmegaConf
 
 from data import dataset
-from pipeline.settings import UserError
+from pipeline.settings import UserError, flat
 
 EXTENDED = "extended.yaml"  # the model that a diagnosis made, or an alignment
 CAMERA = "camera.yaml"  # the camera that a calibration measured
@@ -33,6 +34,29 @@ FROM_TRIALS = (
     "specimen",
     "hardware",
 )  # settings that stored trials bring along
+
+
+def with_brought_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
+    """All settings. Folders of trials, of a model and of a calibration bring some along, and the later of these stands.
+
+    given: names on the command line, which stand above all.
+    """
+    whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
+    brought = {} if config.trials is None else brought_along(Path(config.trials), given)
+    for name, value in brought.items():
+        OmegaConf.update(whole, name, value, merge=False)
+    if config.extended is not None:
+        for name, value in extended_model(Path(config.extended)).items():
+            OmegaConf.update(whole, name, value, merge=True)
+    if config.calibrated is not None:
+        OmegaConf.update(whole, "camera", measured_camera(Path(config.calibrated)), merge=False)
+    if any(folder is not None for folder in (config.trials, config.extended, config.calibrated)):
+        for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
+            OmegaConf.update(whole, name, OmegaConf.select(config, name))
+    if LENGTH in brought:
+        OmegaConf.update(whole, LENGTH, brought[LENGTH])
+    settings: Any = OmegaConf.to_container(whole, resolve=True)
+    return dict(settings)
 
 
 def extended_model(folder: Path) -> dict[str, Any]:

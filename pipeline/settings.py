@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -33,6 +33,14 @@ def composed(overrides: Sequence[str] = ()) -> Any:
 def names_given(overrides: Iterable[str]) -> set[str]:
     """Names of the settings that overrides give."""
     return {override.split("=")[0].lstrip("+~") for override in overrides}
+
+
+def flat(block: Any, place: str = "") -> Iterator[str]:
+    """Names of all settings, with dots."""
+    for name, value in block.items():
+        yield f"{place}{name}"
+        if isinstance(value, dict):
+            yield from flat(value, f"{place}{name}.")
 
 
 def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any]:

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from data import dataset
 from data.schema import DataError
-from pipeline.brought import brought_along
+from pipeline.brought import with_brought_settings
 from pipeline.settings import UserError, build, composed, names_given
 from stages.check.measured import Measured
 from stages.check.overview import overview
@@ -54,11 +54,8 @@ def parser() -> argparse.ArgumentParser:
 
 def measured(folder: Path, overrides: Sequence[str]) -> Measured:
     """The data in a folder, with the arm, camera and string that a run would have."""
-    given = names_given(overrides)
-    config = OmegaConf.create(composed(overrides))
-    for name, value in brought_along(folder, given).items():
-        OmegaConf.update(config, name, value, merge=False, force_add=True)
-    blocks: Any = OmegaConf.to_container(config)
+    config = OmegaConf.create({**composed(overrides), "trials": str(folder)})
+    blocks = with_brought_settings(config, names_given(overrides))
     arm = build(Arm, blocks["arm"], "arm", "conf/arm")
     camera = build(Camera, blocks["camera"], "camera", "conf/camera")
     return Measured(dataset.read(folder), arm, camera, float(blocks["string"]["length"]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,12 +10,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
+from omegaconf import OmegaConf
 from pydantic import Field
 
 from data import dataset, store
 from data.schema import DataError
 from hardware.virtual.blind import draw
-from pipeline.brought import brought_along
+from pipeline.brought import with_brought_settings
 from pipeline.origin import origin
 from pipeline.settings import build
 from pipeline.study.benches import study
@@ -50,10 +50,7 @@ def run(here: World, folder: Path, progress: Progress) -> str:
 
 def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
     """What diagnosis.json says of a dataset. config: settings of the run, to which the dataset adds its own."""
-    settings = copy.deepcopy(dict(config))
-    for name, value in brought_along(folder, set()).items():
-        block, _, key = name.partition(".")
-        settings[block][key] = value
+    settings = with_brought_settings(OmegaConf.create({**config, "trials": str(folder), "steps": ["diagnose"]}), set())
     here = world(settings, lambda block: f"conf/{block}")
     data = dataset.fits(dataset.read(folder), here.string.length)
     if not data.trials:

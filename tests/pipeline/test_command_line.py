@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from data import store
 from pipeline import __main__ as shell
-from pipeline import settings
+from pipeline import brought, settings
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -209,7 +209,7 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
 
     def used(folder, *more):
         config = OmegaConf.create(settings.composed([f"trials={folder}", "steps=[estimate]", *more]))
-        return shell.with_brought_settings(config, settings.names_given([f"trials={folder}", *more]))["string"]
+        return brought.with_brought_settings(config, settings.names_given([f"trials={folder}", *more]))["string"]
 
     assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.45, 10)
     assert (used(tmp_path, "string=fine")["length"], used(tmp_path, "string=fine")["points"]) == (0.45, 29)
