@@ -12,8 +12,7 @@ from studio import BOARD, SIZE, TILTED, picture, pose, tilted
 from data import store
 from data.calibration import Calibration
 from pipeline import calibrate
-from pipeline.brought import with_brought_settings
-from pipeline.brought import measured_camera
+from pipeline.brought import measured_camera, with_brought_settings
 from pipeline.commands import board
 from pipeline.settings import UserError, build, composed
 from pipeline.world import world
