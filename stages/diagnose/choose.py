@@ -187,12 +187,12 @@ def chosen(court: Court, progress: Progress) -> tuple[Court, Causes]:
     before: set[Causes] = set()  # two that do each other's work could replace each other for ever
     while len(best) < MOST_CAUSES and best not in before and court.mismatch(best) > SUSPECT:
         before.add(best)
-        more = _added(court, best)
+        fewer, more = best, _added(court, best)
         if not earns(court, best, more):
-            more = _added(court, more)  # of two that are needed, one alone may predict nothing
+            fewer, more = more, _added(court, more)  # of two that are needed, one alone may predict nothing
             if not earns(court, best, more):
                 break
-        best = _needed(court, _settled(court, more))
+        best = _needed(court, _settled(court, fewer, more))
         court = court.renewed(best)
         for name in sorted(best):
             if placed(court.library[name]):
@@ -208,9 +208,9 @@ def _added(court: Court, causes: Causes) -> Causes:
     return causes | {min(fits, key=lambda name: fits[name].cost)} if fits else causes
 
 
-def _settled(court: Court, best: Causes) -> Causes:
-    """With causes replaced that others do better in place of."""
-    for cause in court.tried[best].theory.names[:-1]:
+def _settled(court: Court, before: Causes, best: Causes) -> Causes:
+    """With causes that were there before the last one replaced, where others do better in their place."""
+    for cause in (name for name in court.tried[best].theory.names if name in before):
         context = best - {cause}
         if context in court.tried:
             other = _added(court, context)

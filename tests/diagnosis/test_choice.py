@@ -18,7 +18,7 @@ def test_two_causes_that_take_turns_do_not_keep_the_choice_going(monkeypatch):
         return causes | ({"b"} if "a" in causes else {"a"})
 
     monkeypatch.setattr(choose, "_added", added)
-    monkeypatch.setattr(choose, "_settled", lambda court, more: more)
+    monkeypatch.setattr(choose, "_settled", lambda court, fewer, more: more)
     monkeypatch.setattr(choose, "_needed", lambda court, more: more - asked[-1] if asked[-1] else more)
     monkeypatch.setattr(choose, "earns", lambda court, without, causes: True)
     monkeypatch.setattr(choose, "placed", lambda effect: False)
