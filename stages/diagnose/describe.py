@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stages.diagnose.choose import Court
+from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.prepare import Ground
 from stages.diagnose.verdict import Judgement
 
@@ -16,7 +16,7 @@ FORMAT = 1
 
 
 def document(
-    court: Court,
+    hypotheses: Hypotheses,
     ground: Ground,
     judgement: Judgement,
     causes: pd.DataFrame,
@@ -28,7 +28,7 @@ def document(
     """diagnosis.json."""
     listed = [*judgement.causes]
     others = sorted(set(judgement.probability) - set(listed), key=lambda name: -judgement.probability[name])
-    base = court.tried[frozenset()] if judgement.causes != ("resolution",) else ground.configured
+    base = hypotheses.tried[frozenset()] if judgement.causes != ("resolution",) else ground.configured
     return {
         "format": FORMAT,
         "verdict": judgement.verdict,
@@ -39,7 +39,7 @@ def document(
         "gain": gain(held_out),
         "unexplained": dict(unexplained),
         "trials": {
-            "used": [case.name for case in court.evidence.cases],
+            "used": [case.name for case in hypotheses.evidence.cases],
             "rejected": dict(rejected),
             "points_left_out": {"outliers": ground.outliers, "at_rest": ground.resting},
         },

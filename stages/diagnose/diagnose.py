@@ -17,12 +17,13 @@ from data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
 from data.schema import DataError
 from stages.diagnose import tables
 from stages.diagnose.casts import Design
-from stages.diagnose.choose import Causes, Court, chosen, noisiness
+from stages.diagnose.choose import chosen, noisiness
 from stages.diagnose.describe import document, sentence, without_nan
 from stages.diagnose.differing import differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import configured, extended_settings, held_out_table, side
+from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.leads import astray, beginnings, follow
 from stages.diagnose.missing import missing, unexplained
 from stages.diagnose.prepare import Ground, literal, prepared, usable
@@ -69,56 +70,56 @@ def diagnose(
         raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
     data = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
     ground = data.ground(good, lambda share: progress(share / 3))
-    ground, court, causes = _heard(ground, data, lambda share: progress((1 + 2 * share) / 3))
-    judgement = judged(court, causes, coarse(ground))
+    ground, hypotheses, causes = _compared(ground, data, lambda share: progress((1 + 2 * share) / 3))
+    judgement = judged(hypotheses, causes, coarse(ground))
     if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
         judgement, causes = replace(judgement, verdict="insufficient", causes=(), groups=(), left=1.0), frozenset()
-    proposal = separated(court, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))
-    return _written(court, ground, causes, judgement, data, proposal)
+    proposal = separated(hypotheses, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))
+    return _written(hypotheses, ground, causes, judgement, data, proposal)
 
 
-def _heard(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, Court, Causes]:
+def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, Hypotheses, Causes]:
     """The causes chosen, and what they were chosen from.
 
     Where the model as it is configured is nearer to the data than one whose mass points do not matter, they may come
-    from another simulation of its kind: it is heard first, and the other only if it leaves something to be seen. What
+    from another simulation of its kind: it is tried first, and the other only if it leaves something to be seen. What
     leaves less stands.
     """
     nearer = ground.configured.mean_square < ground.beside_noise
     kinds = [data.literal, _as_it_is] if nearer else [_as_it_is]
-    heard: list[tuple[Ground, Court, Causes]] = []
+    made: list[tuple[Ground, Hypotheses, Causes]] = []
     for number, kind in enumerate(kinds):
         each = kind(ground)
-        court = _court(each, data)
+        hypotheses = _hypotheses(each, data)
         if astray(each):
-            follow(court, partial(_early, data, kind))
-        heard.append((each, *chosen(court, part(progress, number, len(kinds)))))
-        if heard[-1][1].mismatch(heard[-1][2]) < 0:
+            follow(hypotheses, partial(_early, data, kind))
+        made.append((each, *chosen(hypotheses, part(progress, number, len(kinds)))))
+        if made[-1][1].mismatch(made[-1][2]) < 0:
             break
-    return min(heard, key=lambda one: _left(one[1], one[2]))
+    return min(made, key=lambda one: _left(one[1], one[2]))
 
 
-def _early(data: _Data, kind: Callable[[Ground], Ground], seconds: float) -> tuple[Ground, Court]:
-    """Ground and court of the beginnings of all trials."""
+def _early(data: _Data, kind: Callable[[Ground], Ground], seconds: float) -> tuple[Ground, Hypotheses]:
+    """Ground and hypotheses of the beginnings of all trials."""
     ground = kind(data.ground(beginnings(data.observations, seconds)))
-    return ground, _court(ground, data)
+    return ground, _hypotheses(ground, data)
 
 
 def _as_it_is(ground: Ground) -> Ground:
     return ground
 
 
-def _court(ground: Ground, data: _Data) -> Court:
-    """With the base model heard."""
+def _hypotheses(ground: Ground, data: _Data) -> Hypotheses:
+    """With the base model fitted."""
     evidence, floor = ground.evidence.only(data.kept), ground.undoubted.only(data.kept)
-    court = Court(evidence, evidence, floor, ground.model, data.library, data.seed)
-    court.hear(again(evidence, ground.base) if data.rest else ground.base)
-    return court
+    hypotheses = Hypotheses(evidence, evidence, floor, ground.model, data.library, data.seed)
+    hypotheses.add(again(evidence, ground.base) if data.rest else ground.base)
+    return hypotheses
 
 
-def _left(court: Court, causes: Causes) -> float:
+def _left(hypotheses: Hypotheses, causes: Causes) -> float:
     """Mean square of what causes leave, over the noise alone."""
-    return float(np.mean((court.tried[causes].residual * court.evidence.sigma / court.floor.sigma) ** 2))
+    return float(np.mean((hypotheses.tried[causes].residual * hypotheses.evidence.sigma / hypotheses.floor.sigma) ** 2))
 
 
 @dataclass(frozen=True)
@@ -170,40 +171,43 @@ def coarse(ground: Ground) -> float:
     return float(np.mean(ground.configured.residual[trusted] ** 2) / max(np.mean(noise[trusted]), 1e-12))
 
 
-def _gained(court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data) -> pd.DataFrame:
+def _gained(hypotheses: Hypotheses, ground: Ground, causes: Causes, judgement: Judgement, data: _Data) -> pd.DataFrame:
     """Table HELD_OUT. Where too few mass points are what is wrong, that is what the base model has."""
     few = judgement.causes == (RESOLUTION,) and not causes
-    base = configured(ground, data.kept, data.rest) if few else side(court, ground, frozenset(), data.rest)
-    extended, chance = side(court, ground, causes, data.rest), noisiness(court.evidence, court.tried[causes])
+    base = configured(ground, data.kept, data.rest) if few else side(hypotheses, ground, frozenset(), data.rest)
+    extended, chance = (
+        side(hypotheses, ground, causes, data.rest),
+        noisiness(hypotheses.evidence, hypotheses.tried[causes]),
+    )
     numbers = data.rest or data.kept
     return held_out_table(base, extended, numbers, ground.floor, chance, data.observations, data.matching)
 
 
 def _written(
-    court: Court, ground: Ground, causes: Causes, judgement: Judgement, data: _Data, proposal: Proposal
+    hypotheses: Hypotheses, ground: Ground, causes: Causes, judgement: Judgement, data: _Data, proposal: Proposal
 ) -> Diagnosis:
     """The artifact."""
-    fit = court.tried[causes]
-    found = missing(court, fit) if judgement.verdict == "unknown" else None
-    differs = differing(court, causes) if found else None
-    left = unexplained(court, fit, judgement.left, found, differs)
+    fit = hypotheses.tried[causes]
+    found = missing(hypotheses, fit) if judgement.verdict == "unknown" else None
+    differs = differing(hypotheses, causes) if found else None
+    left = unexplained(hypotheses, fit, judgement.left, found, differs)
     if judgement.verdict == "insufficient":
         left["sentence"] = ALONE
-    gains = _gained(court, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
-    named = tables.causes(court, causes, judgement, data.library)
-    text = document(court, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
+    gains = _gained(hypotheses, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
+    named = tables.causes(hypotheses, causes, judgement, data.library)
+    text = document(hypotheses, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
     text["gain"]["causes_chosen_from_them"] = not data.rest
-    settings = extended_settings(data.model, court, causes)
+    settings = extended_settings(data.model, hypotheses, causes)
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
     return Diagnosis(
         FINDING.check(pd.DataFrame([row | {"extended": yaml.safe_dump(settings, sort_keys=False)}])),
         named,
         gains,
-        tables.residuals(court, causes),
-        tables.theories(court, judgement),
-        tables.screening(court),
-        tables.likeness(court),
+        tables.residuals(hypotheses, causes),
+        tables.theories(hypotheses, judgement),
+        tables.screening(hypotheses),
+        tables.likeness(hypotheses),
         MISSING.empty() if found is None else found.table,
         proposal.commands,
         proposal.control_points,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.diagnose.choose import Causes, Court
 from stages.diagnose.fit import fitted
+from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.noise import systematic
 from stages.diagnose.screen import Probe, varied
 from stages.model.effect import Effect
@@ -39,24 +39,24 @@ class Differing:
         return f"The trials differ: {self.effect.name} of its own in each, {values} {unit}, explains {share}{others}."
 
 
-def differing(court: Court, causes: Causes) -> Differing | None:
+def differing(hypotheses: Hypotheses, causes: Causes) -> Differing | None:
     """The effect that explains most of what these causes leave if each trial has its own; None where none does."""
-    gains = {some[0].effect: _gains(court, causes, some) for some in court.probes.get(causes, {}).values()}
+    gains = {some[0].effect: _gains(hypotheses, causes, some) for some in hypotheses.probes.get(causes, {}).values()}
     single = {effect: gain for effect, gain in gains.items() if len(effect.parameters) == 1}
-    if not single or len(court.evidence.cases) == 1:
+    if not single or len(hypotheses.evidence.cases) == 1:
         return None
     effect = max(single, key=lambda e: single[e][0])
     each, common = single[effect]
     if each < FURTHER * common:
         return None
-    values, explained = _fitted(court, causes, effect)
+    values, explained = _fitted(hypotheses, causes, effect)
     alike = tuple(e.name for e, gain in single.items() if e is not effect and gain[0] > ALIKE * each)
     return Differing(effect, values, explained, alike) if explained > MOSTLY else None
 
 
-def _gains(court: Court, causes: Causes, probes: list[Probe]) -> tuple[float, float]:
+def _gains(hypotheses: Hypotheses, causes: Causes, probes: list[Probe]) -> tuple[float, float]:
     """Gain of the log-likelihood, to first order, with a size for each trial and with one for all."""
-    residual, trial = court.tried[causes].residual, court.evidence.trial
+    residual, trial = hypotheses.tried[causes].residual, hypotheses.evidence.trial
     best = (0.0, 0.0)
     for probe in probes:
         along = np.bincount(trial, probe.direction * residual)
@@ -65,14 +65,14 @@ def _gains(court: Court, causes: Causes, probes: list[Probe]) -> tuple[float, fl
     return best
 
 
-def _fitted(court: Court, causes: Causes, effect: type[Effect]) -> tuple[dict[str, float], float]:
+def _fitted(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) -> tuple[dict[str, float], float]:
     """The effect's value in each trial [its unit], all else as it is, and the share of the misfit that it explains."""
-    probe, fit = court.probes[causes][effect.name][0], court.tried[causes]
+    probe, fit = hypotheses.probes[causes][effect.name][0], hypotheses.tried[causes]
     alone = replace(probe.theory, causes=(effect,), base=())
     place, values, left = varied(alone, effect)[0], {}, []
-    for number, case in enumerate(court.evidence.cases):
-        own = fitted(court.evidence.only([number]), [alone], [probe.chi], STEPS)[0]
+    for number, case in enumerate(hypotheses.evidence.cases):
+        own = fitted(hypotheses.evidence.only([number]), [alone], [probe.chi], STEPS)[0]
         values[case.name] = float(alone.model.parameters[place].value(own.chi[place]))
         left.append(own.residual)
-    before = systematic(court.evidence, fit.residual)
-    return values, 1 - systematic(court.evidence, np.concatenate(left)) / max(before, 1e-12)
+    before = systematic(hypotheses.evidence, fit.residual)
+    return values, 1 - systematic(hypotheses.evidence, np.concatenate(left)) / max(before, 1e-12)

@@ -10,10 +10,10 @@ import pandas as pd
 
 from data.artifacts import HELD_OUT, Observation
 from stages.diagnose.beginning import begun, doubted_beginnings
-from stages.diagnose.choose import Causes, Court
 from stages.diagnose.compare import AGAIN, held_out
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
+from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.prepare import Ground
 from stages.estimate.forward import Case
 from stages.estimate.matching import Matching, targets
@@ -43,14 +43,14 @@ class Side:
         return self.model.divided(self.evidence.segments[-1])
 
 
-def side(court: Court, ground: Ground, causes: Causes, rest: Sequence[int]) -> Side:
+def side(hypotheses: Hypotheses, ground: Ground, causes: Causes, rest: Sequence[int]) -> Side:
     """The model with these causes. rest: numbers of the trials set aside; without any, each of the kept is left out in
     turn. Trials that begin moving begin in the state that suits it."""
-    fit = court.tried[causes]
-    evidence = replace(ground.evidence, segments=court.evidence.segments)
+    fit = hypotheses.tried[causes]
+    evidence = replace(ground.evidence, segments=hypotheses.evidence.segments)
     evidence = begun(evidence, fit.theory.model, fit.chi)
     evidence = doubted_beginnings(evidence, fit.theory.model, fit.chi)
-    chi = [fit.chi] * len(rest) if rest else list(court.held(causes).chi)
+    chi = [fit.chi] * len(rest) if rest else list(hypotheses.held(causes).chi)
     return Side(fit.theory.model, evidence, chi)
 
 
@@ -111,10 +111,10 @@ def thinned(observation: Observation) -> Observation:
     return replace(observation, points=points[points["t"].isin(kept)], moving=False)
 
 
-def extended_settings(model: Model, court: Court, causes: Causes) -> dict[str, object]:
+def extended_settings(model: Model, hypotheses: Hypotheses, causes: Causes) -> dict[str, object]:
     """The extended model as settings that other stages take: what is at work, and what is known of it."""
-    fit = court.tried[causes]
-    segments = court.evidence.segments[-1]
+    fit = hypotheses.tried[causes]
+    segments = hypotheses.evidence.segments[-1]
     fine = fit.theory.model.string
     kind = type(fine.integrator)
     string: dict[str, object] = {"points": segments + 1, "tip_cell": fine.tip_cell, "grasp_cell": fine.grasp_cell}

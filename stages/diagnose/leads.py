@@ -14,8 +14,9 @@ import numpy as np
 
 from data.artifacts import Observation
 from data.schema import DataError
-from stages.diagnose.choose import SHORTLIST, STEPS, Causes, Court, chosen
+from stages.diagnose.choose import chosen
 from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.hypotheses import SHORTLIST, STEPS, Causes, Hypotheses
 from stages.diagnose.prepare import Ground
 from stages.diagnose.search import horizons
 from stages.diagnose.theory import joined
@@ -35,13 +36,13 @@ def beginnings(observations: Sequence[Observation], seconds: float) -> list[Obse
     return [replace(o, points=o.points[o.points["t"] <= o.points["t"].min() + seconds]) for o in observations]
 
 
-def follow(court: Court, early: Callable[[float], tuple[Ground, Court]]) -> None:
-    """Let a court know what the longest beginnings say that the base model can follow.
+def follow(hypotheses: Hypotheses, early: Callable[[float], tuple[Ground, Hypotheses]]) -> None:
+    """Add to the hypotheses what the longest beginnings say that the base model can follow.
 
-    early: ground and court of the beginnings of all trials, of so many seconds. Where the base model follows none, or
-    some trial has no beginning, nothing is heard.
+    early: ground and hypotheses of the beginnings of all trials, of so many seconds. Where the base model follows none,
+    or some trial has no beginning, nothing is added.
     """
-    seconds = horizons(court.evidence)
+    seconds = horizons(hypotheses.evidence)
     for number, horizon in reversed(list(enumerate(seconds))):
         try:
             ground, own = early(horizon)
@@ -50,27 +51,27 @@ def follow(court: Court, early: Callable[[float], tuple[Ground, Court]]) -> None
         if not astray(ground):
             own, causes = chosen(own, lambda share: None)
             if causes:
-                _carried_on(court, leads(own, causes), seconds[number + 1 :])
+                _carried_on(hypotheses, leads(own, causes), seconds[number + 1 :])
             return
 
 
-def leads(court: Court, causes: Causes) -> list[Fit]:
+def leads(hypotheses: Hypotheses, causes: Causes) -> list[Fit]:
     """The best of what was tried, and what was chosen with each part of it: causes are added one by one."""
-    tried = {some: fit for some, fit in court.tried.items() if some}
+    tried = {some: fit for some, fit in hypotheses.tried.items() if some}
     best = sorted(tried, key=lambda some: tried[some].cost)[:SHORTLIST]
     return [tried[some] for some in dict.fromkeys([*best, *(some for some in tried if some <= causes)])]
 
 
-def _carried_on(court: Court, fits: Sequence[Fit], seconds: Sequence[float]) -> None:
-    """Fits of beginnings go on to longer ones, and then to all that the court has for evidence, and are heard."""
-    base = court.tried[frozenset()].theory
+def _carried_on(hypotheses: Hypotheses, fits: Sequence[Fit], seconds: Sequence[float]) -> None:
+    """Fits of beginnings go on to longer ones, and then to all the evidence, and are added."""
+    base = hypotheses.tried[frozenset()].theory
     theories = [joined(base, *fit.theory.causes) for fit in fits]
     # Ranges that were widened for the beginnings need not be those of the whole.
     chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, fits, strict=True)]
     for horizon in seconds:
-        chi = [fit.chi for fit in fitted(court.evidence.rough.until(horizon), theories, chi, EACH)]
-    for fit in fitted(court.evidence, theories, chi, STEPS):
-        court.hear(fit)
-    alone = {name: fit for key, fit in court.tried.items() if len(key) == 1 for name in key}
+        chi = [fit.chi for fit in fitted(hypotheses.evidence.rough.until(horizon), theories, chi, EACH)]
+    for fit in fitted(hypotheses.evidence, theories, chi, STEPS):
+        hypotheses.add(fit)
+    alone = {name: fit for key, fit in hypotheses.tried.items() if len(key) == 1 for name in key}
     if alone:
-        court.contexts[frozenset()] = alone
+        hypotheses.contexts[frozenset()] = alone

@@ -14,10 +14,10 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import MISSING
-from stages.diagnose.choose import Court
 from stages.diagnose.differing import Differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit
+from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.noise import parts, systematic
 from stages.diagnose.pulses import GraspShift, PictureShift, Push
 from stages.model.effect import Effect
@@ -40,12 +40,12 @@ class Missing:
     explained: Mapping[str, float]
 
 
-def missing(court: Court, fit: Fit) -> Missing:
+def missing(hypotheses: Hypotheses, fit: Fit) -> Missing:
     """The best description of what is left by a fit."""
-    trials = range(len(court.evidence.cases))
-    found = {effect: [_of_trial(court.evidence, fit, effect, k) for k in trials] for effect in SIZES}
+    trials = range(len(hypotheses.evidence.cases))
+    found = {effect: [_of_trial(hypotheses.evidence, fit, effect, k) for k in trials] for effect in SIZES}
     left = {effect: [rest for rest, _ in parts] for effect, parts in found.items()}
-    explained = {effect: _explained(court.evidence, fit, rest) for effect, rest in left.items()}
+    explained = {effect: _explained(hypotheses.evidence, fit, rest) for effect, rest in left.items()}
     best = max(explained, key=lambda effect: explained[effect])
     table = pd.concat([table for _, table in found[best]], ignore_index=True)
     return Missing(best.name, MISSING.check(table), {effect.name: share for effect, share in explained.items()})
@@ -105,14 +105,14 @@ def _by_place(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def unexplained(
-    court: Court, fit: Fit, left: float, found: Missing | None, differs: Differing | None
+    hypotheses: Hypotheses, fit: Fit, left: float, found: Missing | None, differs: Differing | None
 ) -> dict[str, object]:
     """What diagnosis.json says of what is left. left: share of the systematic misfit. differs: from trial to trial."""
     if found is None:
         return {"fraction": left, "where": "", "sentence": ""}
-    each = enumerate(parts(court.evidence, fit.residual))
-    size = np.array([systematic(court.evidence.only([k]), part) for k, part in each])
-    case = court.evidence.cases[int(np.argmax(size))]
+    each = enumerate(parts(hypotheses.evidence, fit.residual))
+    size = np.array([systematic(hypotheses.evidence.only([k]), part) for k, part in each])
+    case = hypotheses.evidence.cases[int(np.argmax(size))]
     share = float(size.max() / max(size.sum(), 1e-12))
     rows = found.table[found.table["trial"] == case.name]
     strength = np.hypot(rows["x"].fillna(0), rows["y"].fillna(0)).to_numpy()

@@ -18,10 +18,11 @@ import pandas as pd
 
 from data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
 from stages.diagnose.casts import Design, imagined, possible, standing_for
-from stages.diagnose.choose import Causes, Court, noisiness
+from stages.diagnose.choose import noisiness
 from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.foretell import DECIDED, Outlook, Prospect, again
+from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.resolve import SEGMENTS, finer
 from stages.diagnose.verdict import Judgement
 from stages.estimate.forward import Case
@@ -104,7 +105,7 @@ class Forecast:
         return {name: round(value, 3) for name, value in numbers.items()}
 
 
-def contest(court: Court, judgement: Judgement) -> Contest | None:
+def contest(hypotheses: Hypotheses, judgement: Judgement) -> Contest | None:
     """The theories that could each be right, in the order of their names, or None where there is but one."""
     chances = judgement.chances
     keys = [key for key in chances if chances[key] > RIVAL * max(chances.values())]
@@ -113,21 +114,23 @@ def contest(court: Court, judgement: Judgement) -> Contest | None:
     shared: Causes = frozenset.intersection(*keys)
     named = sorted((" + ".join(sorted(key - shared)), key) for key in keys)
     share = np.array([chances[key] for _, key in named])
-    fits = tuple(court.tried[key] for _, key in named)
-    return Contest(tuple(n for n, _ in named), fits, share / share.sum(), court.tried[frozenset()], court.evidence)
+    fits = tuple(hypotheses.tried[key] for _, key in named)
+    return Contest(
+        tuple(n for n, _ in named), fits, share / share.sum(), hypotheses.tried[frozenset()], hypotheses.evidence
+    )
 
 
 def separated(
-    court: Court, judgement: Judgement, obstacles: Sequence[Box], design: Design, rng: np.random.Generator
+    hypotheses: Hypotheses, judgement: Judgement, obstacles: Sequence[Box], design: Design, rng: np.random.Generator
 ) -> Proposal:
     """The motion to perform next, and what it will do; nothing where one theory stands alone or the arm is unknown."""
-    rivals = contest(court, judgement)
-    if rivals is None or not all(isinstance(case.motion, JointMotion) for case in court.evidence.cases):
+    rivals = contest(hypotheses, judgement)
+    if rivals is None or not all(isinstance(case.motion, JointMotion) for case in hypotheses.evidence.cases):
         return without_motion(None)
-    curves = possible(court.base, obstacles, design, rng)
+    curves = possible(hypotheses.base, obstacles, design, rng)
     if not len(curves.duration):
         return without_motion(None)
-    return proposed(rivals, court.floor, curves, obstacles, design, rng)
+    return proposed(rivals, hypotheses.floor, curves, obstacles, design, rng)
 
 
 def without_motion(next_experiment: Mapping[str, Any] | None) -> Proposal:

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
-from stages.diagnose.choose import Causes, Court
 from stages.diagnose.compare import moved
 from stages.diagnose.fit import Fit
+from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.intervals import interval
 from stages.diagnose.noise import parts, systematic
 from stages.diagnose.screen import Probe
@@ -25,13 +25,13 @@ def joined_names(causes: Causes) -> str:
     return " + ".join(sorted(causes))
 
 
-def residuals(court: Court, causes: Causes) -> pd.DataFrame:
+def residuals(hypotheses: Hypotheses, causes: Causes) -> pd.DataFrame:
     """Table RESIDUALS."""
-    base, extended = court.tried[frozenset()], court.tried[causes]
+    base, extended = hypotheses.tried[frozenset()], hypotheses.tried[causes]
     frames = []
-    both = (parts(court.evidence, fit.residual) for fit in (base, extended))
-    floors = parts(court.evidence, court.floor.sigma)
-    for case, plain, more, own in zip(court.evidence.cases, *both, floors, strict=True):
+    both = (parts(hypotheses.evidence, fit.residual) for fit in (base, extended))
+    floors = parts(hypotheses.evidence, hypotheses.floor.sigma)
+    for case, plain, more, own in zip(hypotheses.evidence.cases, *both, floors, strict=True):
         first, then = (case.points + case.sigma[:, None] * off for off in (plain, more))
         along = _tangents(case.frame, case.s, first)
         off = case.points - first
@@ -55,46 +55,46 @@ def _tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarra
     return np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0])
 
 
-def theories(court: Court, judgement: Judgement) -> pd.DataFrame:
+def theories(hypotheses: Hypotheses, judgement: Judgement) -> pd.DataFrame:
     """Table THEORIES, those that fit best first."""
-    base = court.tried[frozenset()]
-    before = max(systematic(court.evidence, base.residual), 1e-12)
+    base = hypotheses.tried[frozenset()]
+    before = max(systematic(hypotheses.evidence, base.residual), 1e-12)
     rows = [
         {
             "causes": joined_names(key),
             "parameters": len(fit.theory.free),
             "mean_square": fit.mean_square,
             "fit_gain": base.cost - fit.cost,
-            "held_out_gain": _held_gain(court, key),
-            "by_chance": court.lucky.get(key, float("nan")),
-            "moved": moved(court.evidence, base, fit).max() if key else 0.0,
-            "unexplained": systematic(court.evidence, fit.residual) / before,
+            "held_out_gain": _held_gain(hypotheses, key),
+            "by_chance": hypotheses.chance_gains.get(key, float("nan")),
+            "moved": moved(hypotheses.evidence, base, fit).max() if key else 0.0,
+            "unexplained": systematic(hypotheses.evidence, fit.residual) / before,
             "probability": judgement.chances.get(key, 0.0),
         }
-        for key, fit in court.tried.items()
+        for key, fit in hypotheses.tried.items()
     ]
     return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
 
 
-def _held_gain(court: Court, key: Causes) -> float:
-    if key not in court.predictions or frozenset() not in court.predictions:
+def _held_gain(hypotheses: Hypotheses, key: Causes) -> float:
+    if key not in hypotheses.predictions or frozenset() not in hypotheses.predictions:
         return float("nan")
-    return float((court.predictions[frozenset()].costs - court.predictions[key].costs).sum())
+    return float((hypotheses.predictions[frozenset()].costs - hypotheses.predictions[key].costs).sum())
 
 
-def screening(court: Court) -> pd.DataFrame:
+def screening(hypotheses: Hypotheses) -> pd.DataFrame:
     """Table SCREENING."""
     rows = [
         {"context": joined_names(context), "effect": name, "predicted_gain": some[0].gain}
-        for context, probes in court.probes.items()
+        for context, probes in hypotheses.probes.items()
         for name, some in probes.items()
     ]
     return SCREENING.check(pd.DataFrame(rows)) if rows else SCREENING.empty()
 
 
-def likeness(court: Court) -> pd.DataFrame:
+def likeness(hypotheses: Hypotheses) -> pd.DataFrame:
     """Table LIKENESS: of the most promising effects of the first screening."""
-    probes: dict[str, list[Probe]] = next(iter(court.probes.values()), {})
+    probes: dict[str, list[Probe]] = next(iter(hypotheses.probes.values()), {})
     best = sorted((some[0] for some in probes.values()), key=lambda probe: -probe.gain)[:ALIKE]
     rows = [
         {"effect": a.effect.name, "other": b.effect.name, "cosine": abs(float(a.direction @ b.direction))}
@@ -104,7 +104,9 @@ def likeness(court: Court) -> pd.DataFrame:
     return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
 
 
-def causes(court: Court, chosen: Causes, judgement: Judgement, library: Mapping[str, type[Effect]]) -> pd.DataFrame:
+def causes(
+    hypotheses: Hypotheses, chosen: Causes, judgement: Judgement, library: Mapping[str, type[Effect]]
+) -> pd.DataFrame:
     """Table CAUSES: those named, each with its parameters as fitted among the chosen or in place of its look-alike."""
     rows = []
     for name in judgement.causes:
@@ -114,9 +116,9 @@ def causes(court: Court, chosen: Causes, judgement: Judgement, library: Mapping[
             nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
             rows.append(common | {"sentence": effect.words({}), "parameter": "", **nothing})
             continue
-        fit = court.tried[_with(chosen, judgement, name)]
+        fit = hypotheses.tried[_with(chosen, judgement, name)]
         common["sentence"] = effect.words(fit.theory.of(effect, fit.chi))
-        rows += [common | row for row in _parameters(court, fit, effect)]
+        rows += [common | row for row in _parameters(hypotheses, fit, effect)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
 
@@ -127,8 +129,8 @@ def _with(chosen: Causes, judgement: Judgement, name: str) -> Causes:
     return max((key for key in judgement.chances if name in key), key=lambda key: judgement.chances[key])
 
 
-def _parameters(court: Court, fit: Fit, effect: type[Effect]) -> list[dict[str, object]]:
-    low, high = interval(court.evidence, fit)
+def _parameters(hypotheses: Hypotheses, fit: Fit, effect: type[Effect]) -> list[dict[str, object]]:
+    low, high = interval(hypotheses.evidence, fit)
     places = {int(place): number for number, place in enumerate(fit.theory.free)}
     rows = []
     for parameter in effect.parameters:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
-from stages.diagnose.choose import INEXACT, Causes, Court, noisiness
+from stages.diagnose.choose import noisiness
 from stages.diagnose.compare import blocks
 from stages.diagnose.fit import Fit
+from stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
 from stages.diagnose.noise import systematic
 
 RESOLUTION = "resolution"
@@ -37,40 +38,42 @@ class Judgement:
     left: float
 
 
-def judged(court: Court, causes: Causes, coarse: float) -> Judgement:
+def judged(hypotheses: Hypotheses, causes: Causes, coarse: float) -> Judgement:
     """The verdict on the causes that were chosen.
 
     coarse: mean square of the configured model's residual over that of one with enough mass points.
     """
-    base, fit = court.tried[frozenset()], court.tried[causes]
-    before, after = (systematic(court.evidence, each.residual) for each in (base, fit))
+    base, fit = hypotheses.tried[frozenset()], hypotheses.tried[causes]
+    before, after = (systematic(hypotheses.evidence, each.residual) for each in (base, fit))
     left = float(np.clip(after / before, 0, 1)) if before > 0 else 0.0
-    seen = court.mismatch(causes)
-    chances = _chances(court, causes)
+    seen = hypotheses.mismatch(causes)
+    chances = _chances(hypotheses, causes)
     if not causes:
         return _nothing(seen, coarse, left, chances)
     dirty = float(np.clip(seen / CLEAN + 1, 0, 1))
     strange = float(expit(STEEP * (min(seen, CLEAN) + dirty * np.log(max(left, 1e-3) / LEFT))))
     groups = _groups(chances, causes)
-    probability = _probability(chances, _silent(court, causes, groups), strange)
+    probability = _probability(chances, _silent(hypotheses, causes, groups), strange)
     if strange > 0.5:
-        return _told(court, Judgement("unknown", (), probability, (), chances, left))
-    need = {name: _needed(court, causes, name, probability) for name in causes.union(*groups)}
+        return _told(hypotheses, Judgement("unknown", (), probability, (), chances, left))
+    need = {name: _needed(hypotheses, causes, name, probability) for name in causes.union(*groups)}
     ordered = tuple(sorted(need, key=lambda name: need[name], reverse=True))
-    return _told(court, Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left))
+    return _told(
+        hypotheses, Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left)
+    )
 
 
-def _silent(court: Court, causes: Causes, groups: tuple[tuple[str, ...], ...]) -> frozenset[str]:
+def _silent(hypotheses: Hypotheses, causes: Causes, groups: tuple[tuple[str, ...], ...]) -> frozenset[str]:
     """What is used beside causes of the string, and not named: of a simulation, and nobody's look-alike."""
     grouped = {name for group in groups for name in group}
-    quiet = frozenset(name for name in causes - grouped if not court.library[name].of_string)
+    quiet = frozenset(name for name in causes - grouped if not hypotheses.library[name].of_string)
     return frozenset() if quiet == causes else quiet
 
 
-def _told(court: Court, judgement: Judgement) -> Judgement:
+def _told(hypotheses: Hypotheses, judgement: Judgement) -> Judgement:
     """With causes that are of a simulation and not of the string called `resolution`; beside others it is only used."""
     name = {
-        each: each if each not in court.library or court.library[each].of_string else RESOLUTION
+        each: each if each not in hypotheses.library or hypotheses.library[each].of_string else RESOLUTION
         for each in (*judgement.probability, *judgement.causes)
     }
     groups = tuple(tuple(dict.fromkeys(name[each] for each in group)) for group in judgement.groups)
@@ -95,25 +98,25 @@ def _nothing(seen: float, coarse: float, left: float, chances: Mapping[Causes, f
     return Judgement(likeliest, (), probability, (), chances, left if likeliest == "unknown" else 0.0)
 
 
-def _chances(court: Court, causes: Causes) -> dict[Causes, float]:
+def _chances(hypotheses: Hypotheses, causes: Causes) -> dict[Causes, float]:
     """Probability of every set of as many causes, given that one of them is right."""
-    best = court.tried[causes]
-    sets = {key: fit for key, fit in court.tried.items() if len(key) == len(causes)}
-    odds = {key: _log_odds(court, fit, best) for key, fit in sets.items()}
+    best = hypotheses.tried[causes]
+    sets = {key: fit for key, fit in hypotheses.tried.items() if len(key) == len(causes)}
+    odds = {key: _log_odds(hypotheses, fit, best) for key, fit in sets.items()}
     chance = {key: float(np.exp(value - max(odds.values()))) for key, value in odds.items()}
     return {key: value / sum(chance.values()) for key, value in chance.items()}
 
 
-def _log_odds(court: Court, fit: Fit, best: Fit) -> float:
+def _log_odds(hypotheses: Hypotheses, fit: Fit, best: Fit) -> float:
     """Of a fit against the best, no more certain than the differences from piece to piece of time allow.
 
     Of two right models whose log-likelihoods differ by d with a standard deviation of s, 2 (d / s)^2 is what
     independent noise would make of d. No model is exact: what it explains, it explains but for a small share.
     """
-    piece = np.bincount(blocks(court.evidence), best.residual**2 - fit.residual**2) / 2
-    explained = court.tried[frozenset()].cost - best.cost
+    piece = np.bincount(blocks(hypotheses.evidence), best.residual**2 - fit.residual**2) / 2
+    explained = hypotheses.tried[frozenset()].cost - best.cost
     spare = PARAMETER * (len(fit.theory.free) - len(best.theory.free))
-    return float(weighed(piece, explained, noisiness(court.evidence, best))) - spare
+    return float(weighed(piece, explained, noisiness(hypotheses.evidence, best))) - spare
 
 
 def weighed(piece: np.ndarray, explained: np.ndarray | float, chance: float) -> np.ndarray:
@@ -150,7 +153,7 @@ def _groups(chances: Mapping[Causes, float], causes: Causes) -> tuple[tuple[str,
     return tuple(groups)
 
 
-def _needed(court: Court, causes: Causes, name: str, probability: Mapping[str, float]) -> tuple[float, float]:
+def _needed(hypotheses: Hypotheses, causes: Causes, name: str, probability: Mapping[str, float]) -> tuple[float, float]:
     """By what the cost rises without a cause; its look-alikes come after it, by probability."""
-    rise = court.fit(causes - {name}, causes).cost - court.tried[causes].cost if name in causes else 0.0
+    rise = hypotheses.fit(causes - {name}, causes).cost - hypotheses.tried[causes].cost if name in causes else 0.0
     return rise, probability.get(name, 0.0)

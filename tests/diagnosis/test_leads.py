@@ -11,10 +11,10 @@ from conftest import TRUTH
 from data.artifacts import JOINTS, MASKS, READINGS, Observation
 from data.schema import DataError
 from stages.diagnose.casts import Design
-from stages.diagnose.choose import SHORTLIST, Court
 from stages.diagnose.diagnose import diagnose
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.hypotheses import SHORTLIST, Hypotheses
 from stages.diagnose.leads import beginnings, follow, leads
 from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import case
@@ -91,7 +91,7 @@ def test_what_was_chosen_is_followed_with_each_of_its_parts(model, observations)
     """Of six pairs that fit best none can be added to no cause: one by one is how causes are chosen."""
     theory = Theory(model, (), model.names)
     evidence = Evidence(tuple(case(model, o) for o in observations), (10,))
-    court = Court(evidence, evidence, evidence, model, library(), 0)
+    hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
     names = ["arm_lag", "time_offset", "wind", "tip_mass", "rest_curvature"]
     for cost, some in [
         (9, ()),
@@ -100,8 +100,8 @@ def test_what_was_chosen_is_followed_with_each_of_its_parts(model, observations)
         *((k, p) for k, p in enumerate(combinations(names, 2))),
     ]:
         fit = joined(theory, *(library()[name] for name in some))
-        court.hear(Fit(fit, fit.start, np.full(4, float(cost)), np.zeros((4, len(fit.free)))))
-    followed = {frozenset(fit.theory.names) for fit in leads(court, frozenset(names[:2]))}
+        hypotheses.add(Fit(fit, fit.start, np.full(4, float(cost)), np.zeros((4, len(fit.free)))))
+    followed = {frozenset(fit.theory.names) for fit in leads(hypotheses, frozenset(names[:2]))}
     assert followed >= {frozenset(names[:1]), frozenset(names[1:2]), frozenset(names[:2])}
     assert len(followed) == SHORTLIST + 2
 
@@ -111,11 +111,11 @@ def test_what_leads_name_pays_for_all_that_was_asked_too(model, observations):
     theory = Theory(model, (), model.names)
     evidence = Evidence((case(model, observations[0]),), (10,)).until(0.15)
     known = {name: library()[name] for name in ("arm_lag", "wind", "tip_mass")}
-    court = Court(evidence, evidence, evidence, model, known, 0)
+    hypotheses = Hypotheses(evidence, evidence, evidence, model, known, 0)
     for some in ((), (ArmLag,)):
-        court.hear(fitted(evidence, [joined(theory, *some)], [joined(theory, *some).at(STIFF)], 2)[0])
-    court.contexts[frozenset()] = {"arm_lag": court.tried[frozenset({"arm_lag"})]}
-    assert court.by_chance(frozenset({"arm_lag"})) > 1.0
+        hypotheses.add(fitted(evidence, [joined(theory, *some)], [joined(theory, *some).at(STIFF)], 2)[0])
+    hypotheses.contexts[frozenset()] = {"arm_lag": hypotheses.tried[frozenset({"arm_lag"})]}
+    assert hypotheses.by_chance(frozenset({"arm_lag"})) > 1.0
 
 
 def test_a_trial_without_a_beginning_leaves_the_court_as_it_was(model, observations):

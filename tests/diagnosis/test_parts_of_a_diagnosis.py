@@ -7,11 +7,12 @@ import pytest
 from conftest import TRUTH
 from scipy.interpolate import CubicSpline
 
-from stages.diagnose.choose import MATTERS, Court, earns
+from stages.diagnose.choose import MATTERS, earns
 from stages.diagnose.compare import held_out, moved
 from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import configured, side
+from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.intervals import interval, present
 from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
 from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, eased, pressed, resolved
@@ -94,13 +95,13 @@ def test_a_fit_that_stopped_short_is_levelled_with_one_of_more_causes(arm, model
     theory = whole(model, candidates(model, library(), evidence), evidence)
     short = fitted(evidence, [theory], [theory.at({**TRUTH, "bending_stiffness": 12.0})], 0)[0]
     more = joined(theory, library()["tip_mass"])
-    court = Court(evidence, evidence, evidence, model, library(), 0)
-    court.hear(short)
-    court.hear(fitted(evidence, [more], [more.at(TRUTH)], 15)[0])
-    assert court.held(frozenset()).costs.sum() > 0
-    assert not earns(court, frozenset(), frozenset({"tip_mass"}))
+    hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
+    hypotheses.add(short)
+    hypotheses.add(fitted(evidence, [more], [more.at(TRUTH)], 15)[0])
+    assert hypotheses.held(frozenset()).costs.sum() > 0
+    assert not earns(hypotheses, frozenset(), frozenset({"tip_mass"}))
     assert short.mean_square > 5
-    assert court.tried[frozenset()].mean_square == pytest.approx(1.0, abs=0.05)
+    assert hypotheses.tried[frozenset()].mean_square == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_run_that_is_rejected_tells_no_slope(arm, model):
@@ -201,11 +202,11 @@ def test_nothing_stands_where_the_hand_was(arm, model):
 
 def test_a_cause_that_does_not_explain_the_only_trial_is_not_confirmed_by_it(arm, model):
     evidence = measured(arm, model, {"tip_mass.ratio": 0.1}, trials=1)
-    court = Court(evidence, evidence, evidence, model, library(), 0)
-    court.hear(base(model, evidence))
-    court.fit(frozenset({"wind"}), frozenset())
-    assert moved(evidence, court.tried[frozenset()], court.tried[frozenset({"wind"})]).max() > MATTERS
-    assert not earns(court, frozenset(), frozenset({"wind"}))
+    hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
+    hypotheses.add(base(model, evidence))
+    hypotheses.fit(frozenset({"wind"}), frozenset())
+    assert moved(evidence, hypotheses.tried[frozenset()], hypotheses.tried[frozenset({"wind"})]).max() > MATTERS
+    assert not earns(hypotheses, frozenset(), frozenset({"wind"}))
 
 
 def test_a_range_that_ends_too_early_is_widened_where_the_data_press(arm, model):
@@ -235,10 +236,10 @@ def test_mass_points_that_are_enough_gain_over_those_that_are_configured(arm, mo
     fit, few = base(model, evidence), replace(model, string=replace(model.string, points=5))
     theory = Theory(few, (), few.names)
     plain = fitted(replace(evidence, segments=(4,)), [theory], [theory.at(TRUTH)], 10)[0]
-    court = Court(evidence, evidence, evidence, model, library(), 0)
-    court.hear(fit)
+    hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
+    hypotheses.add(fit)
     ground = Ground(model, evidence, evidence, fit, plain)
-    sides = configured(ground, [0, 1], []), side(court, ground, frozenset(), [])
+    sides = configured(ground, [0, 1], []), side(hypotheses, ground, frozenset(), [])
     off = np.array([[np.mean(one.residual(k, k) ** 2) for k in (0, 1)] for one in sides])
     assert (off[0] > 1.5).all()
     assert off[1] == pytest.approx([1, 1], abs=0.15)

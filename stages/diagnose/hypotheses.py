@@ -1,0 +1,167 @@
+"""Every set of causes that was tried on some evidence, each fitted once, and what it says of trials not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from stages.diagnose.beginning import begun, doubted_beginnings
+from stages.diagnose.chance import by_chance
+from stages.diagnose.closing import PROBES, closed_in
+from stages.diagnose.compare import HeldOut, held_out
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit, fitted, ranked
+from stages.diagnose.noise import mismatch
+from stages.diagnose.resolve import refined
+from stages.diagnose.screen import Probe, screened, spread
+from stages.diagnose.theory import Theory, candidates, joined
+from stages.model.effect import Effect, placed
+from stages.model.model import Model
+
+Causes = frozenset[str]
+
+FIRST = 2  # steps of every promising effect's fit
+AGAIN = 4  # of a fit where doubt was found anew
+SHORTLIST = 6  # fits that then go on
+STARTS = 2  # probes of each from which it is fitted
+PROMISING = 5.0  # of a predicted gain of the log-likelihood
+UNDERRATED = 3.0  # times what first order says of an effect that depends on place, it may gain
+STEPS = 14
+LEVEL = 0.01  # of a cost, by which another fit of the same causes must be better to count
+INEXACT = 0.002  # share of what a right model explains by which it may be wrong, and no cause be behind it
+
+
+@dataclass
+class Hypotheses:
+    """What has been tried so far on this evidence: each set of causes is fitted once.
+
+    evidence: with the simulation's doubt; first: as it was before there was a cause; floor: with noise alone.
+    """
+
+    evidence: Evidence
+    first: Evidence
+    floor: Evidence
+    base: Model
+    library: Mapping[str, type[Effect]]
+    seed: int
+    tried: dict[Causes, Fit] = field(default_factory=dict)
+    contexts: dict[Causes, dict[str, Fit]] = field(default_factory=dict)
+    probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
+    predictions: dict[Causes, HeldOut] = field(default_factory=dict)
+    chance_gains: dict[Causes, float] = field(default_factory=dict)
+
+    def add(self, fit: Fit) -> None:
+        """Remember a fit if it is the best of its causes."""
+        key = frozenset(fit.theory.names)
+        if key not in self.tried or fit.cost < self.tried[key].cost:
+            self.tried[key] = fit
+
+    def fit(self, causes: Causes, near: Causes) -> Fit:
+        """The fit of these causes, made from that of others near them if it was never asked for."""
+        if causes not in self.tried:
+            theory = joined(self.tried[frozenset()].theory, *(self.library[name] for name in sorted(causes)))
+            self.add(self._from(theory, near))
+        return self.tried[causes]
+
+    def refitted(self, fewer: Causes, more: Causes) -> None:
+        """Fit fewer causes from where more put the string, too: what a fit missed that stopped short is no cause."""
+        made, before = self._from(self.tried[fewer].theory, more), self.tried[fewer].cost
+        if made.cost < (1 - LEVEL) * before:
+            self.add(made)
+            self.chance_gains.pop(fewer, None)
+            for key in [fewer] if fewer else list(self.predictions):  # all are told beside those of no cause
+                self.predictions.pop(key, None)
+
+    def _from(self, theory: Theory, near: Causes) -> Fit:
+        """A theory fitted from where other causes put the string."""
+        other = self.tried[near]
+        known = {name: chi for name, chi in other.theory.named(other.chi).items() if name in theory.own}
+        return fitted(self.evidence, [theory], [theory.carried(known)], STEPS)[0]
+
+    def held(self, causes: Causes) -> HeldOut:
+        """What these causes say of trials that they were not fitted to."""
+        if causes not in self.predictions:
+            plain = self.held(frozenset()) if causes else None
+            self.predictions[causes] = held_out(self.evidence, self.tried[causes], plain)
+        return self.predictions[causes]
+
+    def by_chance(self, causes: Causes) -> float:
+        """What the best of the library would gain on the noise that these causes leave.
+
+        Of all probes, those first made: without any cause, but where leads came before them.
+        """
+        if causes not in self.chance_gains:
+            asked = next(iter(self.probes.values()), None) or self.probed(causes)
+            self.chance_gains[causes] = by_chance(self.evidence, self.tried[causes], asked, self.seed) if asked else 0.0
+        return self.chance_gains[causes]
+
+    def probed(self, context: Causes) -> dict[str, list[Probe]]:
+        """What every effect of the library but the context's would do beside it, to first order."""
+        if context not in self.probes:
+            known = candidates(self.base, self.library, self.evidence)
+            effects = [effect for effect in known if effect.name not in context]
+            self.probes[context] = screened(self.evidence, self.tried[context], effects, self.seed)
+        return self.probes[context]
+
+    def mismatch(self, causes: Causes) -> float:
+        """What these causes leave that is not noise: half with the simulation's doubt as it was before there was a
+        cause, half with it found anew."""
+        fit = self.tried[causes]
+        first = fit.residual * self.evidence.sigma / self.first.sigma
+        return (mismatch(self.evidence, fit.residual) + mismatch(self.first, first)) / 2
+
+    def renewed(self, causes: Causes) -> Hypotheses:
+        """Beginnings, mass points and doubt found anew where these causes put the string, and all fits made anew."""
+        fit = self.tried[causes]
+        floor = begun(self.floor, fit.theory.model, fit.chi)
+        floor = doubted_beginnings(floor, fit.theory.model, fit.chi)
+        evidence = refined(floor, fit.theory, fit.chi)
+        floor = replace(floor, segments=evidence.segments)
+        hypotheses = Hypotheses(evidence, self.first, floor, self.base, self.library, self.seed)
+        hypotheses.probes = dict(self.probes)
+        old = list(self.tried.values())
+        for made in fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
+            hypotheses.add(made)
+        hypotheses.contexts = {c: {n: hypotheses.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
+        return hypotheses
+
+    def extended(self, context: Causes) -> dict[str, Fit]:
+        """The fits with one cause more than the context, for every promising effect."""
+        if context not in self.contexts:
+            fit = self.tried[context]
+            chosen = promising(self.probed(context))
+            explained = self.tried[frozenset()].cost - fit.cost
+            for made in shortlisted(self.evidence, fit, chosen, INEXACT * explained):
+                self.add(made)
+            names = {probe.effect.name for probe in chosen} & {n for key in self.tried for n in key if key > context}
+            self.contexts[context] = {n: self.tried[context | {n}] for n in names if context | {n} in self.tried}
+        return self.contexts[context]
+
+
+def promising(probes: Mapping[str, Sequence[Probe]]) -> list[Probe]:
+    """The best probes of every effect that could gain anything."""
+    return [probe for some in probes.values() if some[0].gain > PROMISING for probe in _starts(some)]
+
+
+def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
+    """The best of an effect of one parameter; of others a few, for they differ in place or time."""
+    effect = probes[0].effect
+    return spread(probes, 1 if len(effect.parameters) == 1 else PROBES if placed(effect) else STARTS)
+
+
+def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: float) -> list[Fit]:
+    """Fits of the most promising effects: a few steps of all, then the best to their ends.
+
+    What an effect can do once the other parameters follow is not known before they do: the first order alone
+    has been seen to put the true cause twelfth. fit: without them. least: gain that would matter; an effect that
+    depends on place is closed in on only if it could gain that, and as much as any other does.
+    """
+    there = dict.fromkeys(probe.effect for probe in probes if placed(probe.effect))
+    others = [probe for probe in probes if probe.effect not in there]
+    begun = fitted(evidence, [probe.theory for probe in others], [probe.chi for probe in others], FIRST)
+    wanted = max([least, *(fit.cost - each.cost for each in begun)]) / UNDERRATED
+    for effect in there:
+        some = [probe for probe in probes if probe.effect is effect]
+        begun += closed_in(evidence, some) if some[0].gain > wanted else []
+    best = ranked(begun)[:SHORTLIST]
+    return fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)
