@@ -20,6 +20,7 @@ from stages.model.camera import Camera
 FRAMES = 10  # at the beginning, when the clocks matter least
 APART = 0.25  # of the length: so much further from the hand than its arc length is no point of this string
 MOST = 0.8  # of the points must be possible: others may be outliers
+NEARLY = 0.95  # of the points lie no further along than the string's end
 STRETCH = 1.5  # times as long as its arc length is no piece of it
 DENSE = 0.15  # of the length: pieces so short are nearly straight
 LENGTHS = (0.01, 20.0)  # [m] of strings that arms swing
@@ -66,12 +67,17 @@ class View:
         return float(np.median(ratio)), bool(np.median(ds[pieces]) < DENSE * self.length)
 
     @property
+    def end(self) -> float:
+        """The largest arc length that is seen [m], but for a few that may be wrong."""
+        return float(np.quantile(self.s, NEARLY, method="lower"))
+
+    @property
     def possible(self) -> bool:
         """Whether it can be a string in a hand."""
         ratio, dense = self.stretch
         return bool(
             LENGTHS[0] <= self.length <= LENGTHS[1]
-            and np.max(self.s) <= BEYOND * self.length
+            and self.end <= BEYOND * self.length
             and ratio < STRETCH
             and (ratio > 1 / STRETCH or not dense)
             and self.gap < APART
@@ -81,7 +87,7 @@ class View:
     def strangeness(self) -> float:
         """0 for a string that is seen to its tip, is as long as it is and begins in the hand."""
         ratio, _ = self.stretch
-        return float(abs(np.log(ratio)) + abs(np.log(np.max(self.s) / self.length)) + max(self.gap, 0.0))
+        return float(abs(np.log(ratio)) + abs(np.log(self.end / self.length)) + max(self.gap, 0.0))
 
 
 def views(seen: Seen, camera: Camera) -> tuple[View, View]:

@@ -336,8 +336,9 @@ def spiked(dirty):
     dirty.arm.loc[[30, 77], "q2"] += 0.5
 
 
-def stray(dirty):
-    dirty.points.loc[len(dirty.points)] = {"trial": "t00", "t": 0.4, "s": 7.0, "x": 0.1, "y": 0.2}
+def strays(dirty):
+    for t in (dirty.points["t"].min(), 0.4):
+        dirty.points.loc[len(dirty.points)] = {"trial": "t00", "t": t, "s": 7.0, "x": 0.1, "y": 0.2}
 
 
 def commas(dirty):
@@ -345,7 +346,7 @@ def commas(dirty):
     dirty.commas = True
 
 
-DIRT = {"clocks that run for years": long_running, "spikes": spiked, "a stray point": stray, "commas": commas}
+DIRT = {"clocks that run for years": long_running, "spikes": spiked, "stray points": strays, "commas": commas}
 
 
 @pytest.mark.parametrize("kind", DIRT)
