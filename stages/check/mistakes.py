@@ -6,8 +6,9 @@ hand. Where it cannot be so, each common mistake is undone in turn; the first th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial, reduce
 
 import numpy as np
 
@@ -117,54 +118,46 @@ class Mistake:
     undone: Callable[[View], View]
 
 
+SCALE: Mapping[str, Callable[[View, float], View]] = {
+    "xy": lambda v, factor: replace(v, xy=factor * v.xy),
+    "s": lambda v, factor: replace(v, s=factor * v.s),
+    "length": lambda v, factor: replace(v, length=factor * v.length),
+    "hand": lambda v, factor: replace(v, hand=factor * v.hand) if v.joints is None else v,
+    "links": lambda v, factor: replace(v, arm=replace(v.arm, links=tuple(factor * link for link in v.arm.links))),
+    "base": lambda v, factor: replace(v, arm=replace(v.arm, base=(factor * v.arm.base[0], factor * v.arm.base[1]))),
+}
+LENGTHS_OF = (  # where they are, what is said of them, what is to be multiplied, and what that scales
+    ("points", "x, y", "positions are", "x and y", ("xy",)),
+    ("points", "s", "arc lengths are", "s", ("s",)),
+    ("dataset.yaml", "string.length", "it is", "it", ("length",)),
+    ("grasp", "x, y", "positions are", "x and y", ("hand",)),
+    ("dataset.yaml", "arm.links", "they are", "them", ("links",)),
+    ("dataset.yaml", "arm.base", "it is", "it", ("base",)),
+    ("dataset.yaml", "arm.links, arm.base", "both are", "both", ("links", "base")),
+    ("points", "s, x, y", "all three are", "s, x and y", ("s", "xy")),
+    ("grasp", "x, y", "here and in points, positions are", "both", ("hand", "xy")),
+    ("points", "s", "s and string.length are", "both", ("s", "length")),
+    (
+        *("points", "s, x, y", "these, string.length and the hand's positions are"),
+        *("all of them, and arm.links and arm.base,", tuple(SCALE)),
+    ),
+)
+
+
 def in_unit(unit: str, factor: float) -> tuple[Mistake, ...]:
     """Lengths in another unit than metres. factor: metres in one of it."""
-
-    def remedy(what: str) -> str:
-        return f"Multiply {what} by {factor:g}"
-
-    def said(what: str) -> str:
-        return f"{what} in {unit}, not in metres"
-
-    def points(v: View) -> View:
-        return replace(v, xy=factor * v.xy)
-
-    def along(v: View) -> View:
-        return replace(v, s=factor * v.s)
-
-    def hand(v: View) -> View:
-        return replace(v, hand=factor * v.hand) if v.joints is None else v
-
-    def arm(v: View) -> View:
-        links = tuple(factor * link for link in v.arm.links)
-        return replace(v, arm=replace(v.arm, links=links))
-
-    def base(v: View) -> View:
-        return replace(v, arm=replace(v.arm, base=(factor * v.arm.base[0], factor * v.arm.base[1])))
-
-    def length(v: View) -> View:
-        return replace(v, length=factor * v.length)
-
-    about = "dataset.yaml"
-    return (
-        Mistake("points", "x, y", said("positions are"), remedy("x and y"), points),
-        Mistake("points", "s", said("arc lengths are"), remedy("s"), along),
-        Mistake(about, "string.length", said("it is"), remedy("it"), length),
-        Mistake("grasp", "x, y", said("positions are"), remedy("x and y"), hand),
-        Mistake(about, "arm.links", said("they are"), remedy("them"), arm),
-        Mistake(about, "arm.base", said("it is"), remedy("it"), base),
-        Mistake(about, "arm.links, arm.base", said("both are"), remedy("both"), lambda v: arm(base(v))),
-        Mistake("points", "s, x, y", said("all three are"), remedy("s, x and y"), lambda v: points(along(v))),
-        Mistake("grasp", "x, y", said("here and in points, positions are"), remedy("both"), lambda v: points(hand(v))),
-        Mistake("points", "s", said("s and string.length are"), remedy("both"), lambda v: along(length(v))),
+    said, remedy = f"in {unit}, not in metres", f"by {factor:g}"
+    return tuple(
         Mistake(
-            "points",
-            "s, x, y",
-            said("these, string.length and the hand's positions are"),
-            remedy("all of them, and arm.links and arm.base,"),
-            lambda v: points(along(length(hand(arm(base(v)))))),
-        ),
+            table, field, f"{what} {said}", f"Multiply {those} {remedy}", partial(scaled, factor=factor, parts=parts)
+        )
+        for table, field, what, those, parts in LENGTHS_OF
     )
+
+
+def scaled(view: View, factor: float, parts: Iterable[str]) -> View:
+    """With parts of it in another unit."""
+    return reduce(lambda v, part: SCALE[part](v, factor), parts, view)
 
 
 MISTAKES = (
