@@ -25,6 +25,7 @@ GAP = 1.5  # times the usual time from point to point: more is a gap
 EXACT = 1e-9  # [m] points nearer than that are the same
 SMOOTH = 3  # frames whose residuals are averaged to see what they share
 FAR = 6.0  # noises from its neighbours in time at which a point is left out
+ASTRAY = 10.0  # noises by which a model is far off in a trial
 
 
 def tracks(case: Case) -> Iterator[np.ndarray]:
@@ -110,21 +111,45 @@ def cleaned(evidence: Evidence, residual: np.ndarray) -> tuple[Evidence, int]:
     """Without points whose residual is far from those just before and after, and how many these are."""
     size = estimated(evidence, residual)
     pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
-    kept = [_near(case, part, FAR * size) for case, part in pairs]
+    kept = [_near(case, part, size) for case, part in pairs]
     cases = tuple(_only(case, near) for case, near in zip(evidence.cases, kept, strict=True))
     return replace(evidence, cases=cases), int(sum(np.sum(~near) for near in kept))
 
 
-def _near(case: Case, residual: np.ndarray, limit: float) -> np.ndarray:
-    """Which points (n,) are within `limit` of the median of five frames about them."""
-    near = np.ones(len(residual), dtype=bool)
+def _near(case: Case, residual: np.ndarray, size: float) -> np.ndarray:
+    """Which points (n,) are about where the frames before and after have them. size: of the noise.
+
+    Where the model is far off, what it leaves changes fast, too: then a point is out only if those beside it on the
+    string are not as far out.
+    """
+    jump = _jumps(case, residual)
+    near = np.linalg.norm(jump, axis=1) < FAR * size
+    if np.mean(residual**2) > (ASTRAY * size) ** 2:
+        near |= np.linalg.norm(jump - _beside(case, jump), axis=1) < FAR * size
+    return near
+
+
+def _jumps(case: Case, residual: np.ndarray) -> np.ndarray:
+    """How far residuals (n, 2) are from the median of five frames about them."""
+    jump = np.zeros(residual.shape)
     for track in tracks(case):
         if len(track) < 5:
             continue
         padded = np.pad(residual[track], ((2, 2), (0, 0)), mode="reflect")
         middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
-        near[track] = np.linalg.norm(residual[track] - middle, axis=1) < limit
-    return near
+        jump[track] = residual[track] - middle
+    return jump
+
+
+def _beside(case: Case, jump: np.ndarray) -> np.ndarray:
+    """The mean of what the points just before and after on the string do in the same frame, (n, 2); 0 without any."""
+    same = (np.diff(case.frame) == 0)[:, None]
+    total, count = np.zeros(jump.shape), np.zeros((len(jump), 1))
+    total[1:] += same * jump[:-1]
+    total[:-1] += same * jump[1:]
+    count[1:] += same
+    count[:-1] += same
+    return total / np.maximum(count, 1)
 
 
 def _only(case: Case, kept: np.ndarray) -> Case:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.noise import estimated, rounding, systematic
+from stages.diagnose.noise import cleaned, estimated, rounding, systematic
 from stages.estimate.forward import Case
 
 S = np.linspace(0.1, 0.3, 5)
@@ -74,3 +74,17 @@ def test_places_need_not_be_the_same_in_every_frame(kind):
     evidence = Evidence((Case("t", None, None, T, frame, s, off, np.full(len(s), 1e-3)),), (10,))
     assert estimated(evidence, off.ravel() / 1e-3) == pytest.approx(0.7, rel=0.05)
     assert systematic(evidence, off.ravel() / 1e-3) == pytest.approx(3.0**2 / 2, rel=0.1)
+
+
+def test_what_a_bad_model_leaves_is_not_taken_for_outliers():
+    """A string that whips away from where a model has it goes far from frame to frame, and all of it goes."""
+    rng = np.random.default_rng(2)
+    s, frame = np.tile(S, len(T)), np.repeat(np.arange(len(T)), len(S))
+    whip = 0.2 * np.where(np.abs(T - 0.5) < 0.008, 1.0, 0.0)[frame][:, None] * s[:, None] * np.ones(2)
+    off = whip + 0.05 * np.sin(9 * T[frame])[:, None] + 7e-4 * rng.standard_normal((len(s), 2))
+    wrong = rng.choice(len(s), 8, replace=False)
+    off[wrong] += 0.04
+    evidence = Evidence((Case("t", None, None, T, frame, s, off, np.full(len(s), 1e-3)),), (10,))
+    kept, count = cleaned(evidence, off.ravel() / 1e-3)
+    assert count == len(wrong)
+    assert not set(map(tuple, off[wrong])) & set(map(tuple, kept.cases[0].points))
