@@ -12,6 +12,7 @@ from stages.diagnose.compare import HeldOut, held_out
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import mismatch
+from stages.diagnose.ranges import ranged, widened, with_ranges
 from stages.diagnose.resolve import refined
 from stages.diagnose.screen import Probe, screened, spread
 from stages.diagnose.theory import Theory, candidates, joined
@@ -111,19 +112,29 @@ class Hypotheses:
         return (mismatch(self.evidence, fit.residual) + mismatch(self.first, first)) / 2
 
     def renewed(self, causes: Causes) -> Hypotheses:
-        """Beginnings, mass points and doubt found anew where these causes put the string, and all fits made anew."""
+        """Beginnings, mass points and doubt found anew where these causes put the string, ranges widened that are too
+        narrow beside them, and all fits made anew."""
         fit = self.tried[causes]
         floor = begun(self.floor, fit.theory.model, fit.chi)
         floor = doubted_beginnings(floor, fit.theory.model, fit.chi)
         evidence = refined(floor, fit.theory, fit.chi)
         floor = replace(floor, segments=evidence.segments)
-        hypotheses = Hypotheses(evidence, self.first, floor, self.base, self.library, self.seed)
-        hypotheses.probes = dict(self.probes)
+        best = widened(evidence, [fit])[0]
+        fresh = Hypotheses(evidence, self.first, floor, self.base, self.library, self.seed)
         old = list(self.tried.values())
-        for made in fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
-            hypotheses.add(made)
-        hypotheses.contexts = {c: {n: hypotheses.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
-        return hypotheses
+        theories, starts = [each.theory for each in old], [each.chi for each in old]
+        if best is fit:
+            fresh.probes = dict(self.probes)
+        else:
+            ranges = best.theory.model.string.ranges
+            fresh.base = with_ranges(self.base, ranges)
+            theories = [ranged(theory, ranges) for theory in theories]
+            starts = [theory.at(each.values) for theory, each in zip(theories, old, strict=True)]
+            fresh.add(best)
+        for made in fitted(evidence, theories, starts, AGAIN):
+            fresh.add(made)
+        fresh.contexts = {c: {n: fresh.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
+        return fresh
 
     def extended(self, context: Causes) -> dict[str, Fit]:
         """The fits with one cause more than the context, for every promising effect."""

@@ -14,6 +14,7 @@ from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import cleaned, estimated, tracks
+from stages.diagnose.ranges import widened, with_ranges
 from stages.diagnose.resolve import SEGMENTS, refined
 from stages.diagnose.search import searched
 from stages.diagnose.theory import Theory, candidates, whole
@@ -21,7 +22,6 @@ from stages.estimate.forward import Case, case
 from stages.model.effect import Effect
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.model import Model
-from stages.model.parameter import Parameter
 from stages.progress import Progress
 
 GUESS = 1e-3  # [m] of noise before anything is known
@@ -30,10 +30,6 @@ STEP = 1e-3  # [s] of the implicit integrator: at 20 points its error is a hundr
 LONGER = (4e-3, 2e-3)  # [s] that are tried in its place
 UNTOLD = 0.2  # noises by which longer steps may move a point
 STEPS = 20
-WIDENINGS = 6  # of a range, at most
-WIDER = 10.0
-AT_END = 0.02  # of a range
-PRESSED = 10.0  # of the log-likelihood that lies beyond an end
 SETTLINGS = 2  # of the states in which trials begin moving
 STILL = 0.01  # of the string's length: a string that has come to rest stays so near to where it ends
 RESTING = 0.2  # [s] of rest that are kept
@@ -94,7 +90,8 @@ def prepared(
     evidence = Evidence(tuple(awake(ready) for ready in whole_trials), SEGMENTS[0])
     resting = sum(len(ready.s) for ready in whole_trials) - sum(len(ready.s) for ready in evidence.cases)
     found = searched(evidence, plain_theory(resolved(model)), rng, starts, progress)
-    model, found = widened(evidence, model, found)
+    found = widened(evidence, found)
+    model = with_ranges(model, found[0].theory.model.string.ranges)
     evidence, found = settled_starts(evidence, found)
     theory, best = found[0].theory, found[0]
     noise = estimated(evidence, best.residual)
@@ -126,39 +123,6 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
 def plain_theory(model: Model) -> Theory:
     """The base model alone."""
     return Theory(model, (), model.names)
-
-
-def widened(evidence: Evidence, model: Model, found: Sequence[Fit]) -> tuple[Model, list[Fit]]:
-    """The model with wider ranges for parameters that the data press against an end of theirs, and the fits in it.
-
-    A range is a guess about strings; it must not make a cause of what a stiffer string is.
-    """
-    fits = list(found[:2])
-    for _ in range(WIDENINGS):
-        ranges = pressed(fits[0])
-        if not ranges:
-            break
-        model = replace(model, string=replace(model.string, ranges={**model.string.ranges, **ranges}))
-        theory = plain_theory(resolved(model))
-        fits = fitted(evidence, [theory] * len(fits), [theory.at(fit.values) for fit in fits], STEPS)
-        fits = ranked(fits)
-    return model, fits
-
-
-def pressed(fit: Fit) -> dict[str, Parameter]:
-    """Parameters at an end of their range beyond which the fit would gain, with the range that goes on there."""
-    gradient = fit.slopes.T @ fit.residual
-    gain = gradient**2 / (2 * np.maximum(np.diag(fit.normal), 1e-12))
-    ranges = {}
-    for place, (number, slope, more) in enumerate(zip(fit.theory.free, gradient, gain, strict=True)):
-        parameter, chi = fit.theory.model.parameters[number], fit.chi[fit.theory.free[place]]
-        if more < PRESSED or parameter.low <= 0 or parameter.name in fit.theory.model.measured:
-            continue
-        if chi > 1 - AT_END and slope < 0:
-            ranges[parameter.name] = replace(parameter, high=parameter.high * WIDER)
-        elif chi < AT_END and slope > 0:
-            ranges[parameter.name] = replace(parameter, low=parameter.low / WIDER)
-    return ranges
 
 
 def settled_starts(evidence: Evidence, found: Sequence[Fit]) -> tuple[Evidence, list[Fit]]:

@@ -15,7 +15,8 @@ from stages.diagnose.gain import configured, side
 from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.intervals import interval, present
 from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
-from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, eased, pressed, resolved
+from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, eased, resolved
+from stages.diagnose.ranges import pressed
 from stages.diagnose.screen import screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
 from stages.estimate.forward import Case
@@ -219,6 +220,26 @@ def test_a_range_that_ends_too_early_is_widened_where_the_data_press(arm, model)
     assert set(pressed(fit)) == {"bending_stiffness"}
     assert pressed(fit)["bending_stiffness"].high == pytest.approx(20.0)
     assert pressed(base(model, evidence)) == {}
+
+
+def test_a_range_is_widened_beside_causes_too(arm, model):
+    """Of a grip firmer than any in the ranges a base model without the cause may know nothing, and press nowhere."""
+    narrow = next(p for p in model.string.parameters if p.name == "bending_stiffness")
+    narrow = replace(narrow, high=2.0)
+    squeezed = replace(model, string=replace(model.string, ranges={"bending_stiffness": narrow}))
+    evidence = measured(arm, model, {"tip_mass.ratio": 0.1})
+    theory = Theory(squeezed, (), squeezed.names)
+    heavy = joined(theory, library()["tip_mass"])
+    hypotheses = Hypotheses(evidence, evidence, evidence, squeezed, library(), 0)
+    for each in (theory, heavy):
+        hypotheses.add(fitted(evidence, [each], [each.at(TRUTH)], 15)[0])
+    causes = frozenset({"tip_mass"})
+    assert hypotheses.tried[causes].values["bending_stiffness"] == pytest.approx(2.0)
+    fresh = hypotheses.renewed(causes)
+    assert fresh.tried[causes].values["bending_stiffness"] == pytest.approx(TRUTH["bending_stiffness"], rel=0.1)
+    assert fresh.tried[causes].mean_square < 0.7 * hypotheses.tried[causes].mean_square
+    ranges = {each.theory.model.string.ranges["bending_stiffness"].high for each in fresh.tried.values()}
+    assert ranges == {20.0, fresh.base.string.ranges["bending_stiffness"].high}
 
 
 def test_grasp_poses_leave_out_what_acts_on_joints(arm, model):
