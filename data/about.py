@@ -104,8 +104,9 @@ def about(folder: Path) -> dict[str, Any]:
         About.model_validate(known)
     except ValidationError as error:
         raise DataError(f"{path}: {_first(error)}. Correct it; all is in metres, seconds and radians.") from error
-    trials = {str(name): block or {} for name, block in (known.get("trials") or {}).items()}
-    return known | ({"trials": trials} if trials else {})
+    if "trials" in known:
+        known["trials"] = {str(name): block or {} for name, block in known["trials"].items()}
+    return known
 
 
 def _first(error: ValidationError) -> str:

@@ -226,12 +226,8 @@ def fits(data: Dataset, length: float) -> Dataset:
         if beyond[observation.read.index].mean() > STRAY:
             far = observation.read["s"].max()
             reasons[name] = f"points up to s = {far:.3f} m on a string of {length:.3f} m (string.length)"
-            continue
-        kept[name] = (
-            replace(observation, points=observation.points[~beyond].reset_index(drop=True))
-            if beyond.any()
-            else observation
-        )
+        else:
+            kept[name] = replace(observation, points=observation.points[~beyond].reset_index(drop=True))
     return replace(data, trials=kept, rejected={**data.rejected, **reasons})
 
 
@@ -245,10 +241,11 @@ def _unusable(moved: np.ndarray, trial: Observation, film: Film | None) -> str:
     if not len(moved):
         return "no motion of the hand"
     seen = np.unique(trial.read["t"])
-    if not len(seen) and film is None:
-        return "no measured point and no frame" if trial.points.empty else "no measured point is valid"
-    seen = seen if len(seen) else film.t if film else seen
-    common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
+    if not len(seen):
+        if film is None:
+            return "no measured point and no frame" if trial.points.empty else "no measured point is valid"
+        seen = film.t
     if len(seen) < FRAMES_NEEDED:
         return f"the string was seen in {len(seen)} frame(s) only"
+    common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
     return f"arm and camera overlap for {max(common, 0):.2f} s only" if common < OVERLAP else ""

@@ -100,12 +100,13 @@ def begin(world: World, folder: Path) -> None:
     """Note the settings in the run's folder, or see that it is this one; a study may be asked for more than before."""
     path = folder / "config.json"
     text = json.dumps(world.config, indent=2, sort_keys=True)
-    if path.exists() and _rows_alike(json.loads(path.read_text(encoding="utf-8"))) != _rows_alike(json.loads(text)):
+    before = path.read_text(encoding="utf-8") if path.exists() else None
+    if before is not None and before != text and _rows_alike(dataset.settings(path)) != _rows_alike(json.loads(text)):
         raise DataError(
             f"{folder}: this folder holds a run with other settings (see config.json). "
             "Leave hydra.run.dir to its default, or repeat the settings of that run."
         )
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
+    if before != text:
         store.write_text(path, text)
     disk.remove(folder / FAILED)
 

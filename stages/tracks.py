@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 PLACE = 1e-3  # [m] points of two frames so near along the string are of one place
@@ -21,9 +23,9 @@ def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     return _binned(frame, s, float(np.ptp(s)) / (most - 1))
 
 
-def wander(frame: np.ndarray, s: np.ndarray) -> bool:
-    """Whether points are measured at other places in every frame; arguments as above."""
-    return any(np.ptp(s[track]) > PLACE for track in tracked(frame, s))
+def wander(s: np.ndarray, tracks: Sequence[np.ndarray]) -> bool:
+    """Whether points are measured at other places in every frame. tracks: as `tracked` finds them."""
+    return any(np.ptp(s[track]) > PLACE for track in tracks)
 
 
 def at_places(frame: np.ndarray, s: np.ndarray, points: np.ndarray, places: np.ndarray) -> np.ndarray:

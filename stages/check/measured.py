@@ -76,8 +76,9 @@ class Seen:
         """Times (F,) [s] and positions (F, 2) [m] of each place on the string that was seen in five frames or more."""
         times, frame = np.unique(self.points["t"], return_inverse=True)
         s, xy = self.points["s"].to_numpy(), self.points[["x", "y"]].to_numpy()
-        found = [track for track in tracked(frame, s) if len(track) >= 5]
-        if not wander(frame, s):
+        tracks = tracked(frame, s)
+        found = [track for track in tracks if len(track) >= 5]
+        if not wander(s, tracks):
             return [(times[frame[track]], xy[track]) for track in found]
         lines = at_places(frame, s, xy, np.array([np.median(s[track]) for track in found]))
         there = np.isfinite(lines[..., 0])

@@ -26,6 +26,7 @@ def document(
     next_experiment: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """diagnosis.json."""
+    used = [case.name for case in hypotheses.evidence.cases]
     listed = [*judgement.causes]
     others = sorted(set(judgement.probability) - set(listed), key=lambda name: -judgement.probability[name])
     base = hypotheses.tried[frozenset()] if judgement.causes != ("resolution",) else ground.configured
@@ -36,10 +37,10 @@ def document(
         "alternatives": [{"effect": name, "probability": judgement.probability[name]} for name in others],
         "indistinguishable": [list(group) for group in judgement.groups],
         "base": {"parameters": base.values},
-        "gain": gain(held_out),
+        "gain": gain(held_out) | {"causes_chosen_from_them": set(held_out["trial"]) <= set(used)},
         "unexplained": dict(unexplained),
         "trials": {
-            "used": [case.name for case in hypotheses.evidence.cases],
+            "used": used,
             "rejected": dict(rejected),
             "points_left_out": {"outliers": ground.outliers, "at_rest": ground.resting},
         },

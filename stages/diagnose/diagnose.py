@@ -196,7 +196,6 @@ def _written(
     gains = _gained(hypotheses, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
     named = tables.causes(hypotheses, causes, judgement, data.library)
     text = document(hypotheses, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
-    text["gain"]["causes_chosen_from_them"] = not data.rest
     settings = extended_settings(data.model, hypotheses, causes)
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}

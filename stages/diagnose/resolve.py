@@ -11,7 +11,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
 from stages.diagnose.theory import Theory
 
-SEGMENTS = ((10, 14), (14, 20), (20, 28), (28, 40), (40, 56), (56, 80))
+SEGMENTS = ((10, 14), (14, 20), (20, 28), (28, 40), (40, 56), (56, 80))  # pairs from which results are extrapolated
 DOUBTFUL = 1.5  # times the noise: a point whose simulation is as uncertain as that says less
 MANY = 0.35  # share of doubtful points from which more mass points are taken
 WORSE = 1.1  # times the mean square that the next more mass points leave

@@ -17,6 +17,7 @@ import numpy as np
 from data.schema import DataError
 from stages.model.hand import HandMotion
 from stages.model.state import State
+from stages.tracks import at_places
 
 PIECES = 40  # straight pieces of the curve
 FRAMES = 4  # to which parabolas are fitted: more are no parabola at 30 Hz, and at 200 Hz no better
@@ -81,14 +82,13 @@ def _tracks(frame: np.ndarray, s: np.ndarray, points: np.ndarray, length: float)
 
     They are those of the fullest of these frames; between its points a frame is interpolated.
     """
-    places = s[frame == np.argmax(np.bincount(frame[frame < FRAMES]))]
-    tracks = np.full((min(int(frame.max()) + 1, FRAMES), len(places), 2), np.nan)
+    early = frame < FRAMES
+    frame, s = frame[early], s[early]
+    places = s[frame == np.argmax(np.bincount(frame))]
+    tracks = at_places(frame, s, points[early], places)
     for number, track in enumerate(tracks):
-        now = frame == number
-        near = np.abs(places[:, None] - s[now]).min(axis=1) < REACH * length
-        for axis in range(2):
-            along = np.interp(places, s[now], points[now, axis], left=np.nan, right=np.nan)
-            track[:, axis] = np.where(near, along, np.nan)
+        far = np.abs(places[:, None] - s[frame == number]).min(axis=1) >= REACH * length
+        track[far] = np.nan
     return tracks, places
 
 

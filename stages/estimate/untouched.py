@@ -10,7 +10,7 @@ import pandas as pd
 
 from data.artifacts import Observation
 from stages.model.box import Box
-from stages.tracks import at_places, wander
+from stages.tracks import at_places, tracked, wander
 
 NEAR = 0.01  # [m] of an obstacle at which a measured string may be touching it
 FEWEST = 3  # frames that are worth keeping
@@ -36,7 +36,7 @@ def _lines(points: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
     """Times (F,) [s], and where the same places are at all of them, (F, S, 2) [m], NaN where they were not seen."""
     times, frame = np.unique(points["t"], return_inverse=True)
     s, xy = points["s"].to_numpy(), points[["x", "y"]].to_numpy()
-    if wander(frame, s):
+    if wander(s, tracked(frame, s)):
         return times, at_places(frame, s, xy, np.linspace(s.min(), s.max(), PLACES))
     wide = points.pivot_table(index="t", columns="s", values=["x", "y"])
     return times, np.stack([wide["x"].to_numpy(), wide["y"].to_numpy()], axis=-1)
