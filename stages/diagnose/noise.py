@@ -21,6 +21,7 @@ FEWEST = 30  # second differences from which a noise can be told
 CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames
 COMMON = 0.15  # mean square that frames of a right model may have in common: mass points and doubt are not perfect
 FAINT = 0.02  # less in common than this is nothing
+BESIDE = 0.2  # of the string's measured length: points nearer than that are beside each other
 GAP = 1.5  # times the usual time from point to point: more is a gap
 EXACT = 1e-9  # [m] points nearer than that are the same
 SMOOTH = 3  # frames whose residuals are averaged to see what they share
@@ -88,6 +89,17 @@ def systematic(evidence: Evidence, residual: np.ndarray) -> float:
     return max(products / max(count, 1), 0.0)
 
 
+def alongside(evidence: Evidence, residual: np.ndarray) -> float:
+    """Mean square of what residuals (N,) over sigma have in common with those beside them on the string, in the same
+    frame; infinite where too few are near each other."""
+    products, count = 0.0, 0
+    for case, part in zip(evidence.cases, parts(evidence, residual), strict=True):
+        beside = (np.diff(case.frame) == 0) & (np.diff(case.s) < BESIDE * case.s.max())
+        products += float(np.sum((part[1:] * part[:-1])[beside]))
+        count += 2 * int(beside.sum())
+    return max(products / count, 0.0) if count >= FEWEST else np.inf
+
+
 def visible(evidence: Evidence, residual: np.ndarray) -> float:
     """The largest residual (N,) over sigma that neighbours in time share: what somebody would point at."""
     largest = 0.0
@@ -101,10 +113,12 @@ def visible(evidence: Evidence, residual: np.ndarray) -> float:
 def mismatch(evidence: Evidence, residual: np.ndarray) -> float:
     """How much residuals (N,) over sigma show that is not noise, as a logarithm: above 0 something is there.
 
-    Of the largest thing to be seen, and of what frames have in common everywhere.
+    Of the largest thing to be seen, and of what both frames and neighbours on the string have in common everywhere:
+    noise may last for some frames, or be that of a whole frame, but what a model lacks does both.
     """
     size = visible(evidence, residual) / CLEAR
-    return float(np.log(size) + 0.5 * np.log(max(systematic(evidence, residual), FAINT) / COMMON))
+    common = min(systematic(evidence, residual), alongside(evidence, residual))
+    return float(np.log(size) + 0.5 * np.log(max(common, FAINT) / COMMON))
 
 
 def cleaned(evidence: Evidence, residual: np.ndarray) -> tuple[Evidence, int]:
@@ -130,14 +144,20 @@ def _near(case: Case, residual: np.ndarray, size: float) -> np.ndarray:
 
 
 def _jumps(case: Case, residual: np.ndarray) -> np.ndarray:
-    """How far residuals (n, 2) are from the median of five frames about them."""
-    jump = np.zeros(residual.shape)
+    """How far residuals (n, 2) are from the median of five frames about them; those of no place that was followed so
+    long, from the median of five that are near them."""
+    jump, alone = np.zeros(residual.shape), np.ones(len(residual), dtype=bool)
     for track in tracks(case):
         if len(track) < 5:
             continue
+        alone[track] = False
         padded = np.pad(residual[track], ((2, 2), (0, 0)), mode="reflect")
         middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
         jump[track] = residual[track] - middle
+    for one in np.flatnonzero(alone):
+        about = np.flatnonzero((np.abs(case.frame - case.frame[one]) <= 2) & ~alone)
+        near = about[np.argsort(np.abs(case.s[about] - case.s[one]))[:5]]
+        jump[one] = residual[one] - np.median(residual[near], axis=0) if len(near) == 5 else 0.0
     return jump
 
 

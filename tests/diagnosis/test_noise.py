@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.noise import cleaned, estimated, rounding, systematic
+from stages.diagnose.noise import alongside, cleaned, estimated, mismatch, rounding, systematic, tracks
 from stages.estimate.forward import Case
 
 S = np.linspace(0.1, 0.3, 5)
@@ -88,3 +89,35 @@ def test_what_a_bad_model_leaves_is_not_taken_for_outliers():
     kept, count = cleaned(evidence, off.ravel() / 1e-3)
     assert count == len(wrong)
     assert not set(map(tuple, off[wrong])) & set(map(tuple, kept.cases[0].points))
+
+
+def test_noise_that_lasts_for_some_frames_or_is_that_of_a_whole_frame_is_no_mismatch():
+    """As trackers make that follow a point from frame to frame, or light that flickers. A string that is elsewhere is
+    so for some frames and beside that place."""
+    rng = np.random.default_rng(3)
+    white = rng.standard_normal((len(T), len(S), 2))
+    lasting = lfilter([np.sqrt(1 - 0.5**2)], [1, -0.5], white, axis=0)
+    flickering = np.sqrt(0.5) * (white + rng.standard_normal((len(T), 1, 2)))
+    bent = white + np.sin(6 * T)[:, None, None] * S[:, None] / 0.2
+    found = {}
+    for name, residual in {"lasting": lasting, "flickering": flickering, "bent": bent}.items():
+        evidence, _ = seen(np.zeros(residual.shape))
+        found[name] = systematic(evidence, residual.ravel()), alongside(evidence, residual.ravel())
+        assert (mismatch(evidence, residual.ravel()) > 0) == (name == "bent")
+    assert found["lasting"] == pytest.approx((0.5, 0.0), abs=0.08)
+    assert found["flickering"] == pytest.approx((0.0, 0.5), abs=0.08)
+    assert min(found["bent"]) > 0.4
+
+
+def test_outliers_are_found_among_points_of_no_place():
+    """Where points are at other places in every frame, two may fall to the same one, which one of them then follows."""
+    rng = np.random.default_rng(4)
+    s = np.sort(np.linspace(0.02, 0.3, 15) + rng.uniform(-0.01, 0.01, (len(T), 15)), axis=1).ravel()
+    frame = np.repeat(np.arange(len(T)), 15)
+    off = 7e-4 * rng.standard_normal((len(s), 2))
+    case = Case("t", None, None, T, frame, s, off, np.full(len(s), 1e-3))
+    alone = np.setdiff1d(np.arange(len(s)), np.concatenate(list(tracks(case))))
+    assert len(alone) > 20
+    off[alone[:10]] += 0.03
+    _, count = cleaned(Evidence((case,), (10,)), off.ravel() / 1e-3)
+    assert count == 10
