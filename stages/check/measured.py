@@ -18,6 +18,7 @@ from stages.tracks import at_places, tracked, wander
 
 STILL = 3  # frames that tell where the string is at first
 MOVED = 0.03  # of the string's length: who has gone so far has left his place
+FEWEST = 60  # differences from which a place tells its noise
 CLEAR = 8.0  # noises by which a point must have gone
 
 
@@ -86,10 +87,11 @@ class Seen:
 
     @cached_property
     def noise(self) -> float:
-        """One standard deviation of a coordinate [m], from fourth differences in time, which smooth motion hardly has;
-        NaN where frames are too few."""
+        """One standard deviation of a coordinate [m], from fourth differences in time, which smooth motion hardly has:
+        of the calmest place, for the tip of a string that whips has them. NaN where frames are too few."""
         rough = [np.diff(xy, 4, axis=0).ravel() for _, xy in self.tracks]
-        return float(spread(np.concatenate(rough)) / np.sqrt(70)) if rough else float("nan")
+        enough = [some for some in rough if len(some) >= FEWEST and some.any()] or rough
+        return float(min((spread(some) for some in enough), default=np.nan) / np.sqrt(70))
 
     @cached_property
     def hand_onset(self) -> float | None:
