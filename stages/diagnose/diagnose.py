@@ -23,6 +23,7 @@ from stages.diagnose.differing import differing
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.gain import configured, extended_settings, held_out_table, side
+from stages.diagnose.grain import grain
 from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.leads import astray, beginnings, follow
 from stages.diagnose.missing import missing, unexplained
@@ -82,21 +83,38 @@ def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, 
     """The causes chosen, and what they were chosen from.
 
     Where the model as it is configured is nearer to the data than one whose mass points do not matter, they may come
-    from another simulation of its kind: it is tried first, and the other only if it leaves something to be seen. What
-    leaves less stands.
+    from another simulation of its kind: it is tried first, and the other only if it leaves something to be seen. Where
+    that leaves something too, or needs several causes, other numbers of points are asked. What leaves least stands.
     """
     nearer = ground.configured.mean_square < ground.beside_noise
-    kinds = [data.literal, _as_it_is] if nearer else [_as_it_is]
+    kinds = [data.of_points(data.model.string.points), _as_it_is] if nearer else [_as_it_is]
     made: list[tuple[Ground, Hypotheses, Causes]] = []
     for number, kind in enumerate(kinds):
-        each = kind(ground)
-        hypotheses = _hypotheses(each, data)
-        if astray(each):
-            follow(hypotheses, partial(_early, data, kind))
-        made.append((each, *chosen(hypotheses, part(progress, number, len(kinds)))))
-        if made[-1][1].mismatch(made[-1][2]) < 0:
+        made.append(_sought(ground, data, kind, part(progress, number, len(kinds) + 1)))
+        if _explained(*made[-1][1:]):
             break
+    _, hypotheses, causes = made[-1]
+    if not _explained(hypotheses, causes) or len(causes) > 1:
+        points = grain(hypotheses.floor, hypotheses.tried[causes], _left(hypotheses, causes))
+        made += [_sought(ground, data, data.of_points(points), lambda share: None)] if points else []
+    progress(1.0)
     return min(made, key=lambda one: _left(one[1], one[2]))
+
+
+def _sought(
+    ground: Ground, data: _Data, kind: Callable[[Ground], Ground], progress: Progress
+) -> tuple[Ground, Hypotheses, Causes]:
+    """The causes that are chosen on the ground of a kind."""
+    each = kind(ground)
+    hypotheses = _hypotheses(each, data)
+    if astray(each):
+        follow(hypotheses, partial(_early, data, kind))
+    return (each, *chosen(hypotheses, progress))
+
+
+def _explained(hypotheses: Hypotheses, causes: Causes) -> bool:
+    """Whether causes leave nothing to be seen."""
+    return hypotheses.mismatch(causes) < 0
 
 
 def _early(data: _Data, kind: Callable[[Ground], Ground], seconds: float) -> tuple[Ground, Hypotheses]:
@@ -140,9 +158,9 @@ class _Data:
         rng = np.random.default_rng(self.seed)
         return prepared(self.model, observations, self.library, rng, self.starts, progress)
 
-    def literal(self, ground: Ground) -> Ground:
-        """The ground with the mass points that are configured."""
-        return literal(ground, self.library)
+    def of_points(self, points: int) -> Callable[[Ground], Ground]:
+        """The ground with so many equal mass points."""
+        return partial(literal, library=self.library, points=points)
 
     @cached_property
     def rest(self) -> list[int]:

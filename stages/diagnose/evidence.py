@@ -52,9 +52,11 @@ class Evidence:
         unsure = tuple(self.unsure[i] for i in chosen) if self.unsure else ()
         return replace(self, cases=tuple(self.cases[i] for i in chosen), unsure=unsure)
 
-    def until(self, seconds: float) -> Evidence:
-        """The beginning of every trial."""
-        shares = [min(seconds / max(case.times[-1] - case.times[0], 1e-9), 1.0) for case in self.cases]
+    def until(self, seconds: float | np.ndarray) -> Evidence:
+        """The beginning of every trial; seconds: one for all, or of each [s]."""
+        each = np.broadcast_to(seconds, len(self.cases))
+        pairs = zip(self.cases, each, strict=True)
+        shares = [min(some / max(case.times[-1] - case.times[0], 1e-9), 1.0) for case, some in pairs]
         cases = tuple(case.until(share) for case, share in zip(self.cases, shares, strict=True))
         lengths = [2 * len(case.points) for case in cases]
         unsure = tuple(m[:n] for m, n in zip(self.unsure, lengths, strict=True)) if self.unsure else ()

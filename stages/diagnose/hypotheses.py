@@ -12,6 +12,7 @@ from stages.diagnose.compare import HeldOut, held_out
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import mismatch
+from stages.diagnose.onset import since
 from stages.diagnose.ranges import ranged, widened, with_ranges
 from stages.diagnose.resolve import refined
 from stages.diagnose.screen import Probe, screened, spread
@@ -142,7 +143,7 @@ class Hypotheses:
             fit = self.tried[context]
             chosen = promising(self.probed(context))
             explained = self.tried[frozenset()].cost - fit.cost
-            for made in shortlisted(self.evidence, fit, chosen, INEXACT * explained):
+            for made in shortlisted(self.evidence, fit, chosen, INEXACT * explained, self.seed):
                 self.add(made)
             names = {probe.effect.name for probe in chosen} & {n for key in self.tried for n in key if key > context}
             self.contexts[context] = {n: self.tried[context | {n}] for n in names if context | {n} in self.tried}
@@ -160,12 +161,13 @@ def _starts(probes: Sequence[Probe]) -> Sequence[Probe]:
     return spread(probes, 1 if len(effect.parameters) == 1 else PROBES if placed(effect) else STARTS)
 
 
-def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: float) -> list[Fit]:
+def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: float, seed: int) -> list[Fit]:
     """Fits of the most promising effects: a few steps of all, then the best to their ends.
 
     What an effect can do once the other parameters follow is not known before they do: the first order alone
     has been seen to put the true cause twelfth. fit: without them. least: gain that would matter; an effect that
-    depends on place is closed in on only if it could gain that, and as much as any other does.
+    depends on place is closed in on only if it could gain that, and as much as any other does: from where something is
+    first seen, or, where that says nothing, from its probes.
     """
     there = dict.fromkeys(probe.effect for probe in probes if placed(probe.effect))
     others = [probe for probe in probes if probe.effect not in there]
@@ -173,6 +175,7 @@ def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: fl
     wanted = max([least, *(fit.cost - each.cost for each in begun)]) / UNDERRATED
     for effect in there:
         some = [probe for probe in probes if probe.effect is effect]
-        begun += closed_in(evidence, some) if some[0].gain > wanted else []
+        if some[0].gain > wanted:
+            begun += since(evidence, fit, effect, seed) or closed_in(evidence, some)
     best = ranked(begun)[:SHORTLIST]
     return fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)

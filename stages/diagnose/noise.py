@@ -25,6 +25,7 @@ BESIDE = 0.2  # of the string's measured length: points nearer than that are bes
 GAP = 1.5  # times the usual time from point to point: more is a gap
 EXACT = 1e-9  # [m] points nearer than that are the same
 SMOOTH = 3  # frames whose residuals are averaged to see what they share
+PASSES = 2  # of looking for points that are out
 FAR = 6.0  # noises from its neighbours in time at which a point is left out
 ASTRAY = 10.0  # noises by which a model is far off in a trial
 
@@ -122,12 +123,17 @@ def mismatch(evidence: Evidence, residual: np.ndarray) -> float:
 
 
 def cleaned(evidence: Evidence, residual: np.ndarray) -> tuple[Evidence, int]:
-    """Without points whose residual is far from those just before and after, and how many these are."""
-    size = estimated(evidence, residual)
-    pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
-    kept = [_near(case, part, size) for case, part in pairs]
-    cases = tuple(_only(case, near) for case, near in zip(evidence.cases, kept, strict=True))
-    return replace(evidence, cases=cases), int(sum(np.sum(~near) for near in kept))
+    """Without points whose residual (N,) over sigma is far from those just before and after, and how many these are.
+
+    One may hide another, so it is asked again without those found.
+    """
+    size, whole = estimated(evidence, residual), len(residual)
+    for _ in range(PASSES):
+        pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
+        kept = [_near(case, part, size) for case, part in pairs]
+        cases = tuple(_only(case, near) for case, near in zip(evidence.cases, kept, strict=True))
+        evidence, residual = replace(evidence, cases=cases), residual[np.repeat(np.concatenate(kept), 2)]
+    return evidence, (whole - len(residual)) // 2
 
 
 def _near(case: Case, residual: np.ndarray, size: float) -> np.ndarray:
@@ -138,7 +144,7 @@ def _near(case: Case, residual: np.ndarray, size: float) -> np.ndarray:
     """
     jump = _jumps(case, residual)
     near = np.linalg.norm(jump, axis=1) < FAR * size
-    if np.mean(residual**2) > (ASTRAY * size) ** 2:
+    if spread(residual) > ASTRAY * size:
         near |= np.linalg.norm(jump - _beside(case, jump), axis=1) < FAR * size
     return near
 

@@ -36,13 +36,30 @@ RESTING = 0.2  # [s] of rest that are kept
 
 
 @dataclass(frozen=True)
+class Raw:
+    """Evidence whose noise is not known yet. told: whether its sigma is its author's, else it is a guess."""
+
+    evidence: Evidence
+    told: bool
+
+    def cleaned(self, fit: Fit) -> tuple[Evidence, int]:
+        """With the noise as a fit leaves it, without outliers, and how many these were."""
+        residual = self.evidence.residuals(fit.theory.model, fit.chi[None])[0]
+        noise = estimated(self.evidence, residual)
+        factor = noise if not self.told or noise > TOLD_WRONG else 1.0
+        evidence, outliers = cleaned(self.evidence.scaled(factor), residual / factor)
+        return doubted_beginnings(evidence, fit.theory.model, fit.chi), outliers
+
+
+@dataclass(frozen=True)
 class Ground:
     """What the diagnosis starts from.
 
     model: the base model with mass points that do not matter. evidence: with noise and the simulation's own doubt as
     sigma; undoubted: with noise alone. base: the base model at its best, of all effects absent. configured: the same
-    as it is configured, with its own number of mass points. outliers, resting: points left out, for they are far from
-    those before and after, or of a string that hangs still at its trial's end.
+    as it is configured, with its own number of mass points. raw: the evidence before its noise was known. outliers,
+    resting: points left out, for they are far from those before and after, or of a string that hangs still at its
+    trial's end.
     """
 
     model: Model
@@ -50,6 +67,7 @@ class Ground:
     undoubted: Evidence
     base: Fit
     configured: Fit
+    raw: Raw
     outliers: int = 0
     resting: int = 0
 
@@ -94,30 +112,38 @@ def prepared(
     model = with_ranges(model, found[0].theory.model.string.ranges)
     evidence, found = settled_starts(evidence, found)
     theory, best = found[0].theory, found[0]
-    noise = estimated(evidence, best.residual)
-    evidence = evidence.scaled(noise if not told or noise > TOLD_WRONG else 1.0)
-    theory = eased(evidence, theory, best.chi)
-    evidence, outliers = cleaned(evidence, evidence.residuals(theory.model, best.chi[None])[0])
-    evidence = doubted_beginnings(evidence, theory.model, best.chi)
+    raw = Raw(evidence, told)
+    evidence, outliers = raw.cleaned(best)
+    theory = eased(replace(evidence, unsure=()), theory, best.chi)
     plain = replace(evidence, segments=(model.string.points - 1,))
     named = [theory.named(fit.chi) for fit in found]
-    configured = _best(plain, plain_theory(model), named)
+    configured = widened(plain, [_best(plain, plain_theory(model), named)])[0]
     doubted = refined(evidence, theory, best.chi)
     base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence), evidence), named)
     undoubted = replace(evidence, segments=doubted.segments)
-    return Ground(theory.model, doubted, undoubted, base, configured, outliers, resting)
+    return Ground(theory.model, doubted, undoubted, base, configured, raw, outliers, resting)
 
 
-def literal(ground: Ground, library: Mapping[str, type[Effect]]) -> Ground:
-    """The ground with the mass points that are configured, which stand for data that are made of such; the steps in
-    time are not theirs, but exact enough."""
-    plain, fine = ground.configured.theory, ground.model.string
-    string = replace(plain.model.string, integrator=fine.integrator, largest_step=fine.largest_step)
-    model = replace(plain.model, string=string)
-    evidence = replace(ground.undoubted, segments=(string.points - 1,))
+def literal(ground: Ground, library: Mapping[str, type[Effect]], points: int) -> Ground:
+    """The ground with so many equal mass points, which stand for data that are made of such; the steps in time are not
+    theirs, but exact enough. What is noise is told anew, since this is nearer to the data."""
+    nearest = _of_points(ground, points)
+    model, segments = nearest.theory.model, (points - 1,)
+    evidence, outliers = replace(ground.raw, evidence=replace(ground.raw.evidence, segments=segments)).cleaned(nearest)
     theory = whole(model, candidates(model, library, evidence), evidence)
-    base = _best(evidence, theory, [plain.named(ground.configured.chi)])
-    return replace(ground, model=model, evidence=evidence, undoubted=evidence, base=base)
+    base = _best(evidence, theory, [nearest.theory.named(nearest.chi)])
+    here = replace(ground, model=model, evidence=evidence, undoubted=evidence, outliers=outliers)
+    return replace(here, base=base, configured=base)
+
+
+def _of_points(ground: Ground, points: int) -> Fit:
+    """The base model at its best with so many equal points."""
+    plain, fine = ground.configured.theory, ground.model.string
+    string = replace(plain.model.string, integrator=fine.integrator, largest_step=fine.largest_step, points=points)
+    theory = replace(plain, model=replace(plain.model, string=string))
+    evidence = replace(ground.undoubted, segments=(points - 1,))
+    named = [fit.theory.named(fit.chi) for fit in (ground.configured, ground.base)]
+    return widened(evidence, [_best(evidence, theory, named)])[0]
 
 
 def plain_theory(model: Model) -> Theory:

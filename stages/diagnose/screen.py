@@ -22,7 +22,7 @@ from stages.model.effect import Effect, placed
 from stages.model.model import Model
 
 SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range
-PATH = 1000  # places on the string's way at which it is asked
+PATH = 20000  # places on the string's way at which it is asked
 DRAWS = 10  # places of which an effect that depends on place is asked, as a power of two
 PLACES = 48  # of these that are simulated
 TOUCHED = 0.1  # of the string's places on its way, at most

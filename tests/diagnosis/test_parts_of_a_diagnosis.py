@@ -15,7 +15,7 @@ from stages.diagnose.gain import configured, side
 from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.intervals import interval, present
 from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
-from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, eased, resolved
+from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw, eased, resolved
 from stages.diagnose.ranges import pressed
 from stages.diagnose.screen import screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
@@ -36,22 +36,22 @@ def model(arm):
     return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
 
 
-def swings(arm, count):
+def swings(arm, count, seconds=0.5):
     """Gentle swings there and back, each of another size."""
     for k in range(count):
         control = np.zeros((1, 3, 6))
         control[0, :, 1:-1] = (1.5 + 0.5 * k) * np.array([[1.0, 0.6, -0.4, -1.0], [0.5, 0.9, 0.2, -0.8], [0.3] * 4])
-        yield Curves(np.array([[0.3, 0.5, 0.2]]), np.array([0.5]), control).sampled(arm.tick, 0.5)[0][0]
+        yield Curves(np.array([[0.3, 0.5, 0.2]]), np.array([seconds]), control).sampled(arm.tick, seconds)[0][0]
 
 
-def measured(arm, model, hidden=None, trials=3, noise=SIGMA):
+def measured(arm, model, hidden=None, trials=3, noise=SIGMA, seconds=0.5):
     """Evidence made by the model itself, with effects and their values."""
     hidden = hidden or {}
     names = {name.split(".")[0] for name in hidden}
     true = model.with_effects(*(library()[name] for name in names))
     true = replace(true, string=replace(true.string, points=81))
     values, rng, cases = true.values({**TRUTH, **hidden})[None], np.random.default_rng(3), []
-    for k, angles in enumerate(swings(arm, trials)):
+    for k, angles in enumerate(swings(arm, trials, seconds)):
         t = arm.tick * np.arange(len(angles))
         motion = joint_motion(t, angles)
         seen = true.seen(motion, values, t).points[0]
@@ -259,7 +259,7 @@ def test_mass_points_that_are_enough_gain_over_those_that_are_configured(arm, mo
     plain = fitted(replace(evidence, segments=(4,)), [theory], [theory.at(TRUTH)], 10)[0]
     hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
     hypotheses.add(fit)
-    ground = Ground(model, evidence, evidence, fit, plain)
+    ground = Ground(model, evidence, evidence, fit, plain, Raw(evidence, True))
     sides = configured(ground, [0, 1], []), side(hypotheses, ground, frozenset(), [])
     off = np.array([[np.mean(one.residual(k, k) ** 2) for k in (0, 1)] for one in sides])
     assert (off[0] > 1.5).all()

@@ -1,0 +1,46 @@
+"""Of how many equal mass points what made the trials may consist: another simulation, as Eq. 1 is.
+
+A string of n points moves otherwise than one without: by the last point, of which half is too much, and by what waves
+lose between points. Of a real string no such number explains more than none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.theory import Theory
+
+POINTS = (10, 12, 14, 16, 18, 20, 22, 24, 27, 30, 33, 36, 40, 45, 50, 56, 63)
+BETWEEN = 3  # numbers on both sides of the best of these are tried too
+STEPS = 6
+NEARER = 0.9  # times what is left without points must be left at most
+
+
+def grain(evidence: Evidence, fit: Fit, left: float) -> int | None:
+    """The number of equal points beside which the causes of a fit leave least; None where that is no less than without.
+
+    evidence: with noise alone. left: mean square over it that the fit leaves.
+    """
+    tried = {points: _left(evidence, fit, points) for points in POINTS}
+    best = min(tried, key=lambda points: tried[points])
+    about = range(max(best - BETWEEN, POINTS[0]), best + BETWEEN + 1)
+    tried |= {points: _left(evidence, fit, points) for points in about if points not in tried}
+    best = min(tried, key=lambda points: tried[points])
+    return best if tried[best] < NEARER * left else None
+
+
+def _left(evidence: Evidence, fit: Fit, points: int) -> float:
+    theory = _made_of(fit.theory, points)
+    known = fit.theory.named(fit.chi)
+    found = fitted(replace(evidence, segments=(points - 1,)), [theory], [theory.carried(known)], STEPS)[0]
+    return found.mean_square if np.isfinite(found.mean_square) else np.inf
+
+
+def _made_of(theory: Theory, points: int) -> Theory:
+    """The theory with so many equal points."""
+    string = replace(theory.model.string, points=points, tip_cell=1.0, grasp_cell=0.0)
+    return replace(theory, model=replace(theory.model, string=string))

@@ -1,0 +1,178 @@
+"""Where something is first seen: what a string touches does nothing before it is touched.
+
+Later the string is elsewhere, and what it does there says little of where it touched. So every trial is followed for
+as long as it is explained, and an effect that depends on place is sought where it acts just before something is seen
+in the trials that show something, and nowhere else. A touch may last for a hundredth of the string's way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from stages.diagnose.evidence import Evidence
+from stages.diagnose.fit import Fit, fitted, ranked
+from stages.diagnose.noise import CLEAR, visible
+from stages.diagnose.screen import followed, start_of, varied
+from stages.diagnose.theory import Theory, joined
+from stages.model.effect import Effect
+
+FIRST = 0.15  # [s] of every trial, which must show nothing
+GROWTH = 1.25  # of the horizon, from one to the next
+WINDOW = GROWTH**2  # of the time after which something is seen: the touch is in what is so much shorter or longer
+STEPS = 4  # of a fit at each
+DRAWS = 14  # places of which it is asked whether they are touched when they should be, as a power of two
+NEAR, MORE = 0.03, 1024  # of a range: so near to those that are, so many more are asked
+AT_ONCE = 1024
+PLACES = 64  # that are simulated
+SIZES = (0.03, 0.15)  # shares of the range at which
+OTHERS = (0.0, 0.3)  # shares of the ranges of other sizes of the effect, of friction say, that may matter as much
+REACHES = (0.03, 0.015, 0.008)  # of a range, within which places are tried about the best
+BEST, ABOUT = 3, 12  # how many are gone about, places about each
+FITTED, KEPT = 6, 2  # how many are fitted, and how many of these go on
+
+
+@dataclass(frozen=True)
+class Onset:
+    """fit: of all beginnings that it explains. ends: how long these are, of each trial [s]; infinite where all is."""
+
+    fit: Fit
+    ends: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Numbers of the trials that show something later."""
+        return np.flatnonzero(np.isfinite(self.ends))
+
+
+def onset(evidence: Evidence, fit: Fit) -> Onset | None:
+    """Until when each trial is explained; None where one is never, or all always are."""
+    ends = np.full(len(evidence.cases), np.inf)
+    sound, seconds = fit, FIRST
+    while seconds < GROWTH * _lengths(evidence).max():
+        beginnings = evidence.until(np.minimum(ends, seconds))
+        sound = fitted(beginnings, [fit.theory], [sound.chi], STEPS)[0]
+        ends[_shown(beginnings, sound) & np.isinf(ends)] = seconds / GROWTH
+        if ends.min() < FIRST:
+            return None
+        seconds *= GROWTH
+    return Onset(sound, ends) if np.isfinite(ends).any() else None
+
+
+def since(evidence: Evidence, fit: Fit, effect: type[Effect], seed: int) -> list[Fit]:
+    """Fits of an effect that depends on place beside the causes of `fit`, of all the evidence, best first: none where
+    no place would be touched when something is first seen."""
+    begun = onset(evidence, fit)
+    return _carried_on(evidence, begun, _Sought.after(begun, fit, effect), seed) if begun else []
+
+
+def _carried_on(evidence: Evidence, begun: Onset, sought: _Sought, seed: int) -> list[Fit]:
+    """Fits to what comes just after the onset go on to more and more of the trials."""
+    chi = _touched(evidence, begun, sought, seed)
+    if not len(chi):
+        return []
+    ends = begun.ends * GROWTH
+    chi = _nearest(evidence.until(ends), sought, chi, seed)
+    while np.isfinite(ends).any():
+        fits = ranked(fitted(evidence.until(ends), [sought.theory] * len(chi), list(chi), STEPS))
+        chi = np.stack([fit.chi for fit in fits[:KEPT]])
+        ends = np.where(ends < _lengths(evidence), ends * GROWTH, np.inf)
+    return ranked(fitted(evidence, [sought.theory] * len(chi), list(chi), STEPS))
+
+
+def _lengths(evidence: Evidence) -> np.ndarray:
+    """Of the trials [s]."""
+    return np.array([np.ptp(case.times) for case in evidence.cases])
+
+
+def _shown(beginnings: Evidence, fit: Fit) -> np.ndarray:
+    """Whether something is to be seen in each trial, (K,)."""
+    numbers = range(len(beginnings.cases))
+    return np.array([visible(beginnings.only([k]), fit.residual[beginnings.trial == k]) > CLEAR for k in numbers])
+
+
+@dataclass(frozen=True)
+class _Sought:
+    """An effect whose place is sought. start: (P,) where it is absent. Places of exponents: size, where, and others,
+    which are sizes too."""
+
+    theory: Theory
+    effect: type[Effect]
+    start: np.ndarray
+    size: int
+    where: list[int]
+    others: list[int]
+
+    @classmethod
+    def after(cls, begun: Onset, fit: Fit, effect: type[Effect]) -> _Sought:
+        """Beside the causes of a fit, all else as in the beginnings."""
+        theory = joined(fit.theory, effect)
+        size, *where = varied(theory, effect)
+        own = [theory.model.names.index(effect.qualified(p)) for p in effect.parameters]
+        others = [i for i in own if i not in (size, *where)]
+        return cls(theory, effect, start_of(theory, begun.fit), size, where, others)
+
+    def pushed(self, chi: np.ndarray, way: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Whether the effect pushes anywhere on a way of the string, (C,)."""
+        some = [chi[k : k + AT_ONCE] for k in range(0, len(chi), AT_ONCE)]
+        each = [self.theory.pushed(self.effect, few, way).any(axis=1) for few in some]
+        return np.concatenate(each) if each else np.zeros(0, dtype=bool)
+
+    def varied_about(self, chi: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
+        """Others within reach of exponents (C, P), at sizes up to twice and down to half of theirs."""
+        near, sizes = chi.copy(), [self.size, *self.others]
+        near[:, self.where] += rng.uniform(-reach, reach, (len(near), len(self.where)))
+        near[:, sizes] *= rng.uniform(0.5, 2.0, (len(near), len(sizes)))
+        near = np.clip(near, 0, 1)
+        return near[[self.theory.plausible(each) for each in near]]
+
+
+def _touched(evidence: Evidence, begun: Onset, sought: _Sought, seed: int) -> np.ndarray:
+    """Exponents (C, P) of places that are touched when something is first seen, and not before nor elsewhere."""
+    rng = np.random.default_rng(seed)
+    chi = np.repeat(sought.start[None], 2**DRAWS, axis=0)
+    chi[:, sought.size] += SIZES[0] * (1 - chi[:, sought.size])
+    chi[:, sought.where] = qmc.Sobol(len(sought.where), seed=seed).random_base2(DRAWS)
+    found = _fitting(evidence, begun, sought, chi)
+    if not len(found):
+        return found
+    near = sought.varied_about(found[rng.integers(len(found), size=MORE)], NEAR, rng)
+    found = np.concatenate([found, _fitting(evidence, begun, sought, near)])
+    return found[rng.permutation(len(found))[:PLACES]]
+
+
+def _fitting(evidence: Evidence, begun: Onset, sought: _Sought, chi: np.ndarray) -> np.ndarray:
+    """Those of exponents (C, P) with which every trial that shows something is touched about then, none before, and
+    the hand never."""
+    late = evidence.until(begun.ends * WINDOW)
+    for trial in begun.seen:
+        way = followed(late.only([trial]), begun.fit)
+        chi = chi[sought.pushed(chi, way)]
+    clear = followed(evidence.until(begun.ends / WINDOW), begun.fit)
+    chi = chi[~sought.pushed(chi, clear)]
+    return chi[~sought.theory.on_hand(sought.effect, chi)]
+
+
+def _nearest(evidence: Evidence, sought: _Sought, chi: np.ndarray, seed: int) -> np.ndarray:
+    """The best of places (C, P) at several sizes, and of others about them, (FITTED, P)."""
+    rng = np.random.default_rng(seed)
+    tried = np.concatenate([_sized(sought, chi, size, other) for size in SIZES for other in OTHERS])
+    costs = _costs(evidence, sought, tried)
+    for reach in REACHES:
+        best = np.repeat(tried[np.argsort(costs)[:BEST]], ABOUT, axis=0)
+        near = sought.varied_about(best, reach, rng)
+        tried, costs = np.concatenate([tried, near]), np.append(costs, _costs(evidence, sought, near))
+    return np.asarray(tried[np.argsort(costs)[:FITTED]])
+
+
+def _sized(sought: _Sought, chi: np.ndarray, size: float, other: float) -> np.ndarray:
+    sized = chi.copy()
+    sized[:, sought.size], sized[:, sought.others] = size, other
+    return sized
+
+
+def _costs(evidence: Evidence, sought: _Sought, chi: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sum(evidence.residuals(sought.theory.model, chi) ** 2, axis=1))

@@ -1,0 +1,49 @@
+"""A plane that is grazed late in one trial: until when each trial is explained, and where the plane is."""
+
+import numpy as np
+import pytest
+from conftest import TRUTH
+from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved
+
+from stages.diagnose.onset import GROWTH, onset, since
+from stages.model.camera import Camera
+from stages.model.library import library
+from stages.model.model import Model
+from stages.model.string import String
+
+PLANE = {"contact.stiffness": 2e4, "contact.height": 0.435, "contact.tilt": -1.0, "contact.friction": 0.3}
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+
+
+@pytest.fixture(scope="module")
+def evidence(arm, model):
+    return measured(arm, model, PLANE, seconds=0.9)
+
+
+def test_a_trial_is_explained_until_it_touches_something(arm, model, evidence):
+    free = measured(arm, model, seconds=0.9)
+    assert onset(free, base(model, free)) is None
+    begun = onset(evidence, base(model, evidence))
+    apart = [np.abs(c.points - f.points).max(axis=1) for c, f in zip(evidence.cases, free.cases, strict=True)]
+    first = [min(c.times[c.frame[a > 5 * SIGMA]], default=np.inf) for c, a in zip(evidence.cases, apart, strict=True)]
+    assert np.isinf(begun.ends).tolist() == np.isinf(first).tolist() == [True, True, False]
+    assert first[2] / GROWTH < begun.ends[2] < first[2]
+    assert begun.fit.values["bending_stiffness"] == pytest.approx(TRUTH["bending_stiffness"], rel=0.02)
+
+
+def test_what_it_touches_is_found_from_there(model, evidence):
+    """Friction, which decides where the string goes next, with it."""
+    best = since(evidence, base(model, evidence), library()["contact"], 0)[0]
+    assert best.values["contact.height"] == pytest.approx(PLANE["contact.height"], abs=0.006)
+    assert best.values["contact.tilt"] == pytest.approx(PLANE["contact.tilt"], abs=0.03)
+    assert best.values["contact.friction"] == pytest.approx(PLANE["contact.friction"], abs=0.1)
+    assert best.mean_square < 1.1
+
+
+def test_nothing_is_sought_where_something_is_wrong_from_the_beginning(arm, model):
+    evidence = measured(arm, model, {"tip_mass.ratio": 0.1})
+    assert since(evidence, base(model, evidence), library()["contact"], 0) == []
