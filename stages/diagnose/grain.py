@@ -14,7 +14,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.theory import Theory
 
-POINTS = (10, 12, 14, 16, 18, 20, 22, 24, 27, 30, 33, 36, 40, 45, 50, 56, 63)
+POINTS = (10, 12, 15, 18, 22, 27, 33, 40, 50)
 BETWEEN = 3  # numbers on both sides of the best of these are tried too
 STEPS = 6
 NEARER = 0.9  # times what is left without points must be left at most

@@ -144,14 +144,14 @@ def _near(case: Case, residual: np.ndarray, size: float) -> np.ndarray:
     """
     jump = _jumps(case, residual)
     near = np.linalg.norm(jump, axis=1) < FAR * size
-    if spread(residual) > ASTRAY * size:
+    if np.mean(residual**2) > (ASTRAY * size) ** 2:
         near |= np.linalg.norm(jump - _beside(case, jump), axis=1) < FAR * size
     return near
 
 
 def _jumps(case: Case, residual: np.ndarray) -> np.ndarray:
     """How far residuals (n, 2) are from the median of five frames about them; those of no place that was followed so
-    long, from the median of five that are near them."""
+    long, from what others near them are."""
     jump, alone = np.zeros(residual.shape), np.ones(len(residual), dtype=bool)
     for track in tracks(case):
         if len(track) < 5:
@@ -161,10 +161,22 @@ def _jumps(case: Case, residual: np.ndarray) -> np.ndarray:
         middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1)
         jump[track] = residual[track] - middle
     for one in np.flatnonzero(alone):
-        about = np.flatnonzero((np.abs(case.frame - case.frame[one]) <= 2) & ~alone)
-        near = about[np.argsort(np.abs(case.s[about] - case.s[one]))[:5]]
-        jump[one] = residual[one] - np.median(residual[near], axis=0) if len(near) == 5 else 0.0
+        others = np.flatnonzero((np.abs(case.frame - case.frame[one]) <= 2) & ~alone)
+        jump[one] = _away(case, residual, int(one), others)
     return jump
+
+
+def _away(case: Case, residual: np.ndarray, one: int, others: np.ndarray) -> np.ndarray:
+    """How far the residual (n, 2) of one point is from the median of the five nearest others, or from what is between
+    those in its frame, whichever is less: one of these may be far out, and a string that whips changes fast; (2,)."""
+    away = [np.zeros(2)] if len(others) < 5 else []
+    if not away:
+        near = others[np.argsort(np.abs(case.s[others] - case.s[one]))[:5]]
+        away.append(residual[one] - np.median(residual[near], axis=0))
+    now = others[case.frame[others] == case.frame[one]]
+    if len(now) > 1:
+        away.append(residual[one] - [np.interp(case.s[one], case.s[now], axis) for axis in residual[now].T])
+    return min(away, key=lambda each: float(np.linalg.norm(each)))
 
 
 def _beside(case: Case, jump: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ def chain(arm, model, points):
     """Evidence of the swings of so many equal points, seen where they are."""
     made = replace(model, string=replace(model.string, points=points))
     values, rng, cases = made.values(TRUTH)[None], np.random.default_rng(5), []
-    for k, angles in enumerate(swings(arm, 3, 0.8)):
+    for k, angles in enumerate(swings(arm, 2, 0.8)):
         t = arm.tick * np.arange(len(angles))
         motion = joint_motion(t, angles)
         seen = made.seen(motion, values, t).points[0, :, 1:]
@@ -38,23 +38,16 @@ def chain(arm, model, points):
     return Evidence(tuple(cases), (10, 14))
 
 
-@pytest.mark.parametrize("points", [11, 20])
-def test_equal_points_are_counted(arm, eq1, points):
-    evidence = chain(arm, eq1, points)
+def test_equal_points_are_counted(arm, eq1):
+    evidence = chain(arm, eq1, 20)
     fit = base(resolved(eq1), evidence)
     assert fit.mean_square > 1.2
-    assert grain(evidence, fit, fit.mean_square) == points
+    assert grain(evidence, fit, fit.mean_square) == 20
 
 
-def test_a_string_has_none(arm, eq1):
-    evidence = measured(arm, resolved(eq1), seconds=0.8)
-    fit = base(resolved(eq1), evidence)
-    assert grain(evidence, fit, fit.mean_square) is None
-
-
-def test_nor_has_one_whose_cause_is_known(arm, eq1):
+def test_a_string_whose_cause_is_known_has_none(arm, eq1):
     """Without it 13 points would do for a tip that is too heavy: they are asked only of what causes leave."""
-    evidence = measured(arm, resolved(eq1), {"tip_mass.ratio": 0.1}, seconds=0.8)
+    evidence = measured(arm, resolved(eq1), {"tip_mass.ratio": 0.1}, trials=2, seconds=0.8)
     plain = base(resolved(eq1), evidence)
     theory = joined(plain.theory, library()["tip_mass"])
     fit = fitted(evidence, [theory], [theory.carried(plain.theory.named(plain.chi))], 15)[0]
