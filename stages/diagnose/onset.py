@@ -26,7 +26,6 @@ WINDOW = GROWTH**2  # of the time after which something is seen: the touch is in
 STEPS = 4  # of a fit at each
 DRAWS = 14  # places of which it is asked whether they are touched when they should be, as a power of two
 NEAR, MORE = 0.03, 1024  # of a range: so near to those that are, so many more are asked
-AT_ONCE = 1024
 PLACES = 64  # that are simulated
 SIZES = (0.03, 0.15)  # shares of the range at which
 OTHERS = (0.0, 0.3)  # shares of the ranges of other sizes of the effect, of friction say, that may matter as much
@@ -117,9 +116,7 @@ class _Sought:
 
     def pushed(self, chi: np.ndarray, way: Mapping[str, np.ndarray]) -> np.ndarray:
         """Whether the effect pushes anywhere on a way of the string, (C,)."""
-        some = [chi[k : k + AT_ONCE] for k in range(0, len(chi), AT_ONCE)]
-        each = [self.theory.pushed(self.effect, few, way).any(axis=1) for few in some]
-        return np.concatenate(each) if each else np.zeros(0, dtype=bool)
+        return np.asarray(self.theory.pushed(self.effect, chi, way).any(axis=1))
 
     def varied_about(self, chi: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
         """Others within reach of exponents (C, P), at sizes up to twice and down to half of theirs."""

@@ -21,6 +21,7 @@ from stages.model.model import Model
 from stages.model.stability import load
 
 HAND = 300  # places on the hand's way at which it is asked whether something stands there
+AT_ONCE = 256  # effects of which a place is asked
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,11 @@ class Theory:
 
         place: arguments of its law, (M,) each; those not given are 0. Asked of the law itself, without any simulation.
         """
+        many = np.array_split(chi, -(-len(chi) // AT_ONCE)) if len(chi) else []
+        parts = [self._pushed(cause, some, place) for some in many]
+        return np.concatenate(parts) if parts else np.zeros((0, len(place["x"])), dtype=bool)
+
+    def _pushed(self, cause: type[Effect], chi: np.ndarray, place: Mapping[str, np.ndarray]) -> np.ndarray:
         string = self.model.string
         material = string.material(values_of(self.model.parameters, chi)[:, : len(string.parameters)])
         alone = string.only((cast("type[StringEffect]", cause),), material)
