@@ -10,7 +10,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit
 from stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
 from stages.diagnose.intervals import present
-from stages.diagnose.noise import CLEAR, visible
+from stages.diagnose.noise import CLEAR, visible_in_each
 from stages.model.effect import placed
 from stages.progress import Progress
 
@@ -99,7 +99,7 @@ def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:
 
 def _explains(evidence: Evidence, fit: Fit, trial: int) -> bool:
     """Whether nothing is left to be seen in a trial."""
-    return visible(evidence.only([trial]), fit.residual[evidence.trial == trial]) < CLEAR
+    return bool(visible_in_each(evidence, fit.residual)[trial] < CLEAR)
 
 
 def noisiness(evidence: Evidence, fit: Fit) -> float:

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.theory import Theory
@@ -36,8 +34,7 @@ def grain(evidence: Evidence, fit: Fit, left: float) -> int | None:
 def _left(evidence: Evidence, fit: Fit, points: int) -> float:
     theory = _made_of(fit.theory, points)
     known = fit.theory.named(fit.chi)
-    found = fitted(replace(evidence, segments=(points - 1,)), [theory], [theory.carried(known)], STEPS)[0]
-    return found.mean_square if np.isfinite(found.mean_square) else np.inf
+    return fitted(replace(evidence, segments=(points - 1,)), [theory], [theory.carried(known)], STEPS)[0].mean_square
 
 
 def _made_of(theory: Theory, points: int) -> Theory:

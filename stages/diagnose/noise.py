@@ -103,11 +103,16 @@ def alongside(evidence: Evidence, residual: np.ndarray) -> float:
 
 def visible(evidence: Evidence, residual: np.ndarray) -> float:
     """The largest residual (N,) over sigma that neighbours in time share: what somebody would point at."""
-    largest = 0.0
-    for case, part in zip(evidence.cases, parts(evidence, residual), strict=True):
+    return float(visible_in_each(evidence, residual).max(initial=0.0))
+
+
+def visible_in_each(evidence: Evidence, residual: np.ndarray) -> np.ndarray:
+    """The same of each trial, (K,)."""
+    largest = np.zeros(len(evidence.cases))
+    for number, (case, part) in enumerate(zip(evidence.cases, parts(evidence, residual), strict=True)):
         for track in tracks(case):
             smooth = uniform_filter1d(part[track], SMOOTH, axis=0)
-            largest = max(largest, float(np.linalg.norm(smooth, axis=1).max()))
+            largest[number] = max(largest[number], np.linalg.norm(smooth, axis=1).max())
     return largest
 
 
@@ -169,10 +174,10 @@ def _jumps(case: Case, residual: np.ndarray) -> np.ndarray:
 def _away(case: Case, residual: np.ndarray, one: int, others: np.ndarray) -> np.ndarray:
     """How far the residual (n, 2) of one point is from the median of the five nearest others, or from what is between
     those in its frame, whichever is less: one of these may be far out, and a string that whips changes fast; (2,)."""
-    away = [np.zeros(2)] if len(others) < 5 else []
-    if not away:
-        near = others[np.argsort(np.abs(case.s[others] - case.s[one]))[:5]]
-        away.append(residual[one] - np.median(residual[near], axis=0))
+    if len(others) < 5:
+        return np.zeros(2)
+    near = others[np.argsort(np.abs(case.s[others] - case.s[one]))[:5]]
+    away = [residual[one] - np.median(residual[near], axis=0)]
     now = others[case.frame[others] == case.frame[one]]
     if len(now) > 1:
         away.append(residual[one] - [np.interp(case.s[one], case.s[now], axis) for axis in residual[now].T])

@@ -15,7 +15,7 @@ from scipy.stats import qmc
 
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.noise import CLEAR, visible
+from stages.diagnose.noise import CLEAR, visible_in_each
 from stages.diagnose.screen import followed, start_of, varied
 from stages.diagnose.theory import Theory, joined
 from stages.model.effect import Effect
@@ -54,7 +54,8 @@ def onset(evidence: Evidence, fit: Fit) -> Onset | None:
     while seconds < GROWTH * _lengths(evidence).max():
         beginnings = evidence.until(np.minimum(ends, seconds))
         sound = fitted(beginnings, [fit.theory], [sound.chi], STEPS)[0]
-        ends[_shown(beginnings, sound) & np.isinf(ends)] = seconds / GROWTH
+        shown = visible_in_each(beginnings, sound.residual) > CLEAR
+        ends[shown & np.isinf(ends)] = seconds / GROWTH
         if ends.min() < FIRST:
             return None
         seconds *= GROWTH
@@ -85,12 +86,6 @@ def _carried_on(evidence: Evidence, begun: Onset, sought: _Sought, seed: int) ->
 def _lengths(evidence: Evidence) -> np.ndarray:
     """Of the trials [s]."""
     return np.array([np.ptp(case.times) for case in evidence.cases])
-
-
-def _shown(beginnings: Evidence, fit: Fit) -> np.ndarray:
-    """Whether something is to be seen in each trial, (K,)."""
-    numbers = range(len(beginnings.cases))
-    return np.array([visible(beginnings.only([k]), fit.residual[beginnings.trial == k]) > CLEAR for k in numbers])
 
 
 @dataclass(frozen=True)

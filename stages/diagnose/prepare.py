@@ -132,8 +132,9 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]], points: int) ->
     evidence, outliers = replace(ground.raw, evidence=replace(ground.raw.evidence, segments=segments)).cleaned(nearest)
     theory = whole(model, candidates(model, library, evidence), evidence)
     base = _best(evidence, theory, [nearest.theory.named(nearest.chi)])
-    here = replace(ground, model=model, evidence=evidence, undoubted=evidence, outliers=outliers)
-    return replace(here, base=base, configured=base)
+    return replace(
+        ground, model=model, evidence=evidence, undoubted=evidence, base=base, configured=base, outliers=outliers
+    )
 
 
 def _of_points(ground: Ground, points: int) -> Fit:
