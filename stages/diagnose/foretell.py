@@ -93,10 +93,12 @@ class Prospect:
 
     def _odds(self, true: int, data: np.ndarray) -> np.ndarray:
         """Log odds (R, draws) of one theory over each, in these data (n, draws)."""
-        costs = [self.pieces @ rival.refitted(data) ** 2 for rival in self.rivals]
+        seen = [rival.refitted(data) for rival in self.rivals]
+        costs = [self.pieces @ residual**2 for residual in seen]
+        apart = [self.pieces @ (residual - seen[true]) ** 2 for residual in seen]
         explained = (self.pieces @ self.base.refitted(data) ** 2 - costs[true]).sum(axis=0)
         number = [len(rival.past.theory.free) for rival in self.rivals]
-        odds = [weighed(cost - costs[true], explained, self.chance) for cost in costs]
+        odds = [weighed(c - costs[true], a, explained, self.chance) for c, a in zip(costs, apart, strict=True)]
         return np.stack([o + PARAMETER * (n - number[true]) for o, n in zip(odds, number, strict=True)])
 
 

@@ -108,23 +108,26 @@ def _chances(hypotheses: Hypotheses, causes: Causes) -> dict[Causes, float]:
 
 
 def _log_odds(hypotheses: Hypotheses, fit: Fit, best: Fit) -> float:
-    """Of a fit against the best, no more certain than the differences from piece to piece of time allow.
-
-    Of two right models whose log-likelihoods differ by d with a standard deviation of s, 2 (d / s)^2 is what
-    independent noise would make of d. No model is exact: what it explains, it explains but for a small share.
-    """
-    piece = np.bincount(blocks(hypotheses.evidence), best.residual**2 - fit.residual**2) / 2
+    """Of a fit against the best, no more certain than what the pieces of time say allows."""
+    piece = blocks(hypotheses.evidence)
+    says = np.bincount(piece, best.residual**2 - fit.residual**2) / 2
+    apart = np.bincount(piece, (best.residual - fit.residual) ** 2)
     explained = hypotheses.tried[frozenset()].cost - best.cost
     spare = PARAMETER * (len(fit.theory.free) - len(best.theory.free))
-    return float(weighed(piece, explained, noisiness(hypotheses.evidence, best))) - spare
+    return float(weighed(says, apart, explained, noisiness(hypotheses.evidence, best))) - spare
 
 
-def weighed(piece: np.ndarray, explained: np.ndarray | float, chance: float) -> np.ndarray:
+def weighed(piece: np.ndarray, apart: np.ndarray, explained: np.ndarray | float, chance: float) -> np.ndarray:
     """Log odds from what each piece of time says for one of two fits, (K, ...), by log-likelihood.
 
-    explained: gain of the log-likelihood by the better of them over the base model. chance: its `noisiness`.
+    apart: (K, ...) sum of squares of what they differ by there, up to a factor. A right model and a wrong one differ
+    by it in what they say, too, so one that is right says most where they are most apart: a touch may speak in two
+    pieces alone. Where what is said, d in all, scatters by s about that, 2 (d / s)^2 is what independent noise would
+    make of d. No model is exact: what it explains, it explains but for a small share. explained: gain of the
+    log-likelihood by the better of them over the base model. chance: its `noisiness`.
     """
-    scatter = np.sqrt(np.sum((piece - piece.mean(axis=0)) ** 2, axis=0))
+    share = apart / np.maximum(apart.sum(axis=0), 1e-300)
+    scatter = np.sqrt(np.sum((piece - piece.sum(axis=0) * share) ** 2, axis=0))
     deviation = np.maximum(np.hypot(scatter, INEXACT * explained), 1e-9)
     ratio, plain = piece.sum(axis=0) / deviation, piece.sum(axis=0) / chance
     return np.sign(ratio) * np.minimum(np.abs(plain), 2 * ratio**2)

@@ -19,6 +19,7 @@ from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw, eased, re
 from stages.diagnose.ranges import pressed
 from stages.diagnose.screen import screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
+from stages.diagnose.verdict import weighed
 from stages.estimate.forward import Case
 from stages.generate.curves import Curves
 from stages.model.camera import Camera
@@ -277,3 +278,22 @@ def test_steps_are_as_long_as_nobody_could_tell(arm, model):
         model, chi[None]
     )
     assert 0 < np.abs(apart).max() < UNTOLD
+
+
+@pytest.mark.parametrize("pieces", [2, 40])
+def test_odds_are_those_of_the_noise_in_however_few_pieces_of_time_two_models_differ(pieces):
+    """One is right and the other differs from it in some of 100 pieces: what is said is half the square of that."""
+    apart = np.zeros(100)
+    apart[:pieces] = 2000.0 / pieces
+    said = 0.5 * apart + np.sqrt(apart) * np.random.default_rng(5).standard_normal(100)
+    assert weighed(said, apart, 1000.0, 1.0) == pytest.approx(said.sum())
+    assert weighed(said, apart, 1000.0, 4.0) == pytest.approx(said.sum() / 4)
+
+
+def test_odds_are_small_of_two_models_of_which_either_is_better_now_and_then():
+    """Both are wrong by as much as they differ."""
+    rng = np.random.default_rng(6)
+    apart = rng.uniform(50.0, 150.0, 100)
+    said = 0.5 * apart * rng.standard_normal(100)
+    assert abs(weighed(said, apart, 1000.0, 1.0)) < 8
+    assert abs(said.sum()) > 100
