@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
+from scipy.special import log_softmax, logsumexp
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, newton_step, shortened
+from stages.diagnose.fit import Fit, fitted, newton_step, ranked, shortened
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
 SHOWN = 10.0  # of the log-likelihood that a cause must gain on other trials to be shown by them
@@ -17,19 +18,13 @@ AGAIN = 3  # steps of a fit without one trial
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A fit, and what it says of each trial when that trial is left out. residual: (N,) over sigma, each trial's
-    from the parameters fitted without it, chi: (K, P). spent: cost of each of these fits, (K,)."""
+    """A fit, and what it says of each trial when that trial is left out. chi: (K, P) fitted without it. spent: what
+    these fits cost, (K,). costs: minus the log-likelihood of the trial itself, (K,)."""
 
     fit: Fit
     chi: np.ndarray
-    residual: np.ndarray
-    trial: np.ndarray
     spent: np.ndarray
-
-    @cached_property
-    def costs(self) -> np.ndarray:
-        """Half the sum of squares of each trial, (K,)."""
-        return 0.5 * np.bincount(self.trial, self.residual**2)
+    costs: np.ndarray
 
 
 def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> HeldOut:
@@ -37,21 +32,21 @@ def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> Held
 
     plain: the same without causes. A cause that the other trials do not show is absent in what they predict.
     """
-    numbers = range(len(evidence.cases))
-    fits = [_without(evidence, fit, k) for k in numbers]
-    chi, spent = [each.chi for each in fits], [each.cost for each in fits]
-    for k in numbers:
+    every = [_without(evidence, fit, k) for k in range(len(evidence.cases))]
+    chi, spent = [fits[0].chi for fits in every], [fits[0].cost for fits in every]
+    costs = [foretold(evidence.only([k]), fits) for k, fits in enumerate(every)]
+    for k in range(len(every)):
         if plain is not None and plain.spent[k] < spent[k] + SHOWN:
-            chi[k], spent[k] = fit.theory.carried(plain.fit.theory.named(plain.chi[k])), plain.spent[k]
-    seen = [evidence.only([k]).residuals(fit.theory.model, chi[k][None])[0] for k in numbers]
-    return HeldOut(fit, np.stack(chi), np.concatenate(seen), evidence.trial, np.array(spent))
+            chi[k] = fit.theory.carried(plain.fit.theory.named(plain.chi[k]))
+            spent[k], costs[k] = plain.spent[k], plain.costs[k]
+    return HeldOut(fit, np.stack(chi), np.array(spent), np.array(costs))
 
 
-def _without(evidence: Evidence, fit: Fit, left_out: int) -> Fit:
-    """Fitted to the other trials.
+def _without(evidence: Evidence, fit: Fit, left_out: int) -> list[Fit]:
+    """Two fits to the other trials, the better one first.
 
     The first step is Gauss and Newton's with the slopes at hand: it takes what only that trial knew back to where it
-    was expected. Then a few more; or from where the fit to all is, if that first step led astray.
+    was expected. Then a few more; and from where the fit to all is, if that first step led astray.
     """
     kept = evidence.trial != left_out
     start = fit.chi.copy()
@@ -59,8 +54,15 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> Fit:
         newton_step(fit.theory, fit.chi, fit.residual[kept], fit.slopes[kept], damping=0.0)
     )
     others = evidence.only([k for k in range(len(evidence.cases)) if k != left_out])
-    both = fitted(others, [fit.theory] * 2, [np.clip(start, 0, 1), fit.chi], AGAIN)
-    return min(both, key=lambda each: each.cost)
+    return ranked(fitted(others, [fit.theory] * 2, [np.clip(start, 0, 1), fit.chi], AGAIN))
+
+
+def foretold(trial: Evidence, fits: Sequence[Fit]) -> float:
+    """Minus the log-likelihood of a trial from fits to others, each as probable as these make it: where they leave
+    something open, a plane that only one trial touched, say, the best of them alone foretells too much."""
+    chi = np.stack([fit.chi for fit in fits])
+    costs = 0.5 * np.sum(trial.residuals(fits[0].theory.model, chi) ** 2, axis=1)
+    return -float(logsumexp(log_softmax([-fit.cost for fit in fits]) - costs))
 
 
 def blocks(evidence: Evidence) -> np.ndarray:

@@ -27,7 +27,7 @@ from stages.diagnose.grain import grain
 from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.leads import astray, beginnings, follow
 from stages.diagnose.missing import missing, unexplained
-from stages.diagnose.prepare import Ground, literal, prepared, usable
+from stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
 from stages.diagnose.verdict import RESOLUTION, Judgement, judged
@@ -104,12 +104,17 @@ def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, 
 def _sought(
     ground: Ground, data: _Data, kind: Callable[[Ground], Ground], progress: Progress
 ) -> tuple[Ground, Hypotheses, Causes]:
-    """The causes that are chosen on the ground of a kind."""
+    """The causes that are chosen on the ground of a kind; chosen again where they say that points are no outliers."""
     each = kind(ground)
     hypotheses = _hypotheses(each, data)
     if astray(each):
         follow(hypotheses, partial(_early, data, kind))
-    return (each, *chosen(hypotheses, progress))
+    hypotheses, causes = chosen(hypotheses, progress)
+    anew = cleaned_anew(each, hypotheses.tried[frozenset()], hypotheses.tried[causes]) if causes else None
+    if anew is None:
+        return each, hypotheses, causes
+    hypotheses = hypotheses.upon(anew.evidence.only(data.kept), anew.undoubted.only(data.kept), causes)
+    return (anew, *chosen(hypotheses, lambda share: None))
 
 
 def _explained(hypotheses: Hypotheses, causes: Causes) -> bool:

@@ -134,8 +134,29 @@ class Hypotheses:
             fresh.add(best)
         for made in fitted(evidence, theories, starts, AGAIN):
             fresh.add(made)
-        fresh.contexts = {c: {n: fresh.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
+        fresh.contexts = fresh._of(self.contexts)
         return fresh
+
+    def upon(self, evidence: Evidence, floor: Evidence, causes: Causes) -> Hypotheses:
+        """The same on other evidence, with all fits made anew, what was screened to be asked again, and those of the
+        causes that depend on place sought anew. floor: with noise alone."""
+        fresh = Hypotheses(evidence, evidence, floor, self.base, self.library, self.seed)
+        old = list(self.tried.values())
+        for made in fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
+            fresh.add(made)
+        for name in sorted(causes):
+            if placed(self.library[name]):
+                beside = fresh.fit(causes - {name}, causes)
+                for found in since(evidence, beside, self.library[name], self.seed):
+                    fresh.add(found)
+        fresh.contexts = fresh._of(
+            {context: fits for context, fits in self.contexts.items() if context not in self.probes}
+        )
+        return fresh
+
+    def _of(self, contexts: Mapping[Causes, Mapping[str, Fit]]) -> dict[Causes, dict[str, Fit]]:
+        """The same contexts with the fits that are known here."""
+        return {context: {name: self.tried[context | {name}] for name in fits} for context, fits in contexts.items()}
 
     def extended(self, context: Causes) -> dict[str, Fit]:
         """The fits with one cause more than the context, for every promising effect."""

@@ -27,7 +27,7 @@ STEPS = 4  # of a fit at each
 DRAWS = 14  # places of which it is asked whether they are touched when they should be, as a power of two
 NEAR, MORE = 0.03, 1024  # of a range: so near to those that are, so many more are asked
 PLACES = 64  # that are simulated
-SIZES = (0.03, 0.15)  # shares of the range at which
+SIZES = (0.02, 0.045, 0.2)  # shares of the range at which
 OTHERS = (0.0, 0.3)  # shares of the ranges of other sizes of the effect, of friction say, that may matter as much
 REACHES = (0.03, 0.015, 0.008)  # of a range, within which places are tried about the best
 BEST, ABOUT = 3, 12  # how many are gone about, places about each
@@ -48,17 +48,22 @@ class Onset:
 
 
 def onset(evidence: Evidence, fit: Fit) -> Onset | None:
-    """Until when each trial is explained; None where one is never, or all always are."""
+    """Until when each trial is explained; None where one is never, or all always are.
+
+    One that shows something takes the fit along, and others with it: these are asked again without it.
+    """
     ends = np.full(len(evidence.cases), np.inf)
     sound, seconds = fit, FIRST
     while seconds < GROWTH * _lengths(evidence).max():
         beginnings = evidence.until(np.minimum(ends, seconds))
-        sound = fitted(beginnings, [fit.theory], [sound.chi], STEPS)[0]
-        shown = visible_in_each(beginnings, sound.residual) > CLEAR
-        ends[shown & np.isinf(ends)] = seconds / GROWTH
-        if ends.min() < FIRST:
+        tried = fitted(beginnings, [fit.theory], [sound.chi], STEPS)[0]
+        shown = np.where(np.isinf(ends), visible_in_each(beginnings, tried.residual), 0.0)
+        if shown.max() < CLEAR:
+            sound, seconds = tried, seconds * GROWTH
+        elif seconds < GROWTH * FIRST:
             return None
-        seconds *= GROWTH
+        else:
+            ends[np.argmax(shown)] = seconds / GROWTH
     return Onset(sound, ends) if np.isfinite(ends).any() else None
 
 

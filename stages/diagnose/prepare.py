@@ -30,6 +30,7 @@ STEP = 1e-3  # [s] of the implicit integrator: at 20 points its error is a hundr
 LONGER = (4e-3, 2e-3)  # [s] that are tried in its place
 UNTOLD = 0.2  # noises by which longer steps may move a point
 STEPS = 20
+TAKEN_BACK = 0.02  # share of the points: so many more that are no outliers are another ground
 SETTLINGS = 2  # of the states in which trials begin moving
 STILL = 0.01  # of the string's length: a string that has come to rest stays so near to where it ends
 RESTING = 0.2  # [s] of rest that are kept
@@ -42,12 +43,13 @@ class Raw:
     evidence: Evidence
     told: bool
 
-    def cleaned(self, fit: Fit) -> tuple[Evidence, int]:
-        """With the noise as a fit leaves it, without outliers, and how many these were."""
-        residual = self.evidence.residuals(fit.theory.model, fit.chi[None])[0]
-        noise = estimated(self.evidence, residual)
+    def cleaned(self, fit: Fit, segments: tuple[int, ...] | None = None) -> tuple[Evidence, int]:
+        """With the noise as a fit leaves it, without outliers, and how many these were. segments: if others."""
+        raw = replace(self.evidence, segments=segments or self.evidence.segments)
+        residual = raw.residuals(fit.theory.model, fit.chi[None])[0]
+        noise = estimated(raw, residual)
         factor = noise if not self.told or noise > TOLD_WRONG else 1.0
-        evidence, outliers = cleaned(self.evidence.scaled(factor), residual / factor)
+        evidence, outliers = cleaned(raw.scaled(factor), residual / factor)
         return doubted_beginnings(evidence, fit.theory.model, fit.chi), outliers
 
 
@@ -129,12 +131,29 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]], points: int) ->
     theirs, but exact enough. What is noise is told anew, since this is nearer to the data."""
     nearest = _of_points(ground, points)
     model, segments = nearest.theory.model, (points - 1,)
-    evidence, outliers = replace(ground.raw, evidence=replace(ground.raw.evidence, segments=segments)).cleaned(nearest)
+    evidence, outliers = ground.raw.cleaned(nearest, segments)
     theory = whole(model, candidates(model, library, evidence), evidence)
     base = _best(evidence, theory, [nearest.theory.named(nearest.chi)])
     return replace(
         ground, model=model, evidence=evidence, undoubted=evidence, base=base, configured=base, outliers=outliers
     )
+
+
+def cleaned_anew(ground: Ground, plain: Fit, fit: Fit) -> Ground | None:
+    """The ground with noise and outliers told where causes put the string; None where that hardly differs.
+
+    Beside a model that lacks a cause, points that change fast look like outliers. plain: a fit without the causes.
+    """
+    raw = replace(ground.raw, evidence=begun(ground.raw.evidence, fit.theory.model, fit.chi))
+    evidence, outliers = raw.cleaned(fit, ground.undoubted.segments)
+    if ground.outliers - outliers < TAKEN_BACK * sum(len(case.s) for case in raw.evidence.cases):
+        return None
+    doubted = refined(evidence, fit.theory, fit.chi)
+    base = _best(doubted, plain.theory, [plain.theory.named(plain.chi)])
+    known, points = ground.configured.theory, ground.configured.theory.model.string.points
+    configured = _best(replace(evidence, segments=(points - 1,)), known, [known.named(ground.configured.chi)])
+    undoubted = replace(evidence, segments=doubted.segments)
+    return Ground(ground.model, doubted, undoubted, base, configured, raw, outliers, ground.resting)
 
 
 def _of_points(ground: Ground, points: int) -> Fit:

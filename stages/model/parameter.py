@@ -13,7 +13,8 @@ class Parameter:
 
     low, high: search range, in `unit`. start: value before anything is known. symbol: the
     paper's, empty if it has none. Ranges with low > 0 are searched in the exponential
-    form of Eq. 3, P = low (high / low)^chi; others linearly.
+    form of Eq. 3, P = low (high / low)^chi; others evenly in a root of the distance from low,
+    P = low + (high - low) chi^root: by default linearly.
     per_length: power of the segment length that turns the paper's value per mass point
     into a property of the material (see `stages.model.string.String.material`).
     """
@@ -26,12 +27,13 @@ class Parameter:
     start: float
     symbol: str = ""
     per_length: int = 0
+    root: int = 1
 
     def value(self, chi: np.ndarray) -> np.ndarray:
         """Values at exponents chi in [0, 1] (Eq. 3). Any shape."""
         if self.low > 0:
             return self.low * (self.high / self.low) ** np.asarray(chi)
-        return self.low + (self.high - self.low) * np.asarray(chi)
+        return self.low + (self.high - self.low) * np.asarray(chi) ** self.root
 
     def chi(self, value: np.ndarray) -> np.ndarray:
         """Exponents of values; the inverse of `value`, clipped to [0, 1]. Any shape."""
@@ -39,5 +41,5 @@ class Parameter:
         if self.low > 0:
             position = np.log(np.maximum(value, 1e-300) / self.low) / np.log(self.high / self.low)
         else:
-            position = (value - self.low) / (self.high - self.low)
+            position = np.maximum((value - self.low) / (self.high - self.low), 0.0) ** (1 / self.root)
         return np.clip(position, 0.0, 1.0)

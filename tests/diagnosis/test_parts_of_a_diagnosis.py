@@ -8,9 +8,9 @@ from conftest import TRUTH
 from scipy.interpolate import CubicSpline
 
 from stages.diagnose.choose import MATTERS, earns
-from stages.diagnose.compare import held_out, moved
+from stages.diagnose.compare import foretold, held_out, moved
 from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.fit import Fit, fitted
+from stages.diagnose.fit import Fit, cost_of, fitted
 from stages.diagnose.gain import configured, side
 from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.intervals import interval, present
@@ -297,3 +297,21 @@ def test_odds_are_small_of_two_models_of_which_either_is_better_now_and_then():
     said = 0.5 * apart * rng.standard_normal(100)
     assert abs(weighed(said, apart, 1000.0, 1.0)) < 8
     assert abs(said.sum()) > 100
+
+
+@pytest.mark.parametrize("worse", [0.0, 5.0])
+def test_a_trial_is_foretold_by_every_fit_that_the_others_allow(arm, model, worse):
+    """One of two that are equal on other trials is right: it foretells as if it were the only one, but for the doubt
+    which of them it is."""
+    trial = measured(arm, model, trials=1)
+    theory = Theory(model, (), model.names)
+    right, wrong = theory.at(TRUTH), theory.at({**TRUTH, "bending_stiffness": 6.0})
+    seen = 0.5 * np.sum(trial.residuals(model, np.stack([right, wrong])) ** 2, axis=1)
+    assert seen[1] > seen[0] + 1000
+    spent = [cost_of(theory, np.zeros(1), chi) for chi in (right, wrong)]
+    more = spent[1] - spent[0] + worse
+    fits = [
+        Fit(theory, chi, np.array([np.sqrt(2 * x)]), np.zeros((1, len(chi))))
+        for chi, x in ((wrong, 40.0), (right, 40.0 + more))
+    ]
+    assert foretold(trial, fits) == pytest.approx(seen[0] + np.log1p(np.exp(worse)))

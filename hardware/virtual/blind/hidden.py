@@ -92,8 +92,9 @@ def _contact(rng: np.random.Generator, times: list[np.ndarray], strings: list[np
     kept = min(float(min((points[:, 0] @ normal).min(), (points[0] @ normal).min())) for points in strings) - CLEAR
     if kept - touched < 0.02 or max(abs(kept), abs(touched)) > 1:
         return None
-    stiffness = float(np.exp(rng.uniform(*np.log([1e4, 9e4]))))
-    same = {"tilt": tilt, "stiffness": stiffness, "friction": float(rng.uniform(0, 0.5)), "loss": 0.1}
+    stiffness = float(np.exp(rng.uniform(*np.log([1e4, 4e6]))))
+    loss, friction = float(rng.uniform(0, 0.4)), float(rng.uniform(0, 0.5))
+    same = {"tilt": tilt, "stiffness": stiffness, "friction": friction, "loss": loss}
     return {"height": touched, **same}, {"height": kept, **same}
 
 
