@@ -1,4 +1,7 @@
-"""Benches that hide something, diagnosed from what was measured; the envelope is opened after the verdict."""
+"""Benches that hide something, diagnosed from what was measured; the envelope is opened after the verdict.
+
+Of each kind one of those that took least time in the study of all.
+"""
 
 import json
 from pathlib import Path
@@ -7,7 +10,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from hardware.virtual.blind import CASES, draw
+from hardware.virtual.blind import draw
 from pipeline.study.command import diagnosed
 
 TOLD = 1e-6  # by which probabilities may miss one
@@ -38,7 +41,7 @@ def total(said):
 
 
 def test_a_mass_at_the_tip_is_found_with_its_size(verdict):
-    said, truth = verdict(CASES.index("tip_mass"))
+    said, truth = verdict(817)
     assert said["verdict"] == "effect"
     assert [cause["effect"] for cause in said["causes"]] == truth["names"] == ["tip_mass"]
     found = said["causes"][0]["parameters"]["tip_mass.ratio"]
@@ -50,14 +53,14 @@ def test_a_mass_at_the_tip_is_found_with_its_size(verdict):
 
 def test_nothing_is_named_where_nothing_is_hidden(verdict):
     """All strings of the lab are finer than ten points of Eq. 1 can represent: that, and nothing else, may be said."""
-    said, truth = verdict(CASES.index("none"))
+    said, truth = verdict(840)
     assert truth["kind"] == "none"
     assert {cause["effect"] for cause in said["causes"]} <= {"resolution"}
     assert said["verdict"] in ("none", "effect")
 
 
 def test_what_is_not_in_the_library_is_called_unknown(verdict):
-    said, truth = verdict(CASES.index("bumped_camera"))
+    said, truth = verdict(829)
     assert truth["kind"] == "outside"
     assert said["verdict"] == "unknown"
     assert said["causes"] == []

@@ -65,7 +65,7 @@ def _seen(arm, real, curves, name, rng):
 def test_a_lag_is_found_though_the_base_model_is_nowhere_near(model, observations):
     design = Design(motions=1, shortest=0.4, longest=0.8, alpha=150.0, before=0.05, after=0.1)
     matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
-    said = diagnose(model, observations, {}, (), (), seed=0, starts=4, matching=matching, design=design)
+    said = diagnose(model, observations, {}, (), (), seed=0, starts=2, matching=matching, design=design)
     assert said.causes["effect"].iloc[0] == "arm_lag", said.finding["sentence"].iloc[0]
     assert set(said.causes["effect"]) <= {"arm_lag", "time_offset"}  # which look alike
     assert said.causes["value"].iloc[0] == pytest.approx(LAG, abs=5e-4)
