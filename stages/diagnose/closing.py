@@ -13,7 +13,7 @@ import numpy as np
 
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.screen import Probe, varied
+from stages.diagnose.screen import Probe, about, varied
 from stages.model.effect import Effect
 
 PROBES = 8  # from which it begins
@@ -54,8 +54,7 @@ def _about(
 ) -> list[Fit]:
     """Fits from the best of many places within reach of those given."""
     theory = fits[0].theory
-    chi = np.repeat(np.stack([fit.chi for fit in fits]), ABOUT, axis=0)
-    chi[:, where] = np.clip(chi[:, where] + rng.uniform(-reach, reach, (len(chi), len(where))), 0, 1)
+    chi = about(np.repeat(np.stack([fit.chi for fit in fits]), ABOUT, axis=0), where, reach, rng)
     chi = chi[[theory.plausible(each) for each in chi]]
     cost = np.sum(evidence.residuals(theory.model, chi) ** 2, axis=1)
     chosen = np.argsort(cost)[:FITTED]

@@ -58,6 +58,14 @@ class Hypotheses:
         if key not in self.tried or fit.cost < self.tried[key].cost:
             self.tried[key] = fit
 
+    def led(self, fits: Sequence[Fit]) -> None:
+        """Remember fits from elsewhere, and let single causes among all come before any that screening would find."""
+        for fit in fits:
+            self.add(fit)
+        alone = {name: fit for key, fit in self.tried.items() if len(key) == 1 for name in key}
+        if alone:
+            self.contexts[frozenset()] = alone
+
     def fit(self, causes: Causes, near: Causes) -> Fit:
         """The fit of these causes, made from that of others near them if it was never asked for."""
         if causes not in self.tried:

@@ -70,8 +70,4 @@ def _carried_on(hypotheses: Hypotheses, fits: Sequence[Fit], seconds: Sequence[f
     chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, fits, strict=True)]
     for horizon in seconds:
         chi = [fit.chi for fit in fitted(hypotheses.evidence.rough.until(horizon), theories, chi, EACH)]
-    for fit in fitted(hypotheses.evidence, theories, chi, STEPS):
-        hypotheses.add(fit)
-    alone = {name: fit for key, fit in hypotheses.tried.items() if len(key) == 1 for name in key}
-    if alone:
-        hypotheses.contexts[frozenset()] = alone
+    hypotheses.led(fitted(hypotheses.evidence, theories, chi, STEPS))

@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
 from stages.diagnose.noise import CLEAR, visible_in_each
-from stages.diagnose.screen import followed, start_of, varied
+from stages.diagnose.screen import about, followed, start_of, varied
 from stages.diagnose.theory import Theory, joined
 from stages.model.effect import Effect
 
@@ -120,8 +120,7 @@ class _Sought:
 
     def varied_about(self, chi: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
         """Others within reach of exponents (C, P), at sizes up to twice and down to half of theirs."""
-        near, sizes = chi.copy(), [self.size, *self.others]
-        near[:, self.where] += rng.uniform(-reach, reach, (len(near), len(self.where)))
+        near, sizes = about(chi, self.where, reach, rng), [self.size, *self.others]
         near[:, sizes] *= rng.uniform(0.5, 2.0, (len(near), len(sizes)))
         near = np.clip(near, 0, 1)
         return near[[self.theory.plausible(each) for each in near]]

@@ -72,13 +72,19 @@ def _closer(
     fit can find it."""
     rng = np.random.default_rng(seed)
     for reach in CLOSER:
-        chi = np.repeat(np.stack([probe.chi for probe in probes[:BEST]]), ABOUT, axis=0)
-        where = trial.own[1:]
-        chi[:, where] = np.clip(chi[:, where] + rng.uniform(-reach, reach, (len(chi), len(where))), 0, 1)
+        best = np.repeat(np.stack([probe.chi for probe in probes[:BEST]]), ABOUT, axis=0)
+        chi = about(best, trial.own[1:], reach, rng)
         chi = chi[~trial.theory.on_hand(trial.effect, chi)]
         residual = evidence.residuals(trial.theory.model, chi)
         probes = sorted([*probes, *_scored(trial, chi, fit, own, residual)], key=lambda probe: -probe.gain)
     return probes
+
+
+def about(chi: np.ndarray, where: Sequence[int], reach: float, rng: np.random.Generator) -> np.ndarray:
+    """Exponents (C, P) within reach of those given in the places of some of them."""
+    near = chi.copy()
+    near[:, where] = np.clip(near[:, where] + rng.uniform(-reach, reach, (len(near), len(where))), 0, 1)
+    return near
 
 
 def varied(theory: Theory, effect: type[Effect]) -> list[int]:
