@@ -1,11 +1,16 @@
 """A plane that is grazed late in one trial: until when each trial is explained, and where the plane is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import TRUTH
 from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved
 
+from stages.diagnose.fit import fitted
 from stages.diagnose.onset import GROWTH, onset, since
+from stages.diagnose.prepare import Ground, Raw, cleaned_anew
+from stages.diagnose.theory import joined
 from stages.model.camera import Camera
 from stages.model.library import library
 from stages.model.model import Model
@@ -56,3 +61,29 @@ def in_front(plane, points):
 def test_nothing_is_sought_where_something_is_wrong_from_the_beginning(arm, model):
     evidence = measured(arm, model, {"tip_mass.ratio": 0.1})
     assert since(evidence, base(model, evidence), library()["contact"], 0) == []
+
+
+def test_points_that_the_plane_moves_are_no_outliers_once_it_is_known(arm, model):
+    """The string whips where it was struck: beside a model without the plane, points of which each place is seen in a
+    third of the frames are far from those before and after."""
+    exact = thinned(measured(arm, model, PLANE, noise=SIGMA / 10, seconds=0.9).scaled(0.1), 0.3)
+    plain, raw = base(model, exact), Raw(exact, told=True)
+    dirty, outliers = raw.cleaned(plain)
+    poor = base(model, dirty)
+    ground = Ground(model, dirty, dirty, poor, poor, raw, outliers)
+    theory = joined(poor.theory, library()["contact"])
+    struck = fitted(exact, [theory], [theory.at({**TRUTH, **PLANE})], 3)[0]
+    assert outliers > 0.1 * len(exact.sigma) / 2
+    anew = cleaned_anew(ground, poor, struck)
+    assert anew.outliers < 0.1 * outliers
+    assert len(anew.evidence.sigma) == len(anew.base.residual) == len(anew.configured.residual) == len(anew.floor)
+    assert cleaned_anew(anew, anew.base, struck) is None
+
+
+def thinned(evidence, share):
+    """With a random share of the points."""
+    rng = np.random.default_rng(0)
+    kept = [rng.random(len(case.s)) < share for case in evidence.cases]
+    names = ("frame", "s", "points", "sigma")
+    pairs = zip(evidence.cases, kept, strict=True)
+    return replace(evidence, cases=tuple(replace(c, **{n: getattr(c, n)[k] for n in names}) for c, k in pairs))
