@@ -444,7 +444,7 @@ CAUSES = Table(
         Column("unit", "", "its unit", "text"),
         Column("value", "", "best value, in `unit`"),
         Column("low", "", "lower end of the 95 % interval, in `unit`"),
-        Column("high", "", "upper end of the 95 % interval, in `unit`"),
+        Column("high", "", "upper end, in `unit`; of the range, where what is fitted is the least that it may be"),
     ),
 )
 HELD_OUT = Table(

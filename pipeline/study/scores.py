@@ -19,6 +19,7 @@ from pipeline.study.verdicts import (
     found_of_pair,
     named_above,
 )
+from stages.model.library import library
 
 BINS = np.linspace(0.0, 1.0, 11)  # of confidence
 SIZES = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])  # [sigma]
@@ -175,14 +176,15 @@ def _bench(row: Row) -> dict[str, object]:
 
 
 def _parameters(row: Row) -> list[dict[str, object]]:
-    """Those of true causes that were named with an interval."""
+    """Those of true causes that were named with an interval that has two ends."""
     true = row["truth"]["parameters"]
+    known = {effect.qualified(p): p for effect in library().values() for p in effect.parameters}
     stated = {n: p for cause in row["diagnosis"].get("causes") or [] for n, p in cause.get("parameters", {}).items()}
     return [
         {"seed": row["seed"], "name": name, "true": true[name], **{k: p[k] for k in ("value", "low", "high")}}
         | {"inside": p["low"] <= true[name] <= p["high"]}
         for name, p in stated.items()
-        if name in true and p.get("low") is not None and p.get("high") is not None
+        if name in true and not known[name].at_least and p.get("low") is not None and p.get("high") is not None
     ]
 
 

@@ -34,7 +34,7 @@ def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> Held
     """
     every = [_without(evidence, fit, k) for k in range(len(evidence.cases))]
     chi, spent = [fits[0].chi for fits in every], [fits[0].cost for fits in every]
-    costs = [foretold(evidence.only([k]), fits) for k, fits in enumerate(every)]
+    costs = [cost_of_unseen(evidence.only([k]), fits) for k, fits in enumerate(every)]
     for k in range(len(every)):
         if plain is not None and plain.spent[k] < spent[k] + SHOWN:
             chi[k] = fit.theory.carried(plain.fit.theory.named(plain.chi[k]))
@@ -43,10 +43,11 @@ def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> Held
 
 
 def _without(evidence: Evidence, fit: Fit, left_out: int) -> list[Fit]:
-    """Two fits to the other trials, the better one first.
+    """Two fits to the other trials, the better one first; one where these clearly prefer it.
 
     The first step is Gauss and Newton's with the slopes at hand: it takes what only that trial knew back to where it
-    was expected. Then a few more; and from where the fit to all is, if that first step led astray.
+    was expected. Then a few more; and from where the fit to all is, if that first step led astray. What that trial
+    prefers counts only where the others hardly mind.
     """
     kept = evidence.trial != left_out
     start = fit.chi.copy()
@@ -54,10 +55,11 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> list[Fit]:
         newton_step(fit.theory, fit.chi, fit.residual[kept], fit.slopes[kept], damping=0.0)
     )
     others = evidence.only([k for k in range(len(evidence.cases)) if k != left_out])
-    return ranked(fitted(others, [fit.theory] * 2, [np.clip(start, 0, 1), fit.chi], AGAIN))
+    fits = ranked(fitted(others, [fit.theory] * 2, [np.clip(start, 0, 1), fit.chi], AGAIN))
+    return [each for each in fits if each.cost < fits[0].cost + SHOWN]
 
 
-def foretold(trial: Evidence, fits: Sequence[Fit]) -> float:
+def cost_of_unseen(trial: Evidence, fits: Sequence[Fit]) -> float:
     """Minus the log-likelihood of a trial from fits to others, each as probable as these make it: where they leave
     something open, a plane that only one trial touched, say, the best of them alone foretells too much."""
     chi = np.stack([fit.chi for fit in fits])

@@ -27,6 +27,7 @@ from stages.diagnose.grain import grain
 from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.leads import astray, beginnings, follow
 from stages.diagnose.missing import missing, unexplained
+from stages.diagnose.noise import FAR
 from stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
@@ -98,7 +99,7 @@ def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, 
         points = grain(hypotheses.floor, hypotheses.tried[causes], _left(hypotheses, causes))
         made += [_sought(ground, data, data.of_points(points), lambda share: None)] if points else []
     progress(1.0)
-    return min(made, key=lambda one: _left(one[1], one[2]))
+    return min(made, key=lambda one: _left_of_all(*one))
 
 
 def _sought(
@@ -110,11 +111,19 @@ def _sought(
     if astray(each):
         follow(hypotheses, partial(_early, data, kind))
     hypotheses, causes = chosen(hypotheses, progress)
-    anew = cleaned_anew(each, hypotheses.tried[frozenset()], hypotheses.tried[causes]) if causes else None
+    return _cleaned(data, each, hypotheses, causes) if causes else (each, hypotheses, causes)
+
+
+def _cleaned(data: _Data, ground: Ground, hypotheses: Hypotheses, causes: Causes) -> tuple[Ground, Hypotheses, Causes]:
+    """Causes chosen again on points that are no outliers once these are known; as they are where there are few."""
+    plain, fit = hypotheses.tried[frozenset()], hypotheses.tried[causes]
+    anew = cleaned_anew(ground, hypotheses.floor.segments, plain, fit)
     if anew is None:
-        return each, hypotheses, causes
-    hypotheses = hypotheses.upon(anew.evidence.only(data.kept), anew.undoubted.only(data.kept), causes)
-    return (anew, *chosen(hypotheses, lambda share: None))
+        return ground, hypotheses, causes
+    evidence, floor = anew.evidence.only(data.kept), anew.undoubted.only(data.kept)
+    again = hypotheses.on_other_evidence(evidence, floor, _base(anew, data), causes)
+    again, more = chosen(again, lambda share: None)
+    return (anew, again, more) if more else (ground, hypotheses, causes)
 
 
 def _explained(hypotheses: Hypotheses, causes: Causes) -> bool:
@@ -136,13 +145,24 @@ def _hypotheses(ground: Ground, data: _Data) -> Hypotheses:
     """With the base model fitted."""
     evidence, floor = ground.evidence.only(data.kept), ground.undoubted.only(data.kept)
     hypotheses = Hypotheses(evidence, evidence, floor, ground.model, data.library, data.seed)
-    hypotheses.add(again(evidence, ground.base) if data.rest else ground.base)
+    hypotheses.add(_base(ground, data))
     return hypotheses
+
+
+def _base(ground: Ground, data: _Data) -> Fit:
+    """The base model fitted to the trials that are kept."""
+    return again(ground.evidence.only(data.kept), ground.base) if data.rest else ground.base
 
 
 def _left(hypotheses: Hypotheses, causes: Causes) -> float:
     """Mean square of what causes leave, over the noise alone."""
     return float(np.mean((hypotheses.tried[causes].residual * hypotheses.evidence.sigma / hypotheses.floor.sigma) ** 2))
+
+
+def _left_of_all(ground: Ground, hypotheses: Hypotheses, causes: Causes) -> float:
+    """The same of all points: those left out are as far off as the nearest that are."""
+    count = ground.raw.points
+    return ((count - ground.outliers) * _left(hypotheses, causes) + ground.outliers * FAR**2 / 2) / count
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from stages.diagnose.compare import blocks
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit
-from stages.diagnose.verdict import PARAMETER, weighed
+from stages.diagnose.verdict import weighed
 
 DECIDED = float(np.log(20))  # log odds at which the data decide: below, `verdict` calls two causes alike
 
@@ -98,8 +98,8 @@ class Prospect:
         apart = [self.pieces @ (residual - seen[true]) ** 2 for residual in seen]
         explained = (self.pieces @ self.base.refitted(data) ** 2 - costs[true]).sum(axis=0)
         number = [len(rival.past.theory.free) for rival in self.rivals]
-        odds = [weighed(c - costs[true], a, explained, self.chance) for c, a in zip(costs, apart, strict=True)]
-        return np.stack([o + PARAMETER * (n - number[true]) for o, n in zip(odds, number, strict=True)])
+        told = zip(costs, apart, number, strict=True)
+        return np.stack([weighed(c - costs[true], a, explained, self.chance, number[true] - n) for c, a, n in told])
 
 
 def again(fit: Fit, trial: np.ndarray, number: int) -> Fit:

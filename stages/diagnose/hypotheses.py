@@ -37,7 +37,8 @@ INEXACT = 0.002  # share of what a right model explains by which it may be wrong
 class Hypotheses:
     """What has been tried so far on this evidence: each set of causes is fitted once.
 
-    evidence: with the simulation's doubt; first: as it was before there was a cause; floor: with noise alone.
+    evidence: with the simulation's doubt; first: as it was when causes were first sought in these points; floor: with
+    noise alone. led: whether fits from elsewhere came before any that screening would find.
     """
 
     evidence: Evidence
@@ -51,6 +52,7 @@ class Hypotheses:
     probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
     predictions: dict[Causes, HeldOut] = field(default_factory=dict)
     chance_gains: dict[Causes, float] = field(default_factory=dict)
+    led: bool = False
 
     def add(self, fit: Fit) -> None:
         """Remember a fit if it is the best of its causes."""
@@ -58,13 +60,13 @@ class Hypotheses:
         if key not in self.tried or fit.cost < self.tried[key].cost:
             self.tried[key] = fit
 
-    def led(self, fits: Sequence[Fit]) -> None:
+    def begin_with(self, fits: Sequence[Fit]) -> None:
         """Remember fits from elsewhere, and let single causes among all come before any that screening would find."""
         for fit in fits:
             self.add(fit)
         alone = {name: fit for key, fit in self.tried.items() if len(key) == 1 for name in key}
         if alone:
-            self.contexts[frozenset()] = alone
+            self.contexts[frozenset()], self.led = alone, True
 
     def fit(self, causes: Causes, near: Causes) -> Fit:
         """The fit of these causes, made from that of others near them if it was never asked for."""
@@ -114,8 +116,8 @@ class Hypotheses:
         return self.probes[context]
 
     def mismatch(self, causes: Causes) -> float:
-        """What these causes leave that is not noise: half with the simulation's doubt as it was before there was a
-        cause, half with it found anew."""
+        """What these causes leave that is not noise: half with the simulation's doubt as it was first, half with it
+        found anew."""
         fit = self.tried[causes]
         first = fit.residual * self.evidence.sigma / self.first.sigma
         return (mismatch(self.evidence, fit.residual) + mismatch(self.first, first)) / 2
@@ -142,14 +144,15 @@ class Hypotheses:
             fresh.add(best)
         for made in fitted(evidence, theories, starts, AGAIN):
             fresh.add(made)
-        fresh.contexts = fresh._of(self.contexts)
+        fresh.contexts, fresh.led = fresh._of(self.contexts), self.led
         return fresh
 
-    def upon(self, evidence: Evidence, floor: Evidence, causes: Causes) -> Hypotheses:
-        """The same on other evidence, with all fits made anew, what was screened to be asked again, and those of the
-        causes that depend on place sought anew. floor: with noise alone."""
+    def on_other_evidence(self, evidence: Evidence, floor: Evidence, base: Fit, causes: Causes) -> Hypotheses:
+        """All fits made anew on other evidence, what was screened to be asked again, and causes that depend on place
+        sought anew. floor: with noise alone. base: fit to it without causes."""
         fresh = Hypotheses(evidence, evidence, floor, self.base, self.library, self.seed)
-        old = list(self.tried.values())
+        fresh.add(base)
+        old = [fit for key, fit in self.tried.items() if key]
         for made in fitted(evidence, [each.theory for each in old], [each.chi for each in old], AGAIN):
             fresh.add(made)
         for name in sorted(causes):
@@ -157,9 +160,8 @@ class Hypotheses:
                 beside = fresh.fit(causes - {name}, causes)
                 for found in since(evidence, beside, self.library[name], self.seed):
                     fresh.add(found)
-        fresh.contexts = fresh._of(
-            {context: fits for context, fits in self.contexts.items() if context not in self.probes}
-        )
+        if self.led:
+            fresh.begin_with([])
         return fresh
 
     def _of(self, contexts: Mapping[Causes, Mapping[str, Fit]]) -> dict[Causes, dict[str, Fit]]:

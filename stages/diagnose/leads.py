@@ -70,4 +70,4 @@ def _carried_on(hypotheses: Hypotheses, fits: Sequence[Fit], seconds: Sequence[f
     chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, fits, strict=True)]
     for horizon in seconds:
         chi = [fit.chi for fit in fitted(hypotheses.evidence.rough.until(horizon), theories, chi, EACH)]
-    hypotheses.led(fitted(hypotheses.evidence, theories, chi, STEPS))
+    hypotheses.begin_with(fitted(hypotheses.evidence, theories, chi, STEPS))

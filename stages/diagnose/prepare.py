@@ -43,14 +43,22 @@ class Raw:
     evidence: Evidence
     told: bool
 
-    def cleaned(self, fit: Fit, segments: tuple[int, ...] | None = None) -> tuple[Evidence, int]:
-        """With the noise as a fit leaves it, without outliers, and how many these were. segments: if others."""
-        raw = replace(self.evidence, segments=segments or self.evidence.segments)
-        residual = raw.residuals(fit.theory.model, fit.chi[None])[0]
-        noise = estimated(raw, residual)
+    def cleaned(self, fit: Fit) -> tuple[Evidence, int]:
+        """With the noise as a fit leaves it, without outliers, and how many these were."""
+        residual = self.evidence.residuals(fit.theory.model, fit.chi[None])[0]
+        noise = estimated(self.evidence, residual)
         factor = noise if not self.told or noise > TOLD_WRONG else 1.0
-        evidence, outliers = cleaned(raw.scaled(factor), residual / factor)
+        evidence, outliers = cleaned(self.evidence.scaled(factor), residual / factor)
         return doubted_beginnings(evidence, fit.theory.model, fit.chi), outliers
+
+    @property
+    def points(self) -> int:
+        """How many there are."""
+        return sum(len(case.s) for case in self.evidence.cases)
+
+    def divided(self, segments: tuple[int, ...]) -> Raw:
+        """With other numbers of segments."""
+        return replace(self, evidence=replace(self.evidence, segments=segments))
 
 
 @dataclass(frozen=True)
@@ -131,7 +139,7 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]], points: int) ->
     theirs, but exact enough. What is noise is told anew, since this is nearer to the data."""
     nearest = _of_points(ground, points)
     model, segments = nearest.theory.model, (points - 1,)
-    evidence, outliers = ground.raw.cleaned(nearest, segments)
+    evidence, outliers = ground.raw.divided(segments).cleaned(nearest)
     theory = whole(model, candidates(model, library, evidence), evidence)
     base = _best(evidence, theory, [nearest.theory.named(nearest.chi)])
     return replace(
@@ -139,14 +147,16 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]], points: int) ->
     )
 
 
-def cleaned_anew(ground: Ground, plain: Fit, fit: Fit) -> Ground | None:
+def cleaned_anew(ground: Ground, segments: tuple[int, ...], plain: Fit, fit: Fit) -> Ground | None:
     """The ground with noise and outliers told where causes put the string; None where that hardly differs.
 
-    Beside a model that lacks a cause, points that change fast look like outliers. plain: a fit without the causes.
+    Beside a model that lacks a cause, points that change fast look like outliers. segments: with which the causes were
+    fitted. plain: a fit without them.
     """
-    raw = replace(ground.raw, evidence=begun(ground.raw.evidence, fit.theory.model, fit.chi))
-    evidence, outliers = raw.cleaned(fit, ground.undoubted.segments)
-    if ground.outliers - outliers < TAKEN_BACK * sum(len(case.s) for case in raw.evidence.cases):
+    raw = ground.raw.divided(segments)
+    raw = replace(raw, evidence=begun(raw.evidence, fit.theory.model, fit.chi))
+    evidence, outliers = raw.cleaned(fit)
+    if ground.outliers - outliers < TAKEN_BACK * raw.points:
         return None
     doubted = refined(evidence, fit.theory, fit.chi)
     base = _best(doubted, plain.theory, [plain.theory.named(plain.chi)])

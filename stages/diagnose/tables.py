@@ -15,7 +15,7 @@ from stages.diagnose.intervals import interval
 from stages.diagnose.noise import parts, systematic
 from stages.diagnose.screen import Probe
 from stages.diagnose.verdict import Judgement
-from stages.model.effect import Effect, ModelChange, placed
+from stages.model.effect import Effect, ModelChange
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
 
@@ -130,8 +130,6 @@ def _with(chosen: Causes, judgement: Judgement, name: str) -> Causes:
 
 
 def _parameters(hypotheses: Hypotheses, fit: Fit, effect: type[Effect]) -> list[dict[str, object]]:
-    """Rows of an effect's parameters. What depends on place is at least as hard as it looks: it touches mass points
-    alone, and what is between them goes deeper."""
     low, high = interval(hypotheses.evidence, fit)
     places = {int(place): number for number, place in enumerate(fit.theory.free)}
     rows = []
@@ -139,7 +137,7 @@ def _parameters(hypotheses: Hypotheses, fit: Fit, effect: type[Effect]) -> list[
         place = fit.theory.model.names.index(effect.qualified(parameter))
         number = places[place]
         ends = parameter.value(np.array([low[number], high[number]]))
-        if placed(effect) and parameter is effect.parameters[0]:
+        if parameter.at_least:
             ends[1] = parameter.high
         row = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning, "unit": parameter.unit}
         rows.append(row | {"value": float(parameter.value(fit.chi[place])), "low": ends[0], "high": ends[1]})

@@ -109,28 +109,30 @@ def _chances(hypotheses: Hypotheses, causes: Causes) -> dict[Causes, float]:
 
 def _log_odds(hypotheses: Hypotheses, fit: Fit, best: Fit) -> float:
     """Of a fit against the best, no more certain than what the pieces of time say allows."""
-    piece = blocks(hypotheses.evidence)
-    says = np.bincount(piece, best.residual**2 - fit.residual**2) / 2
-    apart = np.bincount(piece, (best.residual - fit.residual) ** 2)
+    number = blocks(hypotheses.evidence)
+    says = np.bincount(number, best.residual**2 - fit.residual**2) / 2
+    apart = np.bincount(number, (best.residual - fit.residual) ** 2) / 2
     explained = hypotheses.tried[frozenset()].cost - best.cost
-    spare = PARAMETER * (len(fit.theory.free) - len(best.theory.free))
-    return float(weighed(says, apart, explained, noisiness(hypotheses.evidence, best))) - spare
+    more = len(fit.theory.free) - len(best.theory.free)
+    return float(weighed(says, apart, explained, noisiness(hypotheses.evidence, best), more))
 
 
-def weighed(piece: np.ndarray, apart: np.ndarray, explained: np.ndarray | float, chance: float) -> np.ndarray:
+def weighed(says: np.ndarray, apart: np.ndarray, explained: np.ndarray | float, chance: float, more: int) -> np.ndarray:
     """Log odds from what each piece of time says for one of two fits, (K, ...), by log-likelihood.
 
-    apart: (K, ...) sum of squares of what they differ by there, up to a factor. A right model and a wrong one differ
-    by it in what they say, too, so one that is right says most where they are most apart: a touch may speak in two
-    pieces alone. Where what is said, d in all, scatters by s about that, 2 (d / s)^2 is what independent noise would
-    make of d. No model is exact: what it explains, it explains but for a small share. explained: gain of the
-    log-likelihood by the better of them over the base model. chance: its `noisiness`.
+    apart: half the sum of squares of what they differ by there, (K, ...). That is what a piece says if the better one
+    is right, so that a touch may say all in two pieces; what is said differs from it where both are wrong, or by noise.
+    Where that makes a standard deviation of s in the sum d, the odds are 2 (d / s)^2, as independent noise would have
+    them, but no surer than a deviation lets be that so few pieces tell (Student). No model is exact: what it explains,
+    it explains but for a small share. explained: gain of the log-likelihood by the better of them over the base model.
+    chance: its `noisiness`. more: parameters that the one of which it is said has more than the other.
     """
-    share = apart / np.maximum(apart.sum(axis=0), 1e-300)
-    scatter = np.sqrt(np.sum((piece - piece.sum(axis=0) * share) ** 2, axis=0))
-    deviation = np.maximum(np.hypot(scatter, INEXACT * explained), 1e-9)
-    ratio, plain = piece.sum(axis=0) / deviation, piece.sum(axis=0) / chance
-    return np.sign(ratio) * np.minimum(np.abs(plain), 2 * ratio**2)
+    total = says.sum(axis=0) - PARAMETER * more * chance
+    pieces = np.maximum(apart.sum(axis=0) ** 2 / np.maximum((apart**2).sum(axis=0), 1e-300), 1.0)
+    scatter = np.sqrt(np.sum((says - np.sign(total) * apart) ** 2, axis=0))
+    ratio = total / np.maximum(np.hypot(scatter, INEXACT * explained), 1e-9)
+    allowed = pieces / 2 * np.log1p(4 * ratio**2 / pieces)
+    return np.sign(total) * np.minimum(np.abs(total / chance), allowed)
 
 
 def _probability(chances: Mapping[Causes, float], silent: frozenset[str], strange: float) -> dict[str, float]:

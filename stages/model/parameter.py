@@ -16,7 +16,8 @@ class Parameter:
     form of Eq. 3, P = low (high / low)^chi; others evenly in a root of the distance from low,
     P = low + (high - low) chi^root: by default linearly.
     per_length: power of the segment length that turns the paper's value per mass point
-    into a property of the material (see `stages.model.string.String.material`).
+    into a property of the material (see `stages.model.string.String.material`). at_least: what is fitted is the least
+    that it may be.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Parameter:
     symbol: str = ""
     per_length: int = 0
     root: int = 1
+    at_least: bool = False
 
     def value(self, chi: np.ndarray) -> np.ndarray:
         """Values at exponents chi in [0, 1] (Eq. 3). Any shape."""

@@ -74,10 +74,10 @@ def test_points_that_the_plane_moves_are_no_outliers_once_it_is_known(arm, model
     theory = joined(poor.theory, library()["contact"])
     struck = fitted(exact, [theory], [theory.at({**TRUTH, **PLANE})], 3)[0]
     assert outliers > 0.1 * len(exact.sigma) / 2
-    anew = cleaned_anew(ground, poor, struck)
+    anew = cleaned_anew(ground, exact.segments, poor, struck)
     assert anew.outliers < 0.1 * outliers
     assert len(anew.evidence.sigma) == len(anew.base.residual) == len(anew.configured.residual) == len(anew.floor)
-    assert cleaned_anew(anew, anew.base, struck) is None
+    assert cleaned_anew(anew, exact.segments, anew.base, struck) is None
 
 
 def thinned(evidence, share):

@@ -29,7 +29,7 @@ class Contact(StringEffect):
 
     name = "contact"
     parameters = (
-        Parameter("stiffness", "1/s2", "push over mass per depth", 0.0, 1.0e7, 0.0, root=2),
+        Parameter("stiffness", "1/s2", "push over mass per depth", 0.0, 1.0e7, 0.0, root=2, at_least=True),
         Parameter("height", "m", "distance of the plane from the world's origin, along its normal", -1.0, 1.0, 0.0),
         Parameter("tilt", "rad", "angle of its normal from straight up: 0 is a floor, +-pi/2 a wall", -3.1, 3.1, 0.0),
         Parameter("friction", "1", "friction coefficient", 0.0, 1.0, 0.0),
