@@ -243,6 +243,27 @@ def test_a_range_is_widened_beside_causes_too(arm, model):
     assert ranges == {20.0, fresh.base.string.ranges["bending_stiffness"].high}
 
 
+@pytest.mark.parametrize("led", [False, True])
+def test_on_other_points_all_is_asked_again_but_for_what_leads_said(arm, model, led):
+    evidence = measured(arm, model, {"tip_mass.ratio": 0.1}, trials=2)
+    fewer = replace(evidence, cases=tuple(case.until(0.8) for case in evidence.cases))
+    plain = base(model, evidence)
+    heavy = joined(plain.theory, library()["tip_mass"])
+    hypotheses = Hypotheses(fewer, fewer, fewer, model, library(), 0)
+    hypotheses.add(base(model, fewer))
+    heavier = fitted(fewer, [heavy], [heavy.at(TRUTH)], 8)[0]
+    hypotheses.add(heavier)
+    hypotheses.contexts[frozenset()] = {"tip_mass": heavier}
+    if led:
+        hypotheses.begin_with([])
+    fresh = hypotheses.on_other_evidence(evidence, evidence, plain, frozenset({"tip_mass"}))
+    assert fresh.tried[frozenset()] is plain
+    assert {len(fit.residual) for fit in fresh.tried.values()} == {len(evidence.sigma)}
+    assert fresh.tried[frozenset({"tip_mass"})].values["tip_mass.ratio"] == pytest.approx(0.1, rel=0.05)
+    assert set(fresh.contexts) == ({frozenset()} if led else set())
+    assert fresh.led == led
+
+
 def test_grasp_poses_leave_out_what_acts_on_joints(arm, model):
     evidence = measured(arm, model)
     posed = replace(evidence, cases=tuple(replace(c, motion=c.motion.grasp(arm)) for c in evidence.cases))

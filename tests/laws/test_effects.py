@@ -273,6 +273,10 @@ def test_parameters_have_bounds_around_their_absence(effect):
         assert p.low <= p.start <= p.high
         assert p.low in (0.0, -p.high)
         assert p.meaning
+        chi = np.linspace(0, 1, 11)
+        np.testing.assert_allclose(p.chi(p.value(chi)), chi, atol=1e-9)
+        assert (np.diff(p.value(chi)) > 0).all()
+        assert p.chi(p.low - 1.0) == 0.0
 
 
 # --- one file and nothing else -----------------------------------------------------------------------------
