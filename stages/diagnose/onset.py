@@ -27,8 +27,8 @@ STEPS = 4  # of a fit at each
 DRAWS = 14  # places of which it is asked whether they are touched when they should be, as a power of two
 NEAR, MORE = 0.03, 1024  # of a range: so near to those that are, so many more are asked
 PLACES = 64  # that are simulated
-SIZES = (0.02, 0.045, 0.2)  # shares of the range at which
-OTHERS = (0.0, 0.3)  # shares of the ranges of other sizes of the effect, of friction say, that may matter as much
+SIZES = (0.02, 0.045, 0.2)  # exponents at which they are: of planes, from a cushion to a table
+OTHERS = (0.0, 0.3)  # exponents of other sizes of the effect, of friction say, that may matter as much
 REACHES = (0.03, 0.015, 0.008)  # of a range, within which places are tried about the best
 BEST, ABOUT = 3, 12  # how many are gone about, places about each
 FITTED, KEPT = 6, 2  # how many are fitted, and how many of these go on
@@ -119,7 +119,7 @@ class _Sought:
         return np.asarray(self.theory.pushed(self.effect, chi, way).any(axis=1))
 
     def varied_about(self, chi: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
-        """Others within reach of exponents (C, P), at sizes up to twice and down to half of theirs."""
+        """Others within reach of exponents (C, P), at sizes whose exponents are up to twice and down to half of theirs."""
         near, sizes = about(chi, self.where, reach, rng), [self.size, *self.others]
         near[:, sizes] *= rng.uniform(0.5, 2.0, (len(near), len(sizes)))
         near = np.clip(near, 0, 1)
