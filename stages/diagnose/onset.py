@@ -119,7 +119,7 @@ class _Sought:
         return np.asarray(self.theory.pushed(self.effect, chi, way).any(axis=1))
 
     def varied_about(self, chi: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
-        """Others within reach of exponents (C, P), at sizes whose exponents are up to twice and down to half of theirs."""
+        """Others within reach of exponents (C, P), exponents of sizes up to twice and down to half of theirs."""
         near, sizes = about(chi, self.where, reach, rng), [self.size, *self.others]
         near[:, sizes] *= rng.uniform(0.5, 2.0, (len(near), len(sizes)))
         near = np.clip(near, 0, 1)
