@@ -77,7 +77,8 @@ def _needed(hypotheses: Hypotheses, best: Causes) -> Causes:
 def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:
     """Whether causes move something by enough to matter, cannot be absent, and predict trials not fitted to.
 
-    Of one that acts in a single trial no other trial can say anything: it must explain that trial to the noise.
+    Of one that acts in a single trial no other trial can say anything, and of a place that several reach the others
+    say too little: these must explain all trials in which they act to the noise, or foretell them after all.
     """
     hypotheses.refitted(without, causes)
     plain, fit = hypotheses.tried[without], hypotheses.tried[causes]
@@ -87,8 +88,9 @@ def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:
         return False
     explained = hypotheses.tried[frozenset()].cost - fit.cost
     least = max(GAIN * noisiness(hypotheses.evidence, fit), hypotheses.by_chance(causes), INEXACT * explained)
-    alone = np.flatnonzero(acts > max(MATTERS, MAINLY * acts.max()))
-    if len(alone) == 1 and _explains(hypotheses.evidence, fit, int(alone[0])):
+    there = acts > max(MATTERS, MAINLY * acts.max())
+    local = there.sum() == 1 or all(placed(effect) for effect in new)
+    if local and _explains(hypotheses.evidence, fit, there):
         price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))
         return plain.cost - fit.cost > least + price
     if len(acts) == 1:
@@ -97,9 +99,9 @@ def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:
     return gain > max(least, CONFIRMED * (plain.cost - fit.cost))
 
 
-def _explains(evidence: Evidence, fit: Fit, trial: int) -> bool:
-    """Whether nothing is left to be seen in a trial."""
-    return bool(visible_in_each(evidence, fit.residual)[trial] < CLEAR)
+def _explains(evidence: Evidence, fit: Fit, there: np.ndarray) -> bool:
+    """Whether nothing is left to be seen in some trials, (K,)."""
+    return bool((visible_in_each(evidence, fit.residual)[there] < CLEAR).all())
 
 
 def noisiness(evidence: Evidence, fit: Fit) -> float:

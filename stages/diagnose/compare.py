@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_softmax, logsumexp
 
-from stages.diagnose.evidence import Evidence
+from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import Fit, fitted, newton_step, ranked, shortened
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
@@ -30,13 +30,14 @@ class HeldOut:
 def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> HeldOut:
     """Each trial left out in turn, the others fitted anew.
 
-    plain: the same without causes. A cause that the other trials do not show is absent in what they predict.
+    plain: the same without causes. A cause that the other trials do not show, or with which the trial cannot be
+    simulated where they put it, is absent in what they predict.
     """
     every = [_without(evidence, fit, k) for k in range(len(evidence.cases))]
     chi, spent = [fits[0].chi for fits in every], [fits[0].cost for fits in every]
     costs = [cost_of_unseen(evidence.only([k]), fits) for k, fits in enumerate(every)]
     for k in range(len(every)):
-        if plain is not None and plain.spent[k] < spent[k] + SHOWN:
+        if plain is not None and (plain.spent[k] < spent[k] + SHOWN or np.isinf(costs[k])):
             chi[k] = fit.theory.carried(plain.fit.theory.named(plain.chi[k]))
             spent[k], costs[k] = plain.spent[k], plain.costs[k]
     return HeldOut(fit, np.stack(chi), np.array(spent), np.array(costs))
@@ -61,9 +62,10 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> list[Fit]:
 
 def cost_of_unseen(trial: Evidence, fits: Sequence[Fit]) -> float:
     """Minus the log-likelihood of a trial from fits to others, each as probable as these make it: where they leave
-    something open, a plane that only one trial touched, say, the best of them alone foretells too much."""
-    chi = np.stack([fit.chi for fit in fits])
-    costs = 0.5 * np.sum(trial.residuals(fits[0].theory.model, chi) ** 2, axis=1)
+    something open, a plane that only one trial touched, say, the best of them alone foretells too much. Infinite where
+    no simulation of it survives."""
+    seen = trial.residuals(fits[0].theory.model, np.stack([fit.chi for fit in fits]))
+    costs = np.where(np.any(seen == LOST, axis=1), np.inf, 0.5 * np.sum(seen**2, axis=1))
     return -float(logsumexp(log_softmax([-fit.cost for fit in fits]) - costs))
 
 

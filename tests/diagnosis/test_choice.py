@@ -2,6 +2,9 @@
 
 from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
 from stages.diagnose import choose
 
 
@@ -24,3 +27,35 @@ def test_two_causes_that_take_turns_do_not_keep_the_choice_going(monkeypatch):
     monkeypatch.setattr(choose, "placed", lambda effect: False)
     _, best = choose.chosen(hypotheses, lambda share: None)
     assert len(best) == 1
+
+
+@pytest.mark.parametrize(
+    ("place", "acts", "left", "earned"),
+    [
+        (True, [9.0, 8.0, 0.0], [3.0, 3.0, 9.0], True),  # all that it reaches is explained
+        (True, [9.0, 8.0, 0.0], [3.0, 5.0, 3.0], False),
+        (False, [9.0, 8.0, 0.0], [3.0, 3.0, 3.0], False),  # what acts everywhere must be foretold
+        (False, [9.0, 0.0, 0.0], [3.0, 9.0, 9.0], True),
+        (False, [9.0, 0.0, 0.0], [5.0, 3.0, 3.0], False),
+    ],
+)
+def test_a_place_that_explains_all_trials_that_reach_it_need_not_foretell_them(monkeypatch, place, acts, left, earned):
+    """Trials left out say no here: what one trial knows of a place, the others need not."""
+    plain, fit = (
+        SimpleNamespace(cost=cost, theory=SimpleNamespace(free=[0] * n), residual=None)
+        for cost, n in ((1000.0, 8), (100.0, 9))
+    )
+    hypotheses = SimpleNamespace(
+        tried={frozenset(): plain, frozenset({"a"}): fit},
+        library={"a": object()},
+        evidence=None,
+        refitted=lambda fewer, more: None,
+        by_chance=lambda causes: 0.0,
+        held=lambda causes: SimpleNamespace(costs=np.array([0.0, 0.0, 500.0 if causes else 0.0])),
+    )
+    monkeypatch.setattr(choose, "moved", lambda evidence, one, other: np.array(acts))
+    monkeypatch.setattr(choose, "present", lambda evidence, fit, new: True)
+    monkeypatch.setattr(choose, "noisiness", lambda evidence, fit: 1.0)
+    monkeypatch.setattr(choose, "visible_in_each", lambda evidence, residual: np.array(left))
+    monkeypatch.setattr(choose, "placed", lambda effect: place)
+    assert choose.earns(hypotheses, frozenset(), frozenset({"a"})) == earned

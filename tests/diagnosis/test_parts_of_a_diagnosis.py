@@ -346,3 +346,14 @@ def test_a_trial_is_cost_of_unseen_by_every_fit_that_the_others_allow(arm, model
         for chi, x in ((wrong, 40.0), (right, 40.0 + more))
     ]
     assert cost_of_unseen(trial, fits) == pytest.approx(seen[0] + np.log1p(np.exp(worse)))
+
+
+def test_a_trial_that_a_cause_cannot_simulate_is_foretold_without_it(arm, model, monkeypatch):
+    """Where others put a plane, the string may begin behind it."""
+    evidence = measured(arm, model, {"tip_mass.ratio": 0.1}, trials=2)
+    plain = base(model, evidence)
+    heavy = joined(plain.theory, library()["tip_mass"])
+    fit = fitted(evidence, [heavy], [heavy.at(TRUTH)], 8)[0]
+    before = held_out(evidence, plain)
+    monkeypatch.setattr("stages.diagnose.compare.cost_of_unseen", lambda trial, fits: np.inf)
+    np.testing.assert_array_equal(held_out(evidence, fit, before).costs, before.costs)
