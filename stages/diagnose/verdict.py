@@ -124,8 +124,8 @@ def weighed(says: np.ndarray, apart: np.ndarray, explained: np.ndarray | float, 
     is right, so that a touch may say all in two pieces; what is said differs from it where both are wrong, or by noise.
     Where that makes a standard deviation of s in the sum d, independent noise would have the odds at 2 (d / s)^2; but
     few pieces hardly know s, and the odds grow no faster than Student's t lets them. No model is exact: what it
-    explains, it explains but for a small share. explained: gain of the log-likelihood by the better of them over the base model.
-    chance: its `noisiness`. more: parameters that the one of which it is said has more than the other.
+    explains, it explains but for a small share. explained: gain of the log-likelihood by the better of them over the
+    base model. chance: its `noisiness`. more: parameters that the one of which it is said has more than the other.
     """
     total = says.sum(axis=0) - PARAMETER * more * chance
     pieces = np.maximum(apart.sum(axis=0) ** 2 / np.maximum((apart**2).sum(axis=0), 1e-300), 1.0)
