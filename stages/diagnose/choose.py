@@ -10,7 +10,7 @@ from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit
 from stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
 from stages.diagnose.intervals import present
-from stages.diagnose.noise import CLEAR, visible_in_each
+from stages.diagnose.noise import CLEAR, visible, visible_in_each
 from stages.model.effect import placed
 from stages.progress import Progress
 
@@ -30,7 +30,7 @@ def chosen(hypotheses: Hypotheses, progress: Progress) -> tuple[Hypotheses, Caus
     """
     best: Causes = frozenset()
     before: set[Causes] = set()  # two that do each other's work could replace each other for ever
-    while len(best) < MOST_CAUSES and best not in before and hypotheses.mismatch(best) > SUSPECT:
+    while len(best) < MOST_CAUSES and best not in before and _suspect(hypotheses, best):
         before.add(best)
         fewer, more = best, _added(hypotheses, best)
         if not earns(hypotheses, best, more):
@@ -45,6 +45,12 @@ def chosen(hypotheses: Hypotheses, progress: Progress) -> tuple[Hypotheses, Caus
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
     return hypotheses, best
+
+
+def _suspect(hypotheses: Hypotheses, causes: Causes) -> bool:
+    """Whether something may be there beside causes: a graze is seen for a few frames, and nowhere else."""
+    shown = hypotheses.mismatch(causes) > SUSPECT
+    return shown or visible(hypotheses.evidence, hypotheses.tried[causes].residual) > CLEAR
 
 
 def _added(hypotheses: Hypotheses, causes: Causes) -> Causes:
