@@ -194,17 +194,17 @@ def every(folder, keys, command):
 
 
 def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(tmp_path, stand_in):
-    """A sweep of 12 jobs is killed with -9 up to 25 times, within 0.02 to 0.18 s, and always goes on."""
-    ledger, keys = entered(tmp_path / "sweep", *range(5, 17))
+    """A sweep of 24 jobs is killed with -9 up to 25 times, within 0.02 to 0.06 s, and always goes on."""
+    ledger, keys = entered(tmp_path / "sweep", *range(5, 29))
     kills = 0
     while kills < 25 and set(states(ledger).values()) != {DONE}:
         side = get_context("fork").Process(target=every, args=(ledger.folder, keys, stand_in))
         side.start()
-        side.join(0.02 + 0.04 * (kills % 5))
+        side.join(0.02 + 0.02 * (kills % 3))
         kills += side.is_alive()
         side.kill()
         side.join()
-        assert len(ledger.jobs()) == 12  # each entry is there and whole
+        assert len(ledger.jobs()) == 24  # each entry is there and whole
     assert kills > 3
     until(lambda: every(ledger.folder, keys, stand_in) or set(states(ledger).values()) == {DONE})
     assert all(1 <= begun(ledger, key) <= ledger.read(key).attempts for key in keys)
