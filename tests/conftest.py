@@ -1,8 +1,11 @@
 """What several tests need: the default world, and trials filmed once."""
 
+import os
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pandas as pd
 import pytest
@@ -34,6 +37,24 @@ LONGEST = (
 def pytest_collection_modifyitems(items):
     order = [ROOT / f"tests/{name}.py" for name in LONGEST]
     items.sort(key=lambda item: order.index(item.path) if item.path in order else len(order))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def cores_are_shared():
+    """Side by side, each worker has its share of the cores: with all of them each, they would wait for one another."""
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    numba.set_num_threads(max(numba.config.NUMBA_NUM_THREADS // workers, 1))
+
+
+@contextmanager
+def threads(number):
+    """With so many of Numba's threads."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(number)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
 
 
 def configured(kind, path):

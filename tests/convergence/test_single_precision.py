@@ -5,6 +5,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
+from conftest import threads
 from numba import float32, float64, int64, types, uint64
 
 from stages.model import kernel
@@ -82,11 +83,10 @@ def test_all_effects_at_once_in_steps_of_four_passes():
 def test_neither_company_nor_threads_matter():
     string = String(0.3, precision=Single())
     some = np.repeat(values(string), 20, axis=0) * np.linspace(0.9, 1.1, 80)[:, None]
-    together = simulate(string, CAST, some, TIMES).points
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    alone = [simulate(string, CAST, some[i : i + 1], TIMES).points[0] for i in (0, 41, 79)]
-    numba.set_num_threads(before)
+    with threads(numba.config.NUMBA_NUM_THREADS):
+        together = simulate(string, CAST, some, TIMES).points
+    with threads(1):
+        alone = [simulate(string, CAST, some[i : i + 1], TIMES).points[0] for i in (0, 41, 79)]
     np.testing.assert_array_equal(together[[0, 41, 79]], alone)
 
 

@@ -4,6 +4,7 @@ import numba
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import threads
 
 from data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
 from stages.estimate import cma_es, least_squares, random_search
@@ -132,12 +133,10 @@ def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
             Model(STRING, arm, camera), [observed(1)], None, seed=5, manipulation=1, **settings
         )
 
-    both = run()
-    numba.set_num_threads(1)
-    try:
+    with threads(numba.config.NUMBA_NUM_THREADS):
+        both = run()
+    with threads(1):
         one = run()
-    finally:
-        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     pd.testing.assert_frame_equal(both.candidates, one.candidates, check_exact=True)
 
 

@@ -6,6 +6,7 @@ import numba
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import threads
 from scipy.stats import binomtest
 
 from data.artifacts import Estimate
@@ -178,12 +179,8 @@ def test_every_limit_of_the_arm_is_kept(model):
 
 
 def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
-    threads = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
+    with threads(1 if numba.get_num_threads() > 1 else numba.config.NUMBA_NUM_THREADS):
         again = chosen.generate(model, TARGET, (), None, None, seed=3, **SETTINGS)
-    finally:
-        numba.set_num_threads(threads)
     for table in blind.TABLES:
         pd.testing.assert_frame_equal(getattr(blind, table), getattr(again, table), check_exact=True)
 

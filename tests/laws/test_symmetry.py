@@ -1,7 +1,9 @@
 """What every force must respect: no place, direction, handedness or company is special."""
 
+import numba
 import numpy as np
 import pytest
+from conftest import threads
 
 from stages.model.effects.gravity import Gravity
 from stages.model.hand import hand_motion_from_grasp
@@ -82,15 +84,12 @@ def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
 
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), ImplicitLeapfrog()])
 def test_candidates_do_not_notice_each_other_nor_the_threads(integrator):
-    numba = pytest.importorskip("numba")
     string = String(0.3, integrator=integrator)
     rng = np.random.default_rng(1)
     values = np.array([p.value(rng.random(40)) for p in string.parameters]).T
     hand = hand_motion_from_grasp(T, POSE)
-    together = simulate(string, hand, values, T).points
-    numba.set_num_threads(1)
-    try:
+    with threads(numba.config.NUMBA_NUM_THREADS):
+        together = simulate(string, hand, values, T).points
+    with threads(1):
         alone = np.concatenate([simulate(string, hand, values[i : i + 1], T).points for i in range(40)])
-    finally:
-        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     np.testing.assert_array_equal(together, alone)
