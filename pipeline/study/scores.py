@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 
 import numpy as np
 import pandas as pd
@@ -136,7 +136,8 @@ TABLES = {t.name: t for t in (BENCHES, PARAMETERS, CONFUSION, BY_SIZE, CALIBRATI
 def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     """Every table of TABLES, by name. rows: of `one_bench`, at least one."""
     benches = BENCHES.check(pd.DataFrame([_bench(row) for row in rows]))
-    parameters = [one for row in rows for one in _parameters(row)]
+    told = frozenset(e.qualified(p) for e in library().values() for p in e.parameters if not p.at_least)
+    parameters = [one for row in rows for one in _parameters(row, told)]
     made = {
         "benches": benches,
         "parameters": pd.DataFrame(parameters) if parameters else PARAMETERS.empty(),
@@ -175,16 +176,15 @@ def _bench(row: Row) -> dict[str, object]:
     }
 
 
-def _parameters(row: Row) -> list[dict[str, object]]:
-    """Those of true causes that were named with an interval that has two ends."""
+def _parameters(row: Row, told: Set[str]) -> list[dict[str, object]]:
+    """Those of true causes that were named with an interval. told: names of those whose interval has two ends."""
     true = row["truth"]["parameters"]
-    known = {effect.qualified(p): p for effect in library().values() for p in effect.parameters}
     stated = {n: p for cause in row["diagnosis"].get("causes") or [] for n, p in cause.get("parameters", {}).items()}
     return [
         {"seed": row["seed"], "name": name, "true": true[name], **{k: p[k] for k in ("value", "low", "high")}}
         | {"inside": p["low"] <= true[name] <= p["high"]}
         for name, p in stated.items()
-        if name in true and not known[name].at_least and p.get("low") is not None and p.get("high") is not None
+        if name in true and name in told and p.get("low") is not None and p.get("high") is not None
     ]
 
 

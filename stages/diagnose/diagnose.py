@@ -121,9 +121,9 @@ def _cleaned(data: _Data, ground: Ground, hypotheses: Hypotheses, causes: Causes
     if anew is None:
         return ground, hypotheses, causes
     evidence, floor = anew.evidence.only(data.kept), anew.undoubted.only(data.kept)
-    again = hypotheses.on_other_evidence(evidence, floor, _base(anew, data), causes)
-    again, more = chosen(again, lambda share: None)
-    return (anew, again, more) if more else (ground, hypotheses, causes)
+    fresh = hypotheses.on_other_evidence(evidence, floor, _base(anew, data), causes)
+    fresh, found = chosen(fresh, lambda share: None)
+    return (anew, fresh, found) if found else (ground, hypotheses, causes)
 
 
 def _explained(hypotheses: Hypotheses, causes: Causes) -> bool:

@@ -144,7 +144,8 @@ class Hypotheses:
             fresh.add(best)
         for made in fitted(evidence, theories, starts, AGAIN):
             fresh.add(made)
-        fresh.contexts, fresh.led = fresh._of(self.contexts), self.led
+        fresh.contexts = {c: {n: fresh.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
+        fresh.led = self.led
         return fresh
 
     def on_other_evidence(self, evidence: Evidence, floor: Evidence, base: Fit, causes: Causes) -> Hypotheses:
@@ -163,10 +164,6 @@ class Hypotheses:
         if self.led:
             fresh.begin_with([])
         return fresh
-
-    def _of(self, contexts: Mapping[Causes, Mapping[str, Fit]]) -> dict[Causes, dict[str, Fit]]:
-        """The same contexts with the fits that are known here."""
-        return {context: {name: self.tried[context | {name}] for name in fits} for context, fits in contexts.items()}
 
     def extended(self, context: Causes) -> dict[str, Fit]:
         """The fits with one cause more than the context, for every promising effect."""

@@ -331,7 +331,7 @@ def test_a_parameter_more_must_gain_what_chance_would_make_of_it():
 
 
 @pytest.mark.parametrize("worse", [0.0, 5.0])
-def test_a_trial_is_cost_of_unseen_by_every_fit_that_the_others_allow(arm, model, worse):
+def test_a_trial_is_foretold_by_every_fit_that_the_others_allow(arm, model, worse):
     """One of two that are equal on other trials is right: it foretells as if it were the only one, but for the doubt
     which of them it is."""
     trial = measured(arm, model, trials=1)
