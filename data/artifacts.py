@@ -444,7 +444,8 @@ CAUSES = Table(
         Column("unit", "", "its unit", "text"),
         Column("value", "", "best value, in `unit`"),
         Column("low", "", "lower end of the 95 % interval, in `unit`"),
-        Column("high", "", "upper end, in `unit`; of the range, where what is fitted is the least that it may be"),
+        Column("high", "", "upper end, in `unit`; of the range, where only the lower one is known"),
+        Column("at_least", "1", "only the lower end of the interval is known", "bool"),
     ),
 )
 HELD_OUT = Table(

@@ -41,8 +41,16 @@ def with_trial(table: Table) -> Table:
 
 
 @dataclass(frozen=True)
+class Unusable:
+    """Why a trial cannot be used, and what to do about it."""
+
+    reason: str
+    remedy: str
+
+
+@dataclass(frozen=True)
 class Dataset:
-    """trials: what can be used, by name. films: their frames, where there are any. rejected: why the others
+    """trials: what can be used, by name. films: their frames, where there are any. unusable: why the others
     cannot. about: dataset.yaml. hashes: of every file that was read, by name. rows: what became of the rows of the
     tables that were measured, by file. clocks: what was taken from the times of a trial [s], where its clock began
     long before it."""
@@ -50,11 +58,16 @@ class Dataset:
     folder: Path
     trials: Mapping[str, Observation]
     films: Mapping[str, Film]
-    rejected: Mapping[str, str]
+    unusable: Mapping[str, Unusable]
     about: Mapping[str, Any]
     hashes: Mapping[str, str]
     rows: Mapping[str, Rows] = field(default_factory=dict)
     clocks: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def rejected(self) -> dict[str, str]:
+        """The reasons of trials that cannot be used, by name."""
+        return {name: fault.reason for name, fault in self.unusable.items()}
 
 
 def publish(
@@ -98,7 +111,7 @@ def read(folder: Path) -> Dataset:
     points, readings, masks = _seen(folder, known, rows, need_points=not shots)
     trials: dict[str, Observation] = {}
     films: dict[str, Film] = {}
-    rejected: dict[str, str] = {}
+    unusable: dict[str, Unusable] = {}
     names = sorted({*motion["trial"], *shots, *points["trial"]})
     moving = _moving(known, names)
     clocks = _clocks(motion)
@@ -108,13 +121,13 @@ def read(folder: Path) -> Dataset:
         hand = {motion_table.name: moved}
         trial = replace(Observation(name, *parts, **hand), moving=name in moving)
         film = Film(shots[name][0] - begin, shots[name][1], **hand) if name in shots else None
-        reason = _invalid(known, name) or _unusable(moved["t"].to_numpy(), trial, film)
-        if reason:
-            rejected[name] = reason
+        fault = _invalid(known, name) or _unusable(moved["t"].to_numpy(), trial, film)
+        if fault:
+            unusable[name] = fault
         else:
             trials[name] = trial
             films |= {name: film} if film else {}
-    return Dataset(folder, trials, films, rejected, known, _hashes(folder, shots), rows, clocks)
+    return Dataset(folder, trials, films, unusable, known, _hashes(folder, shots), rows, clocks)
 
 
 def _clocks(motion: pd.DataFrame) -> dict[str, float]:
@@ -220,32 +233,46 @@ def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
 
 def fits(data: Dataset, length: float) -> Dataset:
     """Without what lies further along than a string of `length` [m] is long: a few points, or else whole trials."""
-    kept, reasons = {}, {}
+    kept, faults = {}, {}
     for name, observation in data.trials.items():
         beyond = observation.points["s"] > BEYOND * length
         if beyond[observation.read.index].mean() > STRAY:
             far = observation.read["s"].max()
-            reasons[name] = f"points up to s = {far:.3f} m on a string of {length:.3f} m (string.length)"
+            reason = f"points up to s = {far:.3f} m on a string of {length:.3f} m (string.length)"
+            faults[name] = Unusable(reason, "Correct s or string.length")
         else:
             kept[name] = replace(observation, points=observation.points[~beyond].reset_index(drop=True))
-    return replace(data, trials=kept, rejected={**data.rejected, **reasons})
+    return replace(data, trials=kept, unusable={**data.unusable, **faults})
 
 
-def _invalid(known: Mapping[str, Any], name: str) -> str:
-    """Why dataset.yaml says that a trial is not to be used; empty if it does not."""
-    return str(known.get("trials", {}).get(name, {}).get("invalid") or "")
+def _invalid(known: Mapping[str, Any], name: str) -> Unusable | None:
+    """Why dataset.yaml says that a trial is not to be used, if it does."""
+    reason = known.get("trials", {}).get(name, {}).get("invalid")
+    return Unusable(str(reason), f"Take 'invalid' out of {NAME} if it should count") if reason else None
 
 
-def _unusable(moved: np.ndarray, trial: Observation, film: Film | None) -> str:
-    """Why a trial cannot be used, whose hand was seen at these times [s]; empty if it can."""
+def _unusable(moved: np.ndarray, trial: Observation, film: Film | None) -> Unusable | None:
+    """Why a trial cannot be used, whose hand was seen at these times [s]; None if it can."""
     if not len(moved):
-        return "no motion of the hand"
+        named = "Add its rows to the arm's or the grasp's table, or see that its name is the same in both"
+        return Unusable("no motion of the hand", named)
     seen = np.unique(trial.read["t"])
     if not len(seen):
         if film is None:
-            return "no measured point and no frame" if trial.points.empty else "no measured point is valid"
+            return _pointless(trial)
         seen = film.t
     if len(seen) < FRAMES_NEEDED:
-        return f"the string was seen in {len(seen)} frame(s) only"
+        reason = f"the string was seen in {len(seen)} frame(s) only"
+        return Unusable(reason, "A motion is told by more frames: record it again")
     common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
-    return f"arm and camera overlap for {max(common, 0):.2f} s only" if common < OVERLAP else ""
+    reason = f"arm and camera overlap for {max(common, 0):.2f} s only"
+    remedy = "See that both clocks begin together and that both count seconds"
+    return Unusable(reason, remedy) if common < OVERLAP else None
+
+
+def _pointless(trial: Observation) -> Unusable:
+    """Of a trial without a valid point and without frames."""
+    if trial.points.empty:
+        named = "Add its rows to points or frames, or see that its name is the same in both"
+        return Unusable("no measured point and no frame", named)
+    return Unusable("no measured point is valid", "Look at 'valid' in its points: a blank is false")

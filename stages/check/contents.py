@@ -41,16 +41,8 @@ def rows(measured: Measured) -> Iterator[Finding]:
 
 def rejected(measured: Measured) -> Iterator[Finding]:
     """Trials that cannot be used."""
-    remedies = {
-        "no motion": "Add its rows to the arm's or the grasp's table, or see that its name is the same in both",
-        "no measured point is valid": "Look at 'valid' in its points: a blank is false",
-        "the string was seen": "A motion is told by more frames: record it again",
-        "no measured": "Add its rows to points or frames, or see that its name is the same in both",
-        "arm and camera": "See that both clocks begin together and that both count seconds",
-    }
-    for name, reason in measured.data.rejected.items():
-        remedy = next((words for start, words in remedies.items() if reason.startswith(start)), "Look at its rows")
-        yield Finding(Severity.WARNING, "", "", f"the trial is left out: {reason}", remedy, (name,))
+    for name, fault in measured.data.unusable.items():
+        yield Finding(Severity.WARNING, "", "", f"the trial is left out: {fault.reason}", fault.remedy, (name,))
 
 
 def twice(measured: Measured) -> Iterator[Finding]:

@@ -114,7 +114,7 @@ def causes(
         common = {"effect": name, "probability": judgement.probability.get(name, 0.0)}
         if issubclass(effect, ModelChange):
             nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
-            rows.append(common | {"sentence": effect.words({}), "parameter": "", **nothing})
+            rows.append(common | {"sentence": effect.words({}), "parameter": "", "at_least": False, **nothing})
             continue
         fit = hypotheses.tried[_with(chosen, judgement, name)]
         common["sentence"] = effect.words(fit.theory.of(effect, fit.chi))
@@ -140,5 +140,6 @@ def _parameters(hypotheses: Hypotheses, fit: Fit, effect: type[Effect]) -> list[
         if parameter.at_least:
             ends[1] = parameter.high
         row = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning, "unit": parameter.unit}
-        rows.append(row | {"value": float(parameter.value(fit.chi[place])), "low": ends[0], "high": ends[1]})
+        found = {"value": float(parameter.value(fit.chi[place])), "low": ends[0], "high": ends[1]}
+        rows.append(row | found | {"at_least": parameter.at_least})
     return rows

@@ -298,6 +298,7 @@ SUSPICIOUS = {
     "upside down": (turned, "points.csv y", "y points down"),
     "none valid": (none_valid, " ", "a blank is false"),
     "two frames": (two_frames, " ", "told by more frames"),
+    "said to be invalid": (about(trials={"t03": {"invalid": "it slipped off"}}), " ", "Take 'invalid' out"),
 }
 
 

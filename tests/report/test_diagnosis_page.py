@@ -67,7 +67,7 @@ def unextended(table):
 def caused(names, probability=0.97):
     rows = [
         {"effect": name, "probability": probability / len(names), "sentence": NAMED[name][0]}
-        | {"parameter": f"{name}.{NAMED[name][1]}", "meaning": "what it is", "unit": NAMED[name][2]}
+        | {"parameter": f"{name}.{NAMED[name][1]}", "meaning": "what it is", "unit": NAMED[name][2], "at_least": False}
         | dict(zip(("value", "low", "high"), NAMED[name][3:], strict=True))
         for name in names
     ]
@@ -342,18 +342,19 @@ def test_rms_of_noise_alone_is_the_noise_floor():
 
 # --- words ----------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    ("unit", "value", "low", "high", "words", "between"),
+    ("unit", "value", "low", "high", "at_least", "words", "between"),
     [
-        ("s", -0.00058, -0.000592, -0.000569, "−0.580 ms", "−0.592 to −0.569 ms"),
-        ("m", 0.0123, 0.0119, 0.0127, "12.30 mm", "11.90 to 12.70 mm"),
-        ("rad", np.radians(2.5), np.radians(1.9), np.radians(3.1), "2.5 °", "1.9 to 3.1 °"),
-        ("1", 0.051, 0.046, 0.057, "0.051", "0.046 to 0.057"),
-        ("1/m", 12.0, 2.0, 22.0, "12 1/m", "2 to 22 1/m"),
-        ("1/s2", 5.5e5, np.nan, np.nan, "5.5 × 10⁵ 1/s<sup>2</sup>", "not known"),
+        ("s", -0.00058, -0.000592, -0.000569, False, "−0.580 ms", "−0.592 to −0.569 ms"),
+        ("m", 0.0123, 0.0119, 0.0127, False, "12.30 mm", "11.90 to 12.70 mm"),
+        ("rad", np.radians(2.5), np.radians(1.9), np.radians(3.1), False, "2.5 °", "1.9 to 3.1 °"),
+        ("1", 0.051, 0.046, 0.057, False, "0.051", "0.046 to 0.057"),
+        ("1/m", 12.0, 2.0, 22.0, False, "12 1/m", "2 to 22 1/m"),
+        ("1/s2", 5.5e5, np.nan, np.nan, False, "5.5 × 10⁵ 1/s<sup>2</sup>", "not known"),
+        ("1/s2", 5.5e5, 2.1e5, 1e7, True, "5.5 × 10⁵ 1/s<sup>2</sup>", "at least 2.1 × 10⁵ 1/s<sup>2</sup>"),
     ],
 )
-def test_values_have_the_figures_that_their_interval_is_worth(unit, value, low, high, words, between):
-    row = {"unit": unit, "value": value, "low": low, "high": high}
+def test_values_have_the_figures_that_their_interval_is_worth(unit, value, low, high, at_least, words, between):
+    row = {"unit": unit, "value": value, "low": low, "high": high, "at_least": at_least}
     assert (quantity(row), interval(row)) == (words, between)
 
 

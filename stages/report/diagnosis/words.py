@@ -37,9 +37,10 @@ def quantity(row: Mapping[str, Any]) -> Markup:
 
 
 def interval(row: Mapping[str, Any]) -> Markup:
-    """The 95 % interval with its unit. row: of table CAUSES."""
+    """The 95 % interval with its unit, or its lower end if that is what is known. row: of table CAUSES."""
     _, low, high = _figures(row)
-    return Markup(UNKNOWN) if UNKNOWN in (low, high) else _with_unit(f"{low} to {high}", row["unit"])
+    ends = f"at least {low}" if row["at_least"] else f"{low} to {high}"
+    return Markup(UNKNOWN) if UNKNOWN in (low, high) else _with_unit(ends, row["unit"])
 
 
 def _figures(row: Mapping[str, Any]) -> list[str]:
