@@ -24,7 +24,7 @@ from stages.model.effects.grasp_spring import GraspSpring
 from stages.model.effects.gravity import Gravity
 from stages.model.effects.hinge_damper import HingeDamper
 from stages.model.effects.hinge_spring import HingeSpring
-from stages.model.equilibrium import grasp_set, hanging, stretched
+from stages.model.equilibrium import hanging, stretched
 from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
@@ -32,6 +32,7 @@ from stages.model.precision import Double, Precision
 from stages.model.sampling import sampled, unpacked
 from stages.model.stability import steps_per_tick
 from stages.model.state import State
+from stages.model.statics import grasp_set
 
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,

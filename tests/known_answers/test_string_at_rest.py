@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from stages.model.effects.contact import Contact
 from stages.model.equilibrium import hanging
 from stages.model.hand import hand_motion_from_grasp
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.integrator import SemiImplicitEuler
-from stages.model.string import String, simulate
+from stages.model.string import BASE, String, simulate
 
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
 STIFF = {
@@ -74,3 +75,47 @@ def test_the_engine_leaves_the_equilibrium_alone(points, theta, integrator):
     pose = np.tile([0.1, 0.2, theta], (61, 1))
     moved = simulate(string, hand_motion_from_grasp(t, pose), string.values(STIFF)[None], t)
     assert np.abs(moved.points[0] - moved.points[0, :1]).max() < 1e-9
+
+
+FLOOR = {"contact.height": -0.25, "contact.tilt": 0.0}
+WALL = {"contact.height": -0.02, "contact.tilt": 1.2}
+SLOPE = {"contact.height": -0.1, "contact.tilt": 0.3}
+
+
+def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
+    """A string that leaves the hand to the right, and a plane in its way."""
+    return STIFF | {"bending_stiffness": bending, "grasp_stiffness": 2.0, "contact.stiffness": hardness} | plane
+
+
+@pytest.mark.parametrize("hardness", [1e4, 1e6, 1e7])
+@pytest.mark.parametrize("plane", [FLOOR, WALL, SLOPE], ids=["floor", "wall", "slope"])
+@pytest.mark.parametrize("points", [10, 40])
+def test_the_engine_leaves_a_string_alone_that_leans_on_something(points, plane, hardness):
+    """Something as hard as a table gives way by less than a string stretches: the rest was not found, and it fell."""
+    string = String(0.3, points=points, effects=(*BASE, Contact), integrator=ImplicitLeapfrog(), **SECOND_ORDER)
+    t = np.linspace(0, 0.1, 21)
+    pose = np.tile([0.0, 0.0, 0.3], (21, 1))
+    moved = simulate(string, hand_motion_from_grasp(t, pose), string.values(against(plane, hardness))[None], t)
+    assert np.abs(moved.points[0] - moved.points[0, :1]).max() < 1e-9
+
+
+def test_a_floor_carries_what_the_hand_does_not():
+    """A limp string under a hand 0.2 m above the floor: what lies on it presses with its weight, and hardly sinks in."""
+    string = String(0.3, points=61, effects=(*BASE, Contact), **SECOND_ORDER)
+    named = against(FLOOR | {"contact.height": -0.2}, 1e7, bending=0.05)
+    angles, lengths = at_rest(string, named, -np.pi / 2 + 0.1)
+    y = np.cumsum(lengths * np.sin(angles))
+    assert y.min() == pytest.approx(-0.2, abs=1e-5)
+    lying = y < -0.2 + 1e-6
+    assert np.abs(np.sin(angles[lying][2:])).max() < 1e-3
+    assert (-0.2 - y[lying])[5:-1] == pytest.approx(9.81 / 1e7, rel=0.05)
+
+
+def test_what_one_string_leans_on_does_not_depend_on_its_company():
+    string = String(0.3, points=25, effects=(*BASE, Contact), **SECOND_ORDER)
+    values = np.stack([string.values(against(p, h)) for p in (FLOOR, WALL, SLOPE) for h in (1e5, 8e6)])
+    pose = np.array([[0.0, 0.0, 0.3]])
+    together = hanging(string, string.material(values), pose)
+    alone = [hanging(string, string.material(row[None]), pose) for row in values]
+    for side in (0, 1):
+        np.testing.assert_array_equal(together[side], np.concatenate([one[side] for one in alone]))

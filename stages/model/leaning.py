@@ -1,0 +1,207 @@
+"""The string at rest where forces depend on the place: it leans on something, or is pulled.
+
+What is hard pushes back over a shorter way than a segment stretches, so angles phi and lengths l are sought together.
+With n_j, t_j a segment's normal and direction, F_j the force beyond it, T its tension,
+
+    M_{j+1} - M_j + l_j n_j . F_j = 0,    t_j . F_j - T(l_j) = 0.
+
+Their left sides are minus the slopes of an energy, and a Newton step is taken as far as that falls: a string that goes
+back and forth between touching and not would do so for ever.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.stability import slot_sum
+from stages.model.statics import (
+    ENOUGH,
+    ITERATIONS,
+    LARGEST_TURN,
+    beyond,
+    forces,
+    full,
+    guessed,
+    moments,
+    shape,
+    slope,
+    weight,
+)
+
+if TYPE_CHECKING:
+    from stages.model.string import String
+
+SHORTER = 12  # times that a step is shortened at most
+RISE = 0.5  # of the energy's slope where the step begins: so steeply it may rise where it ends
+FLOOR = 1e-9  # [m3/s2] of what resists a turn, so that a string without stiffness can be turned
+NEAR = 1e-9  # [m] over which the change of a force is asked: what is hard is hardly entered
+
+
+def leaning(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles [rad] (continuous from the grasp) and lengths [m] of the segments at rest, (C, n - 1) each.
+
+    material: (C, P). pose: (C, 3) of the grasp.
+    """
+    angles = guessed(string, material, pose[:, 2])
+    now = _Leaning(string, material, pose, angles, np.full_like(angles, string.segment))
+    moving = np.arange(len(material))
+    for _ in range(ITERATIONS):
+        some = now.only(moving)
+        step = some.newton
+        now = now.moved(moving, _share(some, step)[:, None] * step)
+        # Each candidate ends on its own, so that its shape does not depend on its company.
+        moving = moving[np.abs(step[:, : angles.shape[1]]).max(axis=1) > ENOUGH]
+        if moving.size == 0:
+            break
+    return now.angles, now.lengths
+
+
+def _share(here: _Leaning, step: np.ndarray) -> np.ndarray:
+    """How much of a step (C, 2 n - 2) to take, (C,): all of it, or about as far as the energy falls.
+
+    Not less either: only a string that touches knows of what it touches. By false position, of which each end counts
+    for half as much with every step that it stays.
+    """
+    turn = np.abs(step[:, : here.angles.shape[1]]).max(axis=1)
+    share = np.minimum(1.0, LARGEST_TURN / np.maximum(turn, 1e-300))
+    least = RISE * np.sum(here.left * step, axis=1)
+    ends, falls = np.stack([0 * share, share]), np.stack([least / RISE, _fall(here, step, share)])
+    going = np.flatnonzero((falls[1] < -least) & (least > 0))
+    for _ in range(SHORTER):
+        if going.size == 0:
+            break
+        (low, high), (down, up) = ends[:, going], falls[:, going]
+        share[going] = low + (high - low) * np.clip(down / (down - up), 0.02, 0.98)
+        fall = _fall(here.only(going), step[going], share[going])
+        side = (fall <= 0).astype(int)
+        ends[side, going], falls[side, going] = share[going], fall
+        falls[1 - side, going] /= 2
+        going = going[np.abs(fall) > least[going]]
+    return share
+
+
+def _fall(here: _Leaning, step: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """How steeply the energy falls along a step where so much of it is taken, (C,)."""
+    there = here.moved(np.arange(len(step)), share[:, None] * step)
+    return np.sum(there.left * step, axis=1)
+
+
+@dataclass(frozen=True)
+class _Leaning:
+    """Strings that are on their way to rest. material: (C, P). pose: (C, 3). angles, lengths: (C, n - 1)."""
+
+    string: String
+    material: np.ndarray
+    pose: np.ndarray
+    angles: np.ndarray
+    lengths: np.ndarray
+
+    def only(self, which: np.ndarray) -> _Leaning:
+        """Some of them."""
+        parts = (self.material, self.pose, self.angles, self.lengths)
+        return _Leaning(self.string, *(part[which] for part in parts))
+
+    def moved(self, which: np.ndarray, step: np.ndarray) -> _Leaning:
+        """With some of them turned and stretched. step: (K, 2 n - 2), angles first."""
+        angles, lengths = self.angles.copy(), self.lengths.copy()
+        angles[which] += step[:, : angles.shape[1]]
+        lengths[which] += step[:, angles.shape[1] :]
+        return _Leaning(self.string, self.material, self.pose, angles, lengths)
+
+    @cached_property
+    def tangent(self) -> np.ndarray:
+        """Directions of the segments, (C, n - 1, 2)."""
+        return shape(self.pose, self.angles, self.lengths)[0]
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """(C, n - 1, 2)."""
+        return np.stack([-self.tangent[..., 1], self.tangent[..., 0]], axis=-1)
+
+    @cached_property
+    def force(self) -> np.ndarray:
+        """F, (C, n - 1, 2)."""
+        return forces(self.string, self.material, self.pose, self.angles, self.lengths)
+
+    @cached_property
+    def moments(self) -> tuple[np.ndarray, np.ndarray]:
+        """At the hinges, and their slope with the hinge's angle, (C, n) each."""
+        return moments(self.string, self.material, self.pose[:, 2], self.angles)
+
+    @property
+    def stretch(self) -> np.ndarray:
+        """(C, n - 1)."""
+        return self.lengths / self.string.segment - 1
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """What the balances of moments and of pulls still leave, (C, 2 n - 2)."""
+        moment, _ = self.moments
+        turning = moment[:, 1:] - moment[:, :-1] + self.lengths * np.sum(self.force * self.normal, axis=-1)
+        still = {"stretch": self.stretch, "rate": 0 * self.stretch}
+        pulling = np.sum(self.force * self.tangent, axis=-1) - slot_sum(self.string, self.material, "tension", still)
+        return np.concatenate([turning, pulling], axis=1)
+
+    @property
+    def newton(self) -> np.ndarray:
+        """The step towards rest, (C, 2 n - 2): turns [rad], then changes of length [m].
+
+        What destabilises counts only where it leaves the rest stable, so that a step never ends on a ridge.
+        """
+        yielding, count = self._yielding(), self.angles.shape[1]
+        along = self.lengths * np.sum(self.force * self.tangent, axis=-1)
+        across = np.sum(self.force * self.normal, axis=-1)
+        matrix = self._own(along, across) - yielding
+        unstable = [number for number, one in enumerate(matrix) if not _stable(one)]
+        held = self.only(np.array(unstable, dtype=int))
+        matrix[unstable] = held._own(np.maximum(along[unstable], FLOOR), np.zeros((1, count))) - yielding[unstable]
+        return np.linalg.solve(matrix, self.left[..., None])[..., 0]
+
+    def _own(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
+        """The matrix of the balances if no force depended on the place, (C, 2 n - 2, 2 n - 2).
+
+        along, across: what of the forces counts, (C, n - 1).
+        """
+        count = self.angles.shape[1]
+        _, stiffness = self.moments
+        pull = slope(self.string, self.material, "tension", "stretch", self.stretch) / self.string.segment
+        matrix = np.zeros((len(self.angles), 2 * count, 2 * count))
+        diagonal = stiffness[:, :-1] + stiffness[:, 1:] + along
+        matrix[:, :count, :count] = full(-stiffness[:, 1:-1], diagonal)
+        turns, stretches = np.arange(count), np.arange(count, 2 * count)
+        matrix[:, stretches, stretches] = pull
+        matrix[:, turns, stretches] = matrix[:, stretches, turns] = -across
+        return matrix
+
+    def _yielding(self) -> np.ndarray:
+        """How the balances change because points change place, (C, 2 n - 2, 2 n - 2).
+
+        Turning or stretching segment m moves all points beyond it by l_m n_m or t_m: with K the change of a point's
+        force with its place, l_j n_j . (sum of K beyond both) l_m n_m, and so on.
+        """
+        order = np.arange(self.angles.shape[1])
+        both = beyond(self._change())[:, np.maximum.outer(order, order)]
+        ways = (self.lengths[..., None] * self.normal, self.tangent)
+        return np.block([[np.einsum("cja,cjmab,cmb->cjm", a, both, b) for b in ways] for a in ways])
+
+    def _change(self) -> np.ndarray:
+        """K of each point, (C, n - 1, 2, 2): force by place."""
+        tangent, places = shape(self.pose, self.angles, self.lengths)
+        ways = NEAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        moved = np.concatenate([places + way for way in ways])
+        pushed = weight(self.string, np.tile(self.material, (4, 1)), moved, np.tile(tangent, (4, 1, 1)))
+        ahead, behind = pushed.reshape(2, 2, *places.shape)
+        return np.moveaxis((ahead - behind) / (2 * NEAR), 0, -1)
+
+
+def _stable(matrix: np.ndarray) -> bool:
+    """Whether a symmetric matrix is positive definite."""
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True

@@ -1,0 +1,98 @@
+"""What acts on a string at rest, for whatever seeks its equilibrium: forces, moments and how they change.
+
+A string is here the angles phi [rad] (continuous from the grasp) and lengths l [m] of its segments, (C, n - 1) each,
+and hangs from a pose (C, 3) of the grasp. Forces are over the nominal mass per length [m^2/s^2].
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.stability import load, slot_sum, vector_sum
+
+if TYPE_CHECKING:
+    from stages.model.string import String
+
+GRAVITY = 9.81
+ITERATIONS = 200
+LARGEST_TURN = 0.3  # [rad] of a segment in one iteration
+ENOUGH = 1e-12  # [rad] change of an angle that ends the iteration
+
+
+def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """From the grasp's direction to straight down over the length on which weight bends the rod."""
+    stiffness = slope(string, material, "moment", "curvature", np.zeros((1, 1)))
+    scale = (np.maximum(stiffness, 1e-12) / GRAVITY) ** (1 / 3)
+    middle = string.arc_lengths()[None, 1:] - string.segment / 2
+    fall = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
+    return theta[:, None] + fall[:, None] * (1 - np.exp(-middle / scale))
+
+
+def forces(
+    string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray
+) -> np.ndarray:
+    """Force over nominal mass per length on the part beyond the start of each segment, (C, n - 1, 2) [m^2/s^2]."""
+    tangent, places = shape(pose, angles, lengths)
+    return beyond(weight(string, material, places, tangent))
+
+
+def shape(pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions of the segments and places of the free points [m], (C, n - 1, 2) each."""
+    tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return tangent, pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
+
+
+def weight(string: String, material: np.ndarray, places: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """Force over nominal mass per length on each free point at rest, (C, n - 1, 2) [m^2/s^2]."""
+    masses, cells = string.masses(material)
+    x, y = places[..., 0], places[..., 1]
+    s = string.arc_lengths()[None, 1:]
+    pull = load(string, material, {"x": x, "y": y, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": s})
+    fall = vector_sum(string, material, "acceleration", {"x": x, "y": y, "t": np.zeros((1, 1))})
+    return pull * cells[:, 1:, None] + fall * masses[:, 1:, None]
+
+
+def beyond(each: np.ndarray) -> np.ndarray:
+    """Sums over a point and all beyond it. each: (C, n - 1, ...)."""
+    return np.cumsum(each[:, ::-1], axis=1)[:, ::-1]
+
+
+def moments(
+    string: String, material: np.ndarray, theta: np.ndarray, angles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Moments at the hinges and their slope with the hinge angle, (C, n) each; the free end has none."""
+    zero = np.zeros((1, 1))
+    hinge = angles[:, :1] - theta[:, None] - grasp_set(string, material)
+    first = slot_sum(string, material, "grasp_moment", {"angle": hinge, "rate": zero})
+    first_slope = slope(string, material, "grasp_moment", "angle", hinge)
+    s = string.arc_lengths()[None, 1:-1]
+    bend = np.diff(angles, axis=1) / string.segment - slot_sum(string, material, "rest_curvature", {"s": s})
+    others = slot_sum(string, material, "moment", {"curvature": bend, "rate": zero, "s": s})
+    others_slope = slope(string, material, "moment", "curvature", bend) / string.segment
+    end = np.zeros((len(material), 1))
+    return np.concatenate([first, others, end], axis=1), np.concatenate([first_slope, others_slope, end], axis=1)
+
+
+def grasp_set(string: String, material: np.ndarray) -> np.ndarray:
+    """Angle at rest of the hinge at the grasp, from its share of the first segment's curvature, (C, 1) [rad]."""
+    at_grasp = slot_sum(string, material, "rest_curvature", {"s": np.zeros((1, 1))})
+    return string.grasp_cell * string.segment * at_grasp
+
+
+def slope(string: String, material: np.ndarray, slot: str, name: str, at: np.ndarray) -> np.ndarray:
+    """Rise of a slot's laws with one argument, the rate being zero."""
+    step = 1e-5 if name != "curvature" else 1e-3
+    values = [slot_sum(string, material, slot, {name: at + d, "rate": 0 * at}) for d in (step, -step)]
+    return (values[0] - values[1]) / (2 * step)
+
+
+def full(off: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
+    """Symmetric tridiagonal matrices, (C, N, N). off: (C, N - 1), diagonal: (C, N)."""
+    size = diagonal.shape[1]
+    matrix = np.zeros((len(diagonal), size, size))
+    before, after = np.arange(size - 1), np.arange(1, size)
+    matrix[:, np.arange(size), np.arange(size)] = diagonal
+    matrix[:, before, after] = matrix[:, after, before] = off
+    return matrix
