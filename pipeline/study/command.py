@@ -14,6 +14,7 @@ from omegaconf import OmegaConf
 from pydantic import Field
 
 from data import dataset, store
+from data.artifacts import Diagnosis
 from data.schema import DataError
 from hardware.virtual.blind import draw
 from pipeline.brought import with_brought_settings
@@ -50,14 +51,20 @@ def run(here: World, folder: Path, progress: Progress) -> str:
 
 def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
     """What diagnosis.json says of a dataset. config: settings of the run, to which the dataset adds its own."""
+    said: Mapping[str, Any] = json.loads(diagnosis(folder, config).finding["diagnosis"].iloc[0])
+    return said
+
+
+def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
+    """The same with all its tables."""
     settings = with_brought_settings(OmegaConf.create({**config, "trials": str(folder), "steps": ["diagnose"]}), set())
     here = world(settings, lambda block: f"conf/{block}")
     data = dataset.fits(dataset.read(folder), here.string.length)
     if not data.trials:
         raise DataError(f"{folder}: no trial can be used.")
-    made = here.stages["diagnose"](here.model, list(data.trials.values()), data.rejected, (), (), seed=here.seed)
-    said: Mapping[str, Any] = json.loads(made.finding["diagnosis"].iloc[0])
-    return said
+    trials = list(data.trials.values())
+    made: Diagnosis = here.stages["diagnose"](here.model, trials, data.rejected, (), (), seed=here.seed)
+    return made
 
 
 def summary(tables: Mapping[str, pd.DataFrame]) -> str:

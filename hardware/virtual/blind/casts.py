@@ -29,7 +29,11 @@ class Cast:
 
 def random_cast(arm: Arm, rng: np.random.Generator, fps: float, speeds: tuple[float, float]) -> Cast:
     """A cast whose hand reaches a speed between `speeds` [m/s], performed, with some pictures missing."""
-    ticks, angles = _planned(arm, rng, speeds)
+    return performed(arm, *_planned(arm, rng, speeds), rng, fps)
+
+
+def performed(arm: Arm, ticks: np.ndarray, angles: np.ndarray, rng: np.random.Generator, fps: float) -> Cast:
+    """A movement as this arm makes it, filmed. ticks: (K,) [s]. angles: (K, J) that it is told to go to [rad]."""
     servo = Servo()
     fine, turned = servo.follow(ticks, arm.commanded(angles), rng)
     happened = angles[0] + turned
