@@ -42,6 +42,7 @@ def chosen(hypotheses: Hypotheses, progress: Progress) -> tuple[Hypotheses, Caus
         for name in sorted(best):
             if placed(hypotheses.library[name]):
                 hypotheses.add(closer(hypotheses.evidence, hypotheses.tried[best], hypotheses.library[name]))
+        best = _outliving(hypotheses, best)
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
     return hypotheses, best
@@ -77,6 +78,17 @@ def _needed(hypotheses: Hypotheses, best: Causes) -> Causes:
         if without:
             hypotheses.fit(without, best)
             best = best if earns(hypotheses, without, best) else without
+    return best
+
+
+def _outliving(hypotheses: Hypotheses, best: Causes) -> Causes:
+    """Without causes whose work more mass points or another doubt do: where the others leave nothing to be seen, each
+    must earn its place anew."""
+    for cause in sorted(best):
+        without = best - {cause}
+        hypotheses.fit(without, best)
+        if hypotheses.explained(without) and not earns(hypotheses, without, best):
+            best = without
     return best
 
 

@@ -92,10 +92,10 @@ def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, 
     made: list[tuple[Ground, Hypotheses, Causes]] = []
     for number, kind in enumerate(kinds):
         made.append(_sought(ground, data, kind, part(progress, number, len(kinds) + 1)))
-        if _explained(*made[-1][1:]):
+        if made[-1][1].explained(made[-1][2]):
             break
     _, hypotheses, causes = made[-1]
-    if not _explained(hypotheses, causes) or len(causes) > 1:
+    if not hypotheses.explained(causes) or len(causes) > 1:
         points = grain(hypotheses.floor, hypotheses.tried[causes], _left(hypotheses, causes))
         made += [_sought(ground, data, data.of_points(points), lambda share: None)] if points else []
     progress(1.0)
@@ -124,11 +124,6 @@ def _cleaned(data: _Data, ground: Ground, hypotheses: Hypotheses, causes: Causes
     fresh = hypotheses.on_other_evidence(evidence, floor, _base(anew, data), causes)
     fresh, found = chosen(fresh, lambda share: None)
     return (anew, fresh, found) if found else (ground, hypotheses, causes)
-
-
-def _explained(hypotheses: Hypotheses, causes: Causes) -> bool:
-    """Whether causes leave nothing to be seen."""
-    return hypotheses.mismatch(causes) < 0
 
 
 def _early(data: _Data, kind: Callable[[Ground], Ground], seconds: float) -> tuple[Ground, Hypotheses]:

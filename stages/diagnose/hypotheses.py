@@ -122,6 +122,10 @@ class Hypotheses:
         first = fit.residual * self.evidence.sigma / self.first.sigma
         return (mismatch(self.evidence, fit.residual) + mismatch(self.first, first)) / 2
 
+    def explained(self, causes: Causes) -> bool:
+        """Whether these causes leave nothing to be seen."""
+        return self.mismatch(causes) < 0
+
     def renewed(self, causes: Causes) -> Hypotheses:
         """Beginnings, mass points and doubt found anew where these causes put the string, ranges widened that are too
         narrow beside them, and all fits made anew."""
