@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from stages.diagnose.closing import closer
@@ -37,12 +39,12 @@ def chosen(hypotheses: Hypotheses, progress: Progress) -> tuple[Hypotheses, Caus
             fewer, more = more, _added(hypotheses, more)  # of two that are needed, one alone may predict nothing
             if not earns(hypotheses, best, more):
                 break
-        best = _needed(hypotheses, _settled(hypotheses, fewer, more))
+        best = _needed(hypotheses, _settled(hypotheses, fewer, more), bool)  # alone, it has just earned its place
         hypotheses = hypotheses.renewed(best)
         for name in sorted(best):
             if placed(hypotheses.library[name]):
                 hypotheses.add(closer(hypotheses.evidence, hypotheses.tried[best], hypotheses.library[name]))
-        best = _outliving(hypotheses, best)
+        best = _needed(hypotheses, best, hypotheses.explained)  # more mass points or another doubt may do its work
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
     return hypotheses, best
@@ -71,23 +73,12 @@ def _settled(hypotheses: Hypotheses, before: Causes, best: Causes) -> Causes:
     return best
 
 
-def _needed(hypotheses: Hypotheses, best: Causes) -> Causes:
-    """Without causes that no longer earn their place beside the others."""
-    for cause in sorted(best):
-        without = best - {cause}
-        if without:
-            hypotheses.fit(without, best)
-            best = best if earns(hypotheses, without, best) else without
-    return best
-
-
-def _outliving(hypotheses: Hypotheses, best: Causes) -> Causes:
-    """Without causes whose work more mass points or another doubt do: where the others leave nothing to be seen, each
-    must earn its place anew."""
+def _needed(hypotheses: Hypotheses, best: Causes, asked: Callable[[Causes], bool]) -> Causes:
+    """Without causes that no longer earn their place beside the others. asked: whether these could do alone."""
     for cause in sorted(best):
         without = best - {cause}
         hypotheses.fit(without, best)
-        if hypotheses.explained(without) and not earns(hypotheses, without, best):
+        if asked(without) and not earns(hypotheses, without, best):
             best = without
     return best
 

@@ -20,7 +20,7 @@ import numpy as np
 from stages.model.effect import placed
 from stages.model.leaning import leaning
 from stages.model.stability import slot_sum
-from stages.model.statics import ENOUGH, ITERATIONS, LARGEST_TURN, forces, guessed, moments, slope
+from stages.model.statics import ENOUGH, FLOOR, ITERATIONS, LARGEST_TURN, forces, guessed, moments, slope
 
 if TYPE_CHECKING:
     from stages.model.string import String
@@ -105,7 +105,7 @@ def _newton(
     size = np.abs(lengths * force[..., 1]).max(axis=1, keepdims=True)
     close = np.abs(balance).max(axis=1, keepdims=True) < CLOSE * size
     diagonal = stiffness[:, :-1] + stiffness[:, 1:] + np.where(close, along, np.maximum(along, 0.0))
-    diagonal = np.maximum(diagonal, 1e-9)
+    diagonal = np.maximum(diagonal, FLOOR)
     return _tridiagonal(-stiffness[:, 1:-1], diagonal, balance)
 
 

@@ -20,11 +20,10 @@ import numpy as np
 from stages.model.stability import slot_sum
 from stages.model.statics import (
     ENOUGH,
+    FLOOR,
     ITERATIONS,
     LARGEST_TURN,
     beyond,
-    forces,
-    full,
     guessed,
     moments,
     shape,
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
 SHORTER = 12  # times that a step is shortened at most
 RISE = 0.5  # of the energy's slope where the step begins: so steeply it may rise where it ends
-FLOOR = 1e-9  # [m3/s2] of what resists a turn, so that a string without stiffness can be turned
 NEAR = 1e-9  # [m] over which the change of a force is asked: what is hard is hardly entered
 
 
@@ -113,9 +111,14 @@ class _Leaning:
         return _Leaning(self.string, self.material, self.pose, angles, lengths)
 
     @cached_property
+    def drawn(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions of the segments and places of the free points [m], (C, n - 1, 2) each."""
+        return shape(self.pose, self.angles, self.lengths)
+
+    @property
     def tangent(self) -> np.ndarray:
         """Directions of the segments, (C, n - 1, 2)."""
-        return shape(self.pose, self.angles, self.lengths)[0]
+        return self.drawn[0]
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -125,7 +128,8 @@ class _Leaning:
     @cached_property
     def force(self) -> np.ndarray:
         """F, (C, n - 1, 2)."""
-        return forces(self.string, self.material, self.pose, self.angles, self.lengths)
+        tangent, places = self.drawn
+        return beyond(weight(self.string, self.material, places, tangent))
 
     @cached_property
     def moments(self) -> tuple[np.ndarray, np.ndarray]:
@@ -136,6 +140,11 @@ class _Leaning:
     def stretch(self) -> np.ndarray:
         """(C, n - 1)."""
         return self.lengths / self.string.segment - 1
+
+    @cached_property
+    def pull(self) -> np.ndarray:
+        """Slope of the tension with the length, (C, n - 1)."""
+        return slope(self.string, self.material, "tension", "stretch", self.stretch) / self.string.segment
 
     @cached_property
     def left(self) -> np.ndarray:
@@ -152,13 +161,14 @@ class _Leaning:
 
         What destabilises counts only where it leaves the rest stable, so that a step never ends on a ridge.
         """
-        yielding, count = self._yielding(), self.angles.shape[1]
+        yielding = self._yielding()
         along = self.lengths * np.sum(self.force * self.tangent, axis=-1)
         across = np.sum(self.force * self.normal, axis=-1)
         matrix = self._own(along, across) - yielding
-        unstable = [number for number, one in enumerate(matrix) if not _stable(one)]
-        held = self.only(np.array(unstable, dtype=int))
-        matrix[unstable] = held._own(np.maximum(along[unstable], FLOOR), np.zeros((1, count))) - yielding[unstable]
+        stable = np.array([_stable(one) for one in matrix])
+        if not stable.all():
+            held = self._own(np.maximum(along, FLOOR), np.zeros_like(across)) - yielding
+            matrix = np.where(stable[:, None, None], matrix, held)
         return np.linalg.solve(matrix, self.left[..., None])[..., 0]
 
     def _own(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
@@ -168,12 +178,11 @@ class _Leaning:
         """
         count = self.angles.shape[1]
         _, stiffness = self.moments
-        pull = slope(self.string, self.material, "tension", "stretch", self.stretch) / self.string.segment
         matrix = np.zeros((len(self.angles), 2 * count, 2 * count))
         diagonal = stiffness[:, :-1] + stiffness[:, 1:] + along
-        matrix[:, :count, :count] = full(-stiffness[:, 1:-1], diagonal)
+        matrix[:, :count, :count] = _full(-stiffness[:, 1:-1], diagonal)
         turns, stretches = np.arange(count), np.arange(count, 2 * count)
-        matrix[:, stretches, stretches] = pull
+        matrix[:, stretches, stretches] = self.pull
         matrix[:, turns, stretches] = matrix[:, stretches, turns] = -across
         return matrix
 
@@ -190,7 +199,7 @@ class _Leaning:
 
     def _change(self) -> np.ndarray:
         """K of each point, (C, n - 1, 2, 2): force by place."""
-        tangent, places = shape(self.pose, self.angles, self.lengths)
+        tangent, places = self.drawn
         ways = NEAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         moved = np.concatenate([places + way for way in ways])
         pushed = weight(self.string, np.tile(self.material, (4, 1)), moved, np.tile(tangent, (4, 1, 1)))
@@ -205,3 +214,13 @@ def _stable(matrix: np.ndarray) -> bool:
     except np.linalg.LinAlgError:
         return False
     return True
+
+
+def _full(off: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
+    """Symmetric tridiagonal matrices, (C, N, N). off: (C, N - 1), diagonal: (C, N)."""
+    size = diagonal.shape[1]
+    matrix = np.zeros((len(diagonal), size, size))
+    before, after = np.arange(size - 1), np.arange(1, size)
+    matrix[:, np.arange(size), np.arange(size)] = diagonal
+    matrix[:, before, after] = matrix[:, after, before] = off
+    return matrix

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 GRAVITY = 9.81
 ITERATIONS = 200
 LARGEST_TURN = 0.3  # [rad] of a segment in one iteration
+FLOOR = 1e-9  # [m3/s2] of what resists a turn, so that a string without stiffness can be turned
 ENOUGH = 1e-12  # [rad] change of an angle that ends the iteration
 
 
@@ -86,13 +87,3 @@ def slope(string: String, material: np.ndarray, slot: str, name: str, at: np.nda
     step = 1e-5 if name != "curvature" else 1e-3
     values = [slot_sum(string, material, slot, {name: at + d, "rate": 0 * at}) for d in (step, -step)]
     return (values[0] - values[1]) / (2 * step)
-
-
-def full(off: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
-    """Symmetric tridiagonal matrices, (C, N, N). off: (C, N - 1), diagonal: (C, N)."""
-    size = diagonal.shape[1]
-    matrix = np.zeros((len(diagonal), size, size))
-    before, after = np.arange(size - 1), np.arange(1, size)
-    matrix[:, np.arange(size), np.arange(size)] = diagonal
-    matrix[:, before, after] = matrix[:, after, before] = off
-    return matrix

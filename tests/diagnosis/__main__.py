@@ -68,21 +68,20 @@ def main() -> None:
     made = {"command": f"python -m tests.diagnosis --seeds {asked.seeds} --first {asked.first}"}
     made |= {"code": code(), "packages": versions(PACKAGES)}
     asked.folder.mkdir(parents=True, exist_ok=True)
-    rows: list[dict[str, object]] = []
+    here, rows = configured(), list[dict[str, object]]()
     for seed in track(range(asked.first, asked.first + asked.seeds), "benches"):
-        rows.append(decided(seed))
+        rows.append(decided(seed, here))
         write_table(DECISIONS, pd.DataFrame(rows), asked.folder / "decisions.parquet", made)  # what is done stands
         print(rows[-1])
 
 
-def decided(seed: int) -> dict[str, object]:
+def decided(seed: int, here: World) -> dict[str, object]:
     """A row of DECISIONS."""
     name = list(HIDDEN)[seed % len(HIDDEN)]
     rng = np.random.default_rng([seed, 41])
-    here = configured()
     scene = slow_scene(here, rng)
     points = observed(scene, name, rng)
-    first = diagnosed(scene, name, points, here)
+    first = diagnosed(scene, points, here)
     row = {"seed": seed, "hidden": name} | said(first, name, "before")
     experiment = json.loads(first.finding["diagnosis"].iloc[0])["next_experiment"]
     if not len(first.commands):
@@ -92,7 +91,7 @@ def decided(seed: int) -> dict[str, object]:
     row |= {"expected": experiment["expected_log_odds"], "spread": experiment["spread"]}
     third = scene.performing((proposed(first, scene, rng),))
     points = np.concatenate([points, observed(third, name, rng)])
-    last = diagnosed(scene.performing((*scene.casts, *third.casts)), name, points, here)
+    last = diagnosed(scene.performing((*scene.casts, *third.casts)), points, here)
     return row | said(last, name, "after") | {"found": odds(last, name)}
 
 
@@ -127,9 +126,9 @@ def observed(scene: Scene, name: str, rng: np.random.Generator) -> np.ndarray:
     return SIGMA * (clean + rng.standard_normal(clean.shape))
 
 
-def diagnosed(scene: Scene, name: str, points: np.ndarray, here: World) -> Diagnosis:
+def diagnosed(scene: Scene, points: np.ndarray, here: World) -> Diagnosis:
     """What is said of these points (N, S, 2) in a scene's casts."""
-    bench = BlindBench(0, "effect", scene, (), {}, {name: np.nan}, np.nan, points, told_sigma=True)
+    bench = BlindBench(0, "effect", scene, (), {}, {}, np.nan, points, told_sigma=True)
     with tempfile.TemporaryDirectory() as folder:
         bench.write(Path(folder))
         return diagnosis(Path(folder), here.config)

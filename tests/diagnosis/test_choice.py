@@ -12,7 +12,6 @@ def test_two_causes_that_take_turns_do_not_keep_the_choice_going(monkeypatch):
     """Each is added beside the other, which is then no longer needed."""
     effects = {"a": SimpleNamespace(laws=dict), "b": SimpleNamespace(laws=dict)}
     hypotheses = SimpleNamespace(mismatch=lambda causes: 1.0, explained=lambda causes: False, library=effects)
-    hypotheses.fit = lambda causes, near: None
     hypotheses.renewed = lambda causes: hypotheses
     asked = []
 
@@ -23,7 +22,7 @@ def test_two_causes_that_take_turns_do_not_keep_the_choice_going(monkeypatch):
 
     monkeypatch.setattr(choose, "_added", added)
     monkeypatch.setattr(choose, "_settled", lambda hypotheses, fewer, more: more)
-    monkeypatch.setattr(choose, "_needed", lambda hypotheses, more: more - asked[-1] if asked[-1] else more)
+    monkeypatch.setattr(choose, "_needed", lambda hypotheses, more, asks: more - asked[-1] if asked[-1] else more)
     monkeypatch.setattr(choose, "earns", lambda hypotheses, without, causes: True)
     monkeypatch.setattr(choose, "placed", lambda effect: False)
     _, best = choose.chosen(hypotheses, lambda share: None)
@@ -38,7 +37,7 @@ def test_a_cause_whose_work_more_mass_points_do_is_not_named(monkeypatch, explai
     fine.explained = lambda causes: explained
     fine.tried = dict.fromkeys((frozenset(), frozenset({"a"})), SimpleNamespace(residual=None))
     fine.fit = lambda causes, near: fine.tried[causes]
-    few = SimpleNamespace(mismatch=lambda causes: 1.0, renewed=lambda causes: fine)
+    few = SimpleNamespace(mismatch=lambda causes: 1.0, renewed=lambda causes: fine, fit=fine.fit)
     monkeypatch.setattr(choose, "_added", lambda hypotheses, causes: causes | {"a"})
     monkeypatch.setattr(choose, "_settled", lambda hypotheses, fewer, more: more)
     monkeypatch.setattr(choose, "earns", lambda hypotheses, without, causes: hypotheses is few)
