@@ -31,7 +31,7 @@ from stages.diagnose.noise import FAR
 from stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
-from stages.diagnose.verdict import RESOLUTION, Judgement, judged
+from stages.diagnose.verdict import RESOLUTION, Judgement, judged, levelled
 from stages.estimate.matching import Matching
 from stages.model.box import Box
 from stages.model.effect import Effect
@@ -73,6 +73,7 @@ def diagnose(
     data = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
     ground = data.ground(good, lambda share: progress(share / 3))
     ground, hypotheses, causes = _compared(ground, data, lambda share: progress((1 + 2 * share) / 3))
+    causes = levelled(hypotheses, causes)
     judgement = judged(hypotheses, causes, coarse(ground))
     if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
         judgement, causes = replace(judgement, verdict="insufficient", causes=(), groups=(), left=1.0), frozenset()

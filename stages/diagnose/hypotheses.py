@@ -84,6 +84,19 @@ class Hypotheses:
             for key in [fewer] if fewer else list(self.predictions):  # all are told beside those of no cause
                 self.predictions.pop(key, None)
 
+    def level(self, others: Sequence[Causes], best: Causes) -> None:
+        """Fit others from where the best put the string, too, with their own causes as they were."""
+        fit = self.tried[best]
+        base = {name: chi for name, chi in fit.theory.named(fit.chi).items() if name in fit.theory.base}
+        theories = [self.tried[key].theory for key in others]
+        known = [theory.named(self.tried[key].chi) | base for key, theory in zip(others, theories, strict=True)]
+        starts = [theory.carried(each) for theory, each in zip(theories, known, strict=True)]
+        for key, made in zip(others, fitted(self.evidence, theories, starts, STEPS), strict=True):
+            if made.cost < self.tried[key].cost:
+                self.add(made)
+                self.chance_gains.pop(key, None)
+                self.predictions.pop(key, None)
+
     def _from(self, theory: Theory, near: Causes) -> Fit:
         """A theory fitted from where other causes put the string."""
         other = self.tried[near]

@@ -19,7 +19,7 @@ from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw, eased, re
 from stages.diagnose.ranges import pressed
 from stages.diagnose.screen import screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
-from stages.diagnose.verdict import weighed
+from stages.diagnose.verdict import judged, levelled, weighed
 from stages.estimate.forward import Case
 from stages.generate.curves import Curves
 from stages.model.camera import Camera
@@ -104,6 +104,27 @@ def test_a_fit_that_stopped_short_is_levelled_with_one_of_more_causes(arm, model
     assert not earns(hypotheses, frozenset(), frozenset({"tip_mass"}))
     assert short.mean_square > 5
     assert hypotheses.tried[frozenset()].mean_square == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_right_cause_whose_fit_stopped_short_is_levelled_with_its_look_alike(arm, model):
+    """A fit of an offset once stopped with another drag, and a lag was named before it; the motion proposed then told
+    two drags apart, and nothing else."""
+    evidence = measured(arm, model, {"time_offset.offset": -0.006})
+    lag, offset = frozenset({"arm_lag"}), frozenset({"time_offset"})
+    plain = base(model, evidence)
+    hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
+    theory = joined(plain.theory, library()["time_offset"])
+    short = fitted(evidence, [theory], [theory.at({**TRUTH, "linear_drag": 0.6, "time_offset.offset": -0.006})], 0)[0]
+    theory = joined(plain.theory, library()["arm_lag"])
+    hypotheses.add(plain)
+    hypotheses.add(short)
+    hypotheses.add(fitted(evidence, [theory], [theory.at({**TRUTH, "arm_lag.time_constant": 0.006})], 15)[0])
+    assert hypotheses.tried[lag].cost < short.cost
+    assert judged(hypotheses, lag, 1.0).causes[0] == "arm_lag"
+    best = levelled(hypotheses, lag)
+    assert best == offset
+    assert hypotheses.tried[offset].mean_square == pytest.approx(1.0, abs=0.05)
+    assert levelled(hypotheses, best) == best
 
 
 def test_a_run_that_is_rejected_tells_no_slope(arm, model):
