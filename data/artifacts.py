@@ -455,6 +455,7 @@ HELD_OUT = Table(
         _TRIAL,
         Column("rms_base", "m", "centre-line residual"),
         Column("rms_extended", "m", "centre-line residual"),
+        Column("rms_known", "m", "that of the extended model fitted to all trials that causes were chosen from"),
         Column("noise_floor", "m", "what noise alone leaves"),
         Column("tip_rms_base", "m", "residual at the largest arc length measured"),
         Column("tip_rms_extended", "m", "residual at the largest arc length measured"),

@@ -27,15 +27,16 @@ FRAMES = 20  # of a trial, from which E is counted
 @dataclass(frozen=True)
 class Side:
     """One of the two models that are compared. evidence: all trials, with its numbers of segments. chi: (K, P), for
-    each trial of the table from a fit that has not seen it."""
+    each trial of the table from a fit that has not seen it. known: (P,) fitted to all that causes were chosen from."""
 
     model: Model
     evidence: Evidence
     chi: Sequence[np.ndarray]
+    known: np.ndarray
 
-    def residual(self, row: int, number: int) -> np.ndarray:
-        """Of the trial of a number, which is in a row of the table, over sigma, (n,)."""
-        return self.evidence.only([number]).residuals(self.model, self.chi[row][None])[0]
+    def residual(self, chi: np.ndarray, number: int) -> np.ndarray:
+        """Of the trial of a number at chi (P,), over sigma, (n,)."""
+        return self.evidence.only([number]).residuals(self.model, chi[None])[0]
 
     @property
     def finest(self) -> Model:
@@ -51,7 +52,7 @@ def side(hypotheses: Hypotheses, ground: Ground, causes: Causes, rest: Sequence[
     evidence = begun(evidence, fit.theory.model, fit.chi)
     evidence = doubted_beginnings(evidence, fit.theory.model, fit.chi)
     chi = [fit.chi] * len(rest) if rest else list(hypotheses.held(causes).chi)
-    return Side(fit.theory.model, evidence, chi)
+    return Side(fit.theory.model, evidence, chi, fit.chi)
 
 
 def configured(ground: Ground, kept: Sequence[int], rest: Sequence[int]) -> Side:
@@ -60,7 +61,7 @@ def configured(ground: Ground, kept: Sequence[int], rest: Sequence[int]) -> Side
     evidence = replace(ground.evidence, segments=(own.theory.model.string.points - 1,))
     fit = fitted(evidence.only(kept), [own.theory], [own.chi], AGAIN)[0]
     chi = [fit.chi] * len(rest) if rest else list(held_out(evidence.only(kept), fit).chi)
-    return Side(own.theory.model, evidence, chi)
+    return Side(own.theory.model, evidence, chi, fit.chi)
 
 
 def held_out_table(
@@ -77,13 +78,14 @@ def held_out_table(
     rows = []
     for place, number in enumerate(numbers):
         case, own = base.evidence.cases[number], floor[base.evidence.trial == number]
-        off = [one.residual(place, number) for one in (base, extended)]
+        off = [one.residual(one.chi[place], number) for one in (base, extended)]
         row = {"trial": case.name, "noise_floor": float(np.sqrt(2 * np.mean(own**2)))}
         row["log_likelihood_difference"] = float(np.sum(off[0] ** 2) - np.sum(off[1] ** 2)) / 2 / chance
         for name, residual, one in zip(("base", "extended"), off, (base, extended), strict=True):
             row |= _measures(case, residual, name)
             begin = one.evidence.cases[number].initial
             row[f"E_{name}"] = _rate(one.finest, one.chi[place], begin, observations[number], matching)
+        row["rms_known"] = _measures(case, extended.residual(extended.known, number), "known")["rms_known"]
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
 

@@ -75,8 +75,8 @@ def caused(names, probability=0.97):
 
 
 def held_out():
-    rows = [("t00", 0.003, 0.0009, 0.001, 0.005, 0.0012, 0.7, 0.93, 80000.0)]
-    rows += [("t01", 0.004, 0.0010, 0.001, 0.007, 0.0014, 0.72, 0.93, 82468.0)]
+    rows = [("t00", 0.003, 0.0009, 0.0009, 0.001, 0.005, 0.0012, 0.7, 0.93, 80000.0)]
+    rows += [("t01", 0.004, 0.0010, 0.0010, 0.001, 0.007, 0.0014, 0.72, 0.93, 82468.0)]
     return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["held_out"].columns])
 
 
@@ -396,6 +396,18 @@ def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(writ
     assert "No motion." in hopeless
     assert "The proposed motion" not in hopeless
     assert "What to try next" not in write(VERDICTS["effect"]())
+
+
+def test_a_trial_that_alone_shows_where_a_plane_is_is_said_to(write):
+    """Else a right cause would seem to make things worse."""
+    table = held_out()
+    worse = table.assign(rms_extended=[0.0537, 0.0010])
+    text = Page(write(diagnosed("effect", ["tip_mass"], held_out=worse))).text
+    assert "t00 is foretold worse with the causes than without, 53.7 mm against 3.0 mm. Fitted to it as well" in text
+    assert "t00 alone shows what the others hardly know" in text
+    wrong = worse.assign(rms_known=0.05)
+    for other in (table, wrong):
+        assert "foretold worse" not in Page(write(diagnosed("effect", ["tip_mass"], held_out=other))).text
 
 
 def test_it_says_which_trials_the_gain_is_of(write):

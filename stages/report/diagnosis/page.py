@@ -49,6 +49,7 @@ def diagnosis_report(record: DiagnosisRecord) -> str:
             foretold=foretold(record),
             likelier=likelier(record),
             held_out=record.diagnosis.held_out.to_dict("records"),
+            alone=_alone(record.diagnosis.held_out),
             missing=missing(record),
             proposed=proposed(record),
             pushes=record.diagnosis.missing["s"].notna().any(),
@@ -73,6 +74,11 @@ def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> dict[str, 
         "picture": cause(effect, values) if effect else None,
         "reference": effect.reference if effect else "",
     }
+
+
+def _alone(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Trials that show of the causes what no other does: foretold worse with them, and explained. table: HELD_OUT."""
+    return table[table["rms_base"].between(table["rms_known"], table["rms_extended"], "neither")].to_dict("records")
 
 
 def _strongest(table: pd.DataFrame) -> str:

@@ -23,9 +23,12 @@ def foretold(record: DiagnosisRecord) -> Picture | None:
     for axes, column, words in zip(panels, ("rms", "tip_rms"), ("whole string", "tip"), strict=True):
         _pairs(axes, record, column)
         axes.set(title=words, xlabel="RMS [mm]", xlim=(0, None))
+    if len(record.models) > 1 and set(table["trial"]) <= set(record.document["trials"]["used"]):
+        known = table["rms_known"] * MM
+        panels[0].plot(known, range(len(table)), "o", ms=10, mfc="none", color=MODEL["extended"], label="fitted to all")
     panels[0].set_yticks(range(len(table)), table["trial"])
     panels[0].invert_yaxis()
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     mean = ", ".join(
         f"{mm(float(np.sqrt((table[f'rms_{m}'] ** 2).mean())), 1)} for the {NAMES[m]}" for m in record.models
     )
