@@ -62,7 +62,7 @@ def imagined(model: Model, curve: Curves, like: Case, design: Design) -> Case:
     are as much more certain.
     """
     tick, duration = model.arm.tick, float(curve.duration[0])
-    motion = JointMotion(0.0, tick, *curve.sampled(tick, duration))
+    motion = JointMotion(0.0, tick, *curve.sampled(tick, duration + design.after))  # joints that lag arrive later
     fullest = like.frame == np.argmax(np.bincount(like.frame))
     measured = like.s[fullest]
     places = measured[np.unique(np.linspace(0, len(measured) - 1, PLACES).round().astype(int))]

@@ -81,7 +81,7 @@ def case(model: Model, observation: Observation) -> Case:
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
     sigma = points["sigma"].to_numpy() if "sigma" in points else np.ones(len(points))
     position = points[["x", "y"]].to_numpy()
-    s, motion = points["s"].to_numpy(), motion_of(observation)
+    s, motion = points["s"].to_numpy(), motion_of(observation).lasting(times[-1])
     ready = Case(observation.trial, model, motion, times, frame, s, position, sigma)
     return replace(ready, initial=_begun(ready, "sigma" in points)) if observation.moving else ready
 

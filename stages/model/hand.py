@@ -35,6 +35,10 @@ class HandMotion:
         """Time of the last pose [s]."""
         return self.start + (self.pose.shape[1] - 1) * self.tick
 
+    def lasting(self, until: float) -> HandMotion:
+        """With rest after its last pose, until a time [s]: what lags goes on when nothing is reported any more."""
+        return HandMotion(self.start, self.tick, *_rested(self.pose, self.rate, (until - self.end) / self.tick))
+
     def since(self, begin: float | np.ndarray) -> HandMotion:
         """The motion from a moment on [s], or from one for each candidate, (C,): then time counts from it.
 
@@ -75,6 +79,11 @@ class JointMotion:
     tick: float
     angles: np.ndarray
     speeds: np.ndarray
+
+    def lasting(self, until: float) -> JointMotion:
+        """With rest after its last sample, until a time [s]."""
+        end = self.start + (self.angles.shape[1] - 1) * self.tick
+        return JointMotion(self.start, self.tick, *_rested(self.angles, self.speeds, (until - end) / self.tick))
 
     def grasp(self, arm: Arm) -> HandMotion:
         """Where this takes the hand."""
@@ -119,6 +128,13 @@ def hand_motion_from_grasp(t: np.ndarray, pose: np.ndarray, tick: float = HAND_T
     grid = _grid(t, tick)
     spline = CubicSpline(t, batch, axis=1, bc_type="natural")
     return HandMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
+
+
+def _rested(value: np.ndarray, rate: np.ndarray, ticks: float) -> tuple[np.ndarray, np.ndarray]:
+    """Value and rate, (B, K, ...) each, with rest for as many ticks more, rounded up, if any."""
+    more = max(int(np.ceil(ticks - 1e-9)), 0)
+    still = np.zeros_like(rate[:, -1:]).repeat(more, axis=1)
+    return np.concatenate([value, value[:, -1:].repeat(more, axis=1)], axis=1), np.concatenate([rate, still], axis=1)
 
 
 def _changed(

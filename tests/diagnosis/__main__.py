@@ -20,7 +20,7 @@ from data.artifacts import JOINTS, Diagnosis
 from data.schema import Column, Table
 from data.store import write_table
 from hardware.virtual.blind.bench import BlindBench
-from hardware.virtual.blind.casts import AFTER, BEFORE, Cast, performed, random_cast
+from hardware.virtual.blind.casts import Cast, performed, random_cast
 from hardware.virtual.blind.scene import Scene
 from pipeline.origin import PACKAGES, code, versions
 from pipeline.study.command import diagnosis
@@ -89,7 +89,7 @@ def decided(seed: int, here: World) -> dict[str, object]:
         return row | nothing | {"between": "", "after": row["before"], "right_after": row["right_before"]}
     row |= {"between": ", ".join(experiment["between"]), "probability": experiment["probability_to_decide"]}
     row |= {"expected": experiment["expected_log_odds"], "spread": experiment["spread"]}
-    third = scene.performing((proposed(first, scene, rng),))
+    third = scene.performing((proposed(first, scene, here, rng),))
     points = np.concatenate([points, observed(third, name, rng)])
     last = diagnosed(scene.performing((*scene.casts, *third.casts)), points, here)
     return row | said(last, name, "after") | {"found": odds(last, name)}
@@ -110,10 +110,10 @@ def slow_scene(here: World, rng: np.random.Generator) -> Scene:
     return Scene(here.arm, here.camera, base["length"], base["parameters"], casts, s, SIGMA)
 
 
-def proposed(first: Diagnosis, scene: Scene, rng: np.random.Generator) -> Cast:
-    """The motion that a diagnosis asks for, performed with rest around it."""
+def proposed(first: Diagnosis, scene: Scene, here: World, rng: np.random.Generator) -> Cast:
+    """The motion that a diagnosis asks for, performed and filmed with as much rest around it as was foretold."""
     tick, angles = scene.arm.tick, first.commands[list(JOINTS)].to_numpy()
-    before, after = round(BEFORE / tick), round(AFTER / tick)
+    before, after = (round(here.config["diagnose"]["design"][rest] / tick) for rest in ("before", "after"))
     angles = np.concatenate([angles[:1].repeat(before, axis=0), angles, angles[-1:].repeat(after, axis=0)])
     ticks = (np.arange(len(angles)) - before) * tick
     return performed(scene.arm, ticks, angles, rng, scene.camera.fps)

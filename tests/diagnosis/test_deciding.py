@@ -111,6 +111,16 @@ def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves
     assert not (arm_faults(arm, (wall,), *curves.sampled(arm.tick, float(curves.duration.max()))) == "").all()
 
 
+def test_joints_that_lag_arrive_where_they_are_sent(model, curves):
+    """Or a lag would be told from an offset by a hand that stops short, which none does."""
+    curve = curves.only(np.array([2]))
+    case = imagined(model, curve, _Like(np.array([0.3])), DESIGN)
+    late = case.motion.really(model.arm, [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.008)})])
+    there = model.arm.grasp(curve.sampled(model.arm.tick, float(curve.duration[0]))[0][0, -1])
+    assert late.end > case.times[-1] - model.arm.tick
+    np.testing.assert_allclose(late.pose[0, -1], there, atol=1e-5)
+
+
 def test_no_motion_takes_any_part_of_the_string_through_an_obstacle(contest, curves, model):
     """Not even where the tip alone is measured, which passes by it."""
     tip = _Like(np.array([0.3]))

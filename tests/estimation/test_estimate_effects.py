@@ -99,6 +99,23 @@ def test_effects_of_three_worlds_are_recovered_together(arm, camera):
     assert without["rms_after"] > 3 * fit["rms_after"]
 
 
+def test_joints_that_lag_arrive_though_the_log_ends_with_the_motion(arm, camera):
+    """Filmed for longer than logged: else the arm would stop short for ever, by 2 mm here."""
+    t = T[T < 0.3]
+    braking = np.array([0.3, 0.5, 0.2]) * (1 - (t / t[-1] - 1) ** 2)[:, None]
+    log = pd.DataFrame({"t": t, "q1": braking[:, 0], "q2": braking[:, 1], "q3": braking[:, 2]})
+    points = observed(Model(STRING, arm, camera), {}).points
+    short = Observation("t01", points, READINGS.empty(), MASKS.empty(), arm=log)
+    ready = case(Model(STRING, arm, camera), short)
+    acts = [(library()["arm_lag"], {"time_constant": np.full((1, 1, 1), 0.02)})]
+    there = arm.grasp(braking[-1])[:2]
+    stops = joint_motion(t, braking).really(arm, acts).pose[0, -1, :2]
+    arrives = ready.motion.really(arm, acts)
+    assert arrives.end >= ready.times[-1]
+    assert np.linalg.norm(stops - there) > 2e-3
+    assert np.linalg.norm(arrives.pose[0, -1, :2] - there) < 1e-5
+
+
 def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, camera):
     """A dry friction anywhere in its range would ask for a hundred times as many steps as one where it is known."""
     heavy = Model(STRING, arm, camera).with_effects(*named(["tip_mass"]))
