@@ -445,7 +445,7 @@ CAUSES = Table(
         Column("value", "", "best value, in `unit`"),
         Column("low", "", "lower end of the 95 % interval, in `unit`"),
         Column("high", "", "upper end, in `unit`; of the range, where only the lower one is known"),
-        Column("at_least", "1", "only the lower end of the interval is known", "bool"),
+        Column("at_least", "1", "only the lower end of the interval is known", "bool", optional=True),
     ),
 )
 HELD_OUT = Table(
@@ -455,13 +455,15 @@ HELD_OUT = Table(
         _TRIAL,
         Column("rms_base", "m", "centre-line residual"),
         Column("rms_extended", "m", "centre-line residual"),
-        Column("rms_known", "m", "that of the extended model fitted to all trials that causes were chosen from"),
         Column("noise_floor", "m", "what noise alone leaves"),
         Column("tip_rms_base", "m", "residual at the largest arc length measured"),
         Column("tip_rms_extended", "m", "residual at the largest arc length measured"),
         Column("E_base", "1", "matching rate, Eq. 5"),
         Column("E_extended", "1", "matching rate, Eq. 5"),
         Column("log_likelihood_difference", "1", "extended less base, in units of the residual's own chance"),
+        Column(
+            "rms_known", "m", "of the extended model fitted to all trials that causes were chosen from", optional=True
+        ),
     ),
 )
 MISSING = Table(

@@ -63,7 +63,7 @@ def _found(result: Result) -> Group:
     for heading in ("cause", "probability", "parameter", "value", "95 % interval", "unit"):
         table.add_column(heading)
     for row in result.diagnosis.causes.itertuples():
-        ends = f"at least {row.low:.4g}" if row.at_least else f"{row.low:.4g} to {row.high:.4g}"
+        ends = f"at least {row.low:.4g}" if getattr(row, "at_least", False) else f"{row.low:.4g} to {row.high:.4g}"
         known = (f"{row.value:.4g}", ends) if row.parameter else ("", "")
         table.add_row(row.effect, f"{row.probability:.2f}", row.parameter, *known, row.unit)
     said = Panel(Group(Text(result.sentence), "", table), title=f"[bold]{result.diagnosis.verdict}")

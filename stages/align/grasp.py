@@ -36,7 +36,7 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
             "shows nothing. Add the frames."
         )
     sigma = grasp["sigma"].to_numpy() if "sigma" in grasp else np.full(len(grasp), noise(off))
-    motion = joint_motion(observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy())
+    motion = joint_motion(observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy()).lasting(t.max())
     return Sighted(observation.trial, motion, at_hand(t, seen, sigma, len(JOINTS)))
 
 

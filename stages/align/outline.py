@@ -72,7 +72,7 @@ def from_films(model: Model, films: Mapping[str, Film], width: float, progress: 
 def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     """What of each frame is arm: differs from the scene and is wider than `opening` [px]. film: one with joints."""
     assert film.arm is not None
-    motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy())
+    motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()).lasting(film.t[-1])
     chosen = np.unique(np.linspace(0, len(film.t) - 1, MOST).astype(int))
     scene = without_arm(np.stack([film.images[i] for i in samples(len(film.images))]))
     level = contrast(film, chosen[:: max(len(chosen) // COARSE, 1)], scene) / 2

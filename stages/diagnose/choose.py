@@ -19,9 +19,10 @@ from stages.progress import Progress
 MOST_CAUSES = 3
 SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, though nothing need be there
 MATTERS = 2.5  # standard deviations by which a cause must move something somewhere
-PENALTY = 5.0  # of the log-likelihood for each parameter that no other trial confirms
+PENALTY = 5.0  # of the log-likelihood for each parameter that was not asked of other trials
 MAINLY = 0.4  # of where it moves most: a trial moved less can say little of a cause
 CONFIRMED = 0.5  # share of what a cause explains where it is fitted that it must explain where it is not
+AGAINST = 2  # sets of causes that are fitted once more against those that were chosen
 GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of its own noise
 
 
@@ -81,6 +82,28 @@ def _needed(hypotheses: Hypotheses, best: Causes, asked: Callable[[Causes], bool
         if asked(without) and not earns(hypotheses, without, best):
             best = without
     return best
+
+
+def levelled(hypotheses: Hypotheses, causes: Causes) -> Causes:
+    """These causes, or the best of as many that stand against them if that is better, after the two best of those were
+    fitted from where these put the string, too: a fit that stopped short is no worse theory."""
+    others = [key for key in hypotheses.tried if len(key) == len(causes) and key != causes]
+    against = sorted(others, key=lambda key: hypotheses.tried[key].cost)[:AGAINST]
+    hypotheses.level(against, causes)
+    best = min([causes, *against], key=lambda key: _priced(hypotheses, key))
+    if best == causes:
+        return causes
+    hypotheses.level([causes], best)
+    hypotheses.fit(causes & best, best)
+    if _priced(hypotheses, best) >= _priced(hypotheses, causes) or not earns(hypotheses, causes & best, best):
+        return causes
+    return _needed(hypotheses, best, bool)
+
+
+def _priced(hypotheses: Hypotheses, causes: Causes) -> float:
+    """Cost of a fit, and of its parameters."""
+    fit = hypotheses.tried[causes]
+    return fit.cost + PENALTY * len(fit.theory.free)
 
 
 def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:

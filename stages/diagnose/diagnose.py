@@ -17,7 +17,7 @@ from data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
 from data.schema import DataError
 from stages.diagnose import tables
 from stages.diagnose.casts import Design
-from stages.diagnose.choose import chosen, noisiness
+from stages.diagnose.choose import chosen, levelled, noisiness
 from stages.diagnose.describe import document, sentence, without_nan
 from stages.diagnose.differing import differing
 from stages.diagnose.evidence import Evidence
@@ -31,7 +31,7 @@ from stages.diagnose.noise import FAR
 from stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
-from stages.diagnose.verdict import RESOLUTION, Judgement, judged, levelled
+from stages.diagnose.verdict import RESOLUTION, Judgement, judged
 from stages.estimate.matching import Matching
 from stages.model.box import Box
 from stages.model.effect import Effect
@@ -73,7 +73,6 @@ def diagnose(
     data = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
     ground = data.ground(good, lambda share: progress(share / 3))
     ground, hypotheses, causes = _compared(ground, data, lambda share: progress((1 + 2 * share) / 3))
-    causes = levelled(hypotheses, causes)
     judgement = judged(hypotheses, causes, coarse(ground))
     if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
         judgement, causes = replace(judgement, verdict="insufficient", causes=(), groups=(), left=1.0), frozenset()
@@ -112,7 +111,8 @@ def _sought(
     if astray(each):
         follow(hypotheses, partial(_early, data, kind))
     hypotheses, causes = chosen(hypotheses, progress)
-    return _cleaned(data, each, hypotheses, causes) if causes else (each, hypotheses, causes)
+    ground, hypotheses, causes = _cleaned(data, each, hypotheses, causes) if causes else (each, hypotheses, causes)
+    return ground, hypotheses, levelled(hypotheses, causes)
 
 
 def _cleaned(data: _Data, ground: Ground, hypotheses: Hypotheses, causes: Causes) -> tuple[Ground, Hypotheses, Causes]:

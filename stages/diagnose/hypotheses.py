@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from stages.diagnose.beginning import begun, doubted_beginnings
 from stages.diagnose.chance import by_chance
 from stages.diagnose.closing import PROBES, closed_in
 from stages.diagnose.compare import HeldOut, held_out
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, ranked
+from stages.diagnose.fit import LITTLE, Fit, fitted, ranked
 from stages.diagnose.noise import mismatch
 from stages.diagnose.onset import since
 from stages.diagnose.ranges import ranged, widened, with_ranges
@@ -85,23 +87,19 @@ class Hypotheses:
                 self.predictions.pop(key, None)
 
     def level(self, others: Sequence[Causes], best: Causes) -> None:
-        """Fit others from where the best put the string, too, with their own causes as they were."""
-        fit = self.tried[best]
-        base = {name: chi for name, chi in fit.theory.named(fit.chi).items() if name in fit.theory.base}
-        theories = [self.tried[key].theory for key in others]
-        known = [theory.named(self.tried[key].chi) | base for key, theory in zip(others, theories, strict=True)]
-        starts = [theory.carried(each) for theory, each in zip(theories, known, strict=True)]
-        for key, made in zip(others, fitted(self.evidence, theories, starts, STEPS), strict=True):
-            if made.cost < self.tried[key].cost:
-                self.add(made)
+        """Fit others from where the best put the string, too; what only they have begins as it was."""
+        old = [self.tried[key] for key in others]
+        starts = [_carried(fit.theory, fit, self.tried[best]) for fit in old]
+        made = fitted(self.evidence, [fit.theory for fit in old], starts, STEPS)
+        for key, before, fit in zip(others, old, made, strict=True):
+            if fit.cost < before.cost - LITTLE:
+                self.add(fit)
                 self.chance_gains.pop(key, None)
                 self.predictions.pop(key, None)
 
     def _from(self, theory: Theory, near: Causes) -> Fit:
         """A theory fitted from where other causes put the string."""
-        other = self.tried[near]
-        known = {name: chi for name, chi in other.theory.named(other.chi).items() if name in theory.own}
-        return fitted(self.evidence, [theory], [theory.carried(known)], STEPS)[0]
+        return fitted(self.evidence, [theory], [_carried(theory, self.tried[near])], STEPS)[0]
 
     def held(self, causes: Causes) -> HeldOut:
         """What these causes say of trials that they were not fitted to."""
@@ -193,6 +191,14 @@ class Hypotheses:
             names = {probe.effect.name for probe in chosen} & {n for key in self.tried for n in key if key > context}
             self.contexts[context] = {n: self.tried[context | {n}] for n in names if context | {n} in self.tried}
         return self.contexts[context]
+
+
+def _carried(theory: Theory, *fits: Fit) -> np.ndarray:
+    """(P,) exponents of what a theory fits, each from the last of these fits that has it."""
+    known: dict[str, float] = {}
+    for fit in fits:
+        known |= fit.theory.named(fit.chi)
+    return theory.carried({name: chi for name, chi in known.items() if name in theory.own})
 
 
 def promising(probes: Mapping[str, Sequence[Probe]]) -> list[Probe]:

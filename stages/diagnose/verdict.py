@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
-from stages.diagnose.choose import earns, noisiness
+from stages.diagnose.choose import noisiness
 from stages.diagnose.compare import blocks
 from stages.diagnose.fit import Fit
 from stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
@@ -17,7 +17,6 @@ from stages.diagnose.noise import systematic
 RESOLUTION = "resolution"
 PARAMETER = 2.0  # of the log-likelihood: what a further parameter must gain
 ALIKE = 0.05  # of the likeliest: sets of causes at least as likely as this cannot be told from it
-AGAINST = 2  # sets of causes that are fitted once more against those that were chosen
 STUBBORN = 0.01  # probability kept for each thing that was not foreseen
 COARSE = 2.0  # mean square at the configured number of mass points over that at enough of them
 STEEP = 4.0  # of the odds of something that the library does not hold, with what is left
@@ -62,21 +61,6 @@ def judged(hypotheses: Hypotheses, causes: Causes, coarse: float) -> Judgement:
     return _told(
         hypotheses, Judgement("ambiguous" if groups else "effect", ordered, probability, groups, chances, left)
     )
-
-
-def levelled(hypotheses: Hypotheses, causes: Causes) -> Causes:
-    """These causes, or what stands against them and does better, once each was fitted from where the others put the
-    string, too: a fit that stopped short is no worse theory."""
-    others = [key for key in hypotheses.tried if len(key) == len(causes) and key != causes]
-    against = sorted(others, key=lambda key: hypotheses.tried[key].cost)[:AGAINST]
-    hypotheses.level(against, causes)
-    best = min([causes, *against], key=lambda key: hypotheses.tried[key].cost)
-    if best == causes:
-        return causes
-    hypotheses.level([causes], best)
-    hypotheses.fit(causes & best, best)
-    better = hypotheses.tried[best].cost < hypotheses.tried[causes].cost
-    return best if better and earns(hypotheses, causes & best, best) else causes
 
 
 def _silent(hypotheses: Hypotheses, causes: Causes, groups: tuple[tuple[str, ...], ...]) -> frozenset[str]:

@@ -43,7 +43,7 @@ def aligned_footage(film: Film, model: Model) -> Footage:
     """Grasp and arm where the camera reports them, if it was measured how camera and arm stand to each other."""
     if film.arm is None or not model.measured:
         return footage_of(film, model.arm)
-    motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy())
+    motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()).lasting(film.t[-1])
     body = arm_seen(model, motion, model.values({})[None], film.t)[0]
     last = body[:, -1] - body[:, -2]
     direction = np.unwrap(np.arctan2(last[:, 1], last[:, 0]))

@@ -13,6 +13,7 @@ from stages.model.arm import Arm
 from stages.model.effect import HandEffect
 
 HAND_TICK = 0.005
+ARRIVED = 0.5  # [s] of rest after which nothing lags any more; a film may go on for much longer
 Act = tuple[type[HandEffect], Mapping[str, np.ndarray]]  # an effect and its parameters, (C, 1, 1) each
 
 
@@ -36,8 +37,8 @@ class HandMotion:
         return self.start + (self.pose.shape[1] - 1) * self.tick
 
     def lasting(self, until: float) -> HandMotion:
-        """With rest after its last pose, until a time [s]: what lags goes on when nothing is reported any more."""
-        return HandMotion(self.start, self.tick, *_rested(self.pose, self.rate, (until - self.end) / self.tick))
+        """With rest after its last pose, until a time [s] or as long as anything lags behind it."""
+        return HandMotion(self.start, self.tick, *_rested(self.pose, self.rate, until - self.end, self.tick))
 
     def since(self, begin: float | np.ndarray) -> HandMotion:
         """The motion from a moment on [s], or from one for each candidate, (C,): then time counts from it.
@@ -81,9 +82,9 @@ class JointMotion:
     speeds: np.ndarray
 
     def lasting(self, until: float) -> JointMotion:
-        """With rest after its last sample, until a time [s]."""
+        """With rest after its last sample, until a time [s] or as long as anything lags behind it."""
         end = self.start + (self.angles.shape[1] - 1) * self.tick
-        return JointMotion(self.start, self.tick, *_rested(self.angles, self.speeds, (until - end) / self.tick))
+        return JointMotion(self.start, self.tick, *_rested(self.angles, self.speeds, until - end, self.tick))
 
     def grasp(self, arm: Arm) -> HandMotion:
         """Where this takes the hand."""
@@ -130,9 +131,9 @@ def hand_motion_from_grasp(t: np.ndarray, pose: np.ndarray, tick: float = HAND_T
     return HandMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
 
 
-def _rested(value: np.ndarray, rate: np.ndarray, ticks: float) -> tuple[np.ndarray, np.ndarray]:
-    """Value and rate, (B, K, ...) each, with rest for as many ticks more, rounded up, if any."""
-    more = max(int(np.ceil(ticks - 1e-9)), 0)
+def _rested(value: np.ndarray, rate: np.ndarray, seconds: float, tick: float) -> tuple[np.ndarray, np.ndarray]:
+    """Value and rate, (B, K, ...) each, with rest on further ticks, if any."""
+    more = int(np.ceil(np.clip(seconds, 0.0, ARRIVED) / tick - 1e-9))
     still = np.zeros_like(rate[:, -1:]).repeat(more, axis=1)
     return np.concatenate([value, value[:, -1:].repeat(more, axis=1)], axis=1), np.concatenate([rate, still], axis=1)
 

@@ -118,5 +118,6 @@ def cast_record(
     motion, trial, points, estimate = made
     known = {} if previous is None else previous.values()
     values = np.stack([model.values(known), model.values(known if estimate is None else estimate.values())])
-    strings = model.seen(motion_of(observation), values, trial.frames["t"].to_numpy()).points
+    frames = trial.frames["t"].to_numpy()
+    strings = model.seen(motion_of(observation).lasting(frames[-1]), values, frames).points
     return Cast(motion, trial, points, estimate, verdict, strings[0], strings[1])

@@ -31,6 +31,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "data" / "results" / "deciding"
 SLOW = (0.6, 1.5)  # speeds of the hand [m/s]
 SIGMA = 7e-4  # [m]
+TINY = 1e-300  # chance of what nobody weighed
 HIDDEN = {  # causes that have look-alikes
     "arm_lag": {"time_constant": 0.008},
     "time_offset": {"offset": -0.006},
@@ -142,8 +143,8 @@ def said(made: Diagnosis, name: str, when: str) -> dict[str, object]:
 
 def odds(made: Diagnosis, name: str) -> float:
     """Log odds of the likeliest set with the cause over the likeliest without it."""
-    right, chance = held(made, name), np.maximum(chances(made), 1e-12)
-    return float(np.log(chance[right].max(initial=1e-12) / chance[~right].max(initial=1e-12)))
+    right, chance = held(made, name), chances(made)
+    return float(np.log(chance[right].max(initial=TINY) / chance[~right].max(initial=TINY)))
 
 
 def chances(made: Diagnosis) -> np.ndarray:

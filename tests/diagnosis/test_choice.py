@@ -76,3 +76,39 @@ def test_a_place_that_explains_all_trials_that_reach_it_need_not_foretell_them(m
     monkeypatch.setattr(choose, "visible_in_each", lambda evidence, residual: np.array(left))
     monkeypatch.setattr(choose, "placed", lambda effect: place)
     assert choose.earns(hypotheses, frozenset(), frozenset({"a"})) == earned
+
+
+@pytest.mark.parametrize(
+    ("cost", "parameters", "earned", "kept"),
+    [
+        (90.0, 9, True, {"b", "c"}),
+        (90.0, 9, False, {"a", "b"}),  # better where it was fitted, and no better foretold
+        (97.0, 10, True, {"a", "b"}),  # a further parameter must pay
+        (110.0, 9, True, {"a", "b"}),
+    ],
+)
+def test_what_stands_against_the_chosen_takes_their_place_if_it_is_better_and_earns_it(
+    monkeypatch, cost, parameters, earned, kept
+):
+    """It is asked of its new companions, too, whether they are still needed."""
+
+    def fit(cost, parameters):
+        return SimpleNamespace(cost=cost, theory=SimpleNamespace(free=[0] * parameters))
+
+    chosen, other = frozenset("ab"), frozenset("bc")
+    tried = {frozenset(): fit(500.0, 8), frozenset("b"): fit(300.0, 8), chosen: fit(100.0, 9)}
+    tried |= {frozenset("c"): fit(1.0, 9), other: fit(150.0, parameters), frozenset("cd"): fit(400.0, 9)}
+    asked = []
+
+    def level(others, best):
+        asked.append((list(others), best))
+        if other in others:
+            tried[other] = fit(cost, parameters)
+
+    hypotheses = SimpleNamespace(tried=tried, level=level, fit=lambda causes, near: tried[causes])
+    monkeypatch.setattr(choose, "earns", lambda hypotheses, without, causes: earned)
+    needed = []
+    monkeypatch.setattr(choose, "_needed", lambda hypotheses, causes, asks: needed.append(causes) or causes)
+    assert choose.levelled(hypotheses, chosen) == kept
+    assert asked[0] == ([other, frozenset("cd")], chosen)
+    assert needed == ([other] if kept == other else [])

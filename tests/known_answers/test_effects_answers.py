@@ -18,7 +18,7 @@ from stages.model.effects.internal_friction import InternalFriction
 from stages.model.effects.nonlinear_bending import NonlinearBending
 from stages.model.effects.resolution import Resolution
 from stages.model.equilibrium import hanging
-from stages.model.hand import HandMotion, hand_motion_from_grasp
+from stages.model.hand import ARRIVED, HandMotion, hand_motion_from_grasp
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.integrator import RungeKutta4
 from stages.model.library import library
@@ -314,6 +314,20 @@ def test_a_ramp_is_followed_at_a_distance():
     real = ArmLag.joints(T, ramp, np.array([0.01, 0.05])[:, None, None])
     behind = ramp[:, -1, 0] - real[:, -1, 0]
     np.testing.assert_allclose(behind, 2.0 * np.array([0.01, 0.05]), rtol=1e-3)
+
+
+def test_a_hand_that_lags_arrives_while_it_rests():
+    """From its log's last sample on it nears its goal as exp(-t / tau), and no log is made longer than it takes."""
+    pose = np.stack([0.3 * T**2, 0 * T, 0 * T], axis=-1)
+    motion = hand_motion_from_grasp(T, pose)
+    acts = [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.02)})]
+    goal = pose[-1, 0]
+    left = goal - np.array(
+        [motion.lasting(T[-1] + more).really(None, acts).pose[0, -1, 0] for more in (0.0, 0.02, 0.04)]
+    )
+    assert left[1:] / left[:-1] == pytest.approx(np.exp(-1), rel=0.02)
+    assert motion.lasting(0.5).end == motion.end
+    assert motion.lasting(60.0).end == pytest.approx(motion.end + ARRIVED)
 
 
 def test_play_leaves_a_joint_where_it_is_at_reversals():

@@ -26,6 +26,7 @@ from stages.report.words import mm
 
 FILTERS = (words.plain, words.percent, words.gain, words.quantity, words.interval, words.headline, words.joined)
 FEW = 12  # theories shown at once; the others are folded
+WORSE = 1.2  # times the residual without causes: that much more with them is worth a sentence
 RARE = 0.01  # probability up to which an alternative is not worth a line
 
 
@@ -49,7 +50,7 @@ def diagnosis_report(record: DiagnosisRecord) -> str:
             foretold=foretold(record),
             likelier=likelier(record),
             held_out=record.diagnosis.held_out.to_dict("records"),
-            alone=_alone(record.diagnosis.held_out),
+            worse=_worse(record),
             missing=missing(record),
             proposed=proposed(record),
             pushes=record.diagnosis.missing["s"].notna().any(),
@@ -76,9 +77,14 @@ def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> dict[str, 
     }
 
 
-def _alone(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Trials that show of the causes what no other does: foretold worse with them, and explained. table: HELD_OUT."""
-    return table[table["rms_base"].between(table["rms_known"], table["rms_extended"], "neither")].to_dict("records")
+def _worse(record: DiagnosisRecord) -> list[dict[str, Any]]:
+    """Trials that are foretold worse with the causes than without; and whether these explain them if fitted to them."""
+    if len(record.models) == 1:
+        return []
+    table = record.diagnosis.held_out
+    worse = table[table["rms_extended"] > WORSE * table["rms_base"]]
+    known = worse.get("rms_known", worse["rms_extended"])
+    return worse.assign(explained=WORSE * known < worse["rms_base"]).to_dict("records")
 
 
 def _strongest(table: pd.DataFrame) -> str:

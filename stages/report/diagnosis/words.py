@@ -39,7 +39,7 @@ def quantity(row: Mapping[str, Any]) -> Markup:
 def interval(row: Mapping[str, Any]) -> Markup:
     """The 95 % interval with its unit, or its lower end if that is what is known. row: of table CAUSES."""
     _, low, high = _figures(row)
-    ends = f"at least {low}" if row["at_least"] else f"{low} to {high}"
+    ends = f"at least {low}" if row.get("at_least") else f"{low} to {high}"
     return Markup(UNKNOWN) if UNKNOWN in (low, high) else _with_unit(ends, row["unit"])
 
 

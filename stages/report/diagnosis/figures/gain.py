@@ -23,7 +23,11 @@ def foretold(record: DiagnosisRecord) -> Picture | None:
     for axes, column, words in zip(panels, ("rms", "tip_rms"), ("whole string", "tip"), strict=True):
         _pairs(axes, record, column)
         axes.set(title=words, xlabel="RMS [mm]", xlim=(0, None))
-    if len(record.models) > 1 and set(table["trial"]) <= set(record.document["trials"]["used"]):
+    if (
+        len(record.models) > 1
+        and "rms_known" in table
+        and set(table["trial"]) <= set(record.document["trials"]["used"])
+    ):
         known = table["rms_known"] * MM
         panels[0].plot(known, range(len(table)), "o", ms=10, mfc="none", color=MODEL["extended"], label="fitted to all")
     panels[0].set_yticks(range(len(table)), table["trial"])
