@@ -119,5 +119,5 @@ def cast_record(
     known = {} if previous is None else previous.values()
     values = np.stack([model.values(known), model.values(known if estimate is None else estimate.values())])
     frames = trial.frames["t"].to_numpy()
-    strings = model.seen(motion_of(observation).lasting(frames[-1]), values, frames).points
+    strings = model.seen(motion_of(observation).lasting(frames.max(initial=0.0)), values, frames).points
     return Cast(motion, trial, points, estimate, verdict, strings[0], strings[1])
