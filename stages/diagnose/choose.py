@@ -127,8 +127,7 @@ def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:
         return plain.cost - fit.cost > least + price
     if len(acts) == 1:
         return False
-    gain = float((hypotheses.held(without).costs - hypotheses.held(causes).costs).sum())
-    return gain > max(least, CONFIRMED * (plain.cost - fit.cost))
+    return hypotheses.foretells(without, causes) > max(least, CONFIRMED * (plain.cost - fit.cost))
 
 
 def _explains(evidence: Evidence, fit: Fit, there: np.ndarray) -> bool:

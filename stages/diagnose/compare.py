@@ -38,7 +38,7 @@ def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> Held
     costs = [cost_of_unseen(evidence.only([k]), fits) for k, fits in enumerate(every)]
     for k in range(len(every)):
         if plain is not None and (plain.spent[k] < spent[k] + SHOWN or np.isinf(costs[k])):
-            chi[k] = fit.theory.carried(plain.fit.theory.named(plain.chi[k]))
+            chi[k] = fit.theory.carried(dict(zip(plain.fit.theory.model.names, plain.chi[k], strict=True)))
             spent[k], costs[k] = plain.spent[k], plain.costs[k]
     return HeldOut(fit, np.stack(chi), np.array(spent), np.array(costs))
 

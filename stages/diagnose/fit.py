@@ -7,8 +7,8 @@ log-likelihood, up to correlation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -84,6 +84,12 @@ def fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.n
     for some in together.values():
         _go_on(evidence, some, most)
     return [Fit(run.theory, run.chi, run.residual, run.slopes) for run in runs]
+
+
+def fixed(fit: Fit, causes: Collection[str]) -> Fit:
+    """The fit with some of its causes as they are: no longer to be fitted."""
+    theory = replace(fit.theory, causes=tuple(each for each in fit.theory.causes if each.name not in causes))
+    return Fit(theory, fit.chi, fit.residual, fit.slopes[:, np.isin(fit.theory.free, theory.free)])
 
 
 def ranked(fits: Sequence[Fit]) -> list[Fit]:

@@ -12,7 +12,7 @@ from stages.diagnose.chance import by_chance
 from stages.diagnose.closing import PROBES, closed_in
 from stages.diagnose.compare import HeldOut, held_out
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import LITTLE, Fit, fitted, ranked
+from stages.diagnose.fit import LITTLE, Fit, fitted, fixed, ranked
 from stages.diagnose.noise import mismatch
 from stages.diagnose.onset import since
 from stages.diagnose.ranges import ranged, widened, with_ranges
@@ -107,6 +107,18 @@ class Hypotheses:
             plain = self.held(frozenset()) if causes else None
             self.predictions[causes] = held_out(self.evidence, self.tried[causes], plain)
         return self.predictions[causes]
+
+    def foretells(self, without: Causes, causes: Causes) -> float:
+        """Gain of the log-likelihood on trials left out by causes over fewer of them.
+
+        Planes that both have stay where all trials put them: a trial that alone shows where one is would be foretold
+        wrongly by both, and nothing could be said of anything else.
+        """
+        shared = {name for name in without if placed(self.library[name])}
+        if not shared:
+            return float((self.held(without).costs - self.held(causes).costs).sum())
+        plain = held_out(self.evidence, fixed(self.tried[without], shared))
+        return float((plain.costs - held_out(self.evidence, fixed(self.tried[causes], shared), plain).costs).sum())
 
     def by_chance(self, causes: Causes) -> float:
         """What the best of the library would gain on the noise that these causes leave.

@@ -68,7 +68,7 @@ def test_a_place_that_explains_all_trials_that_reach_it_need_not_foretell_them(m
         evidence=None,
         refitted=lambda fewer, more: None,
         by_chance=lambda causes: 0.0,
-        held=lambda causes: SimpleNamespace(costs=np.array([0.0, 0.0, 500.0 if causes else 0.0])),
+        foretells=lambda without, causes: -500.0,
     )
     monkeypatch.setattr(choose, "moved", lambda evidence, one, other: np.array(acts))
     monkeypatch.setattr(choose, "present", lambda evidence, fit, new: True)

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from stages.diagnose.choose import MATTERS, earns, levelled
 from stages.diagnose.compare import cost_of_unseen, held_out, moved
 from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.fit import Fit, cost_of, fitted
+from stages.diagnose.fit import Fit, cost_of, fitted, fixed
 from stages.diagnose.gain import configured, side
 from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.intervals import interval, present
@@ -379,3 +379,27 @@ def test_a_trial_that_a_cause_cannot_simulate_is_foretold_without_it(arm, model,
     before = held_out(evidence, plain)
     monkeypatch.setattr("stages.diagnose.compare.cost_of_unseen", lambda trial, fits: np.inf)
     np.testing.assert_array_equal(held_out(evidence, fit, before).costs, before.costs)
+
+
+def test_a_plane_that_one_trial_alone_shows_does_not_drown_what_all_show(arm, model):
+    """A wall that the widest swing touches, and a weight at the tip. With that swing left out nobody knows where the
+    wall is, and both fits foretell it 5 times worse than noise: by so much that the weight, which explains 147, gains
+    97. With the wall where it is it gains 139."""
+    wall = {"contact.tilt": -1.24, "contact.height": 0.63, "contact.stiffness": 1e5, "contact.loss": 0.2}
+    clear = measured(arm, model, noise=0.0)
+    reach = [float((case.points @ [np.sin(1.24), np.cos(1.24)]).min()) for case in clear.cases]
+    assert min(reach[:2]) > 0.64
+    assert reach[2] < 0.625
+    evidence = measured(arm, model, {**wall, "tip_mass.ratio": 0.01})
+    hard, both = frozenset({"contact"}), frozenset({"contact", "tip_mass"})
+    plain = base(model, evidence)
+    hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
+    hypotheses.add(plain)
+    for key, values in ((hard, wall), (both, {**wall, "tip_mass.ratio": 0.01})):
+        theory = joined(plain.theory, *(library()[name] for name in sorted(key)))
+        hypotheses.add(fitted(evidence, [theory], [theory.at({**TRUTH, **values})], 12)[0])
+    kept = fixed(hypotheses.tried[both], hard)
+    assert not any(name.startswith("contact") for name in kept.values)
+    assert kept.slopes.shape[1] == len(kept.theory.free) == len(hypotheses.tried[both].theory.free) - 5
+    explained = hypotheses.tried[hard].cost - hypotheses.tried[both].cost
+    assert hypotheses.foretells(hard, both) == pytest.approx(explained, rel=0.15)
