@@ -1,7 +1,8 @@
 """What a trial that nobody has made yet would say for one theory or another, as the diagnosis would then count it.
 
-Everything is linear about the fits at hand: each theory may move its free parameters as far as the trials made
-allow. All residuals are over sigma.
+A `Prospect` is linear about the fits at hand: each theory may move its free parameters as far as the trials made
+allow. Where a motion is violent that is far from what they can do, and a `Rehearsal` fits them really. All residuals
+are over sigma.
 """
 
 from __future__ import annotations
@@ -31,10 +32,14 @@ class Outlook:
 
     def imagined(self, chance: float, draws: int, rng: np.random.Generator) -> np.ndarray:
         """Data of the new trial if this theory is true, (n, draws). chance: variance of what noise does in common."""
+        return self.expected + self.scatter(chance, draws, rng)
+
+    def scatter(self, chance: float, draws: int, rng: np.random.Generator) -> np.ndarray:
+        """By how much they differ from what is expected, (n, draws)."""
         root = np.linalg.cholesky(np.linalg.inv(self.past.normal))
         moved = root @ rng.standard_normal((len(root), draws))
         noise = rng.standard_normal((len(self.new.residual), draws))
-        return self.expected + np.sqrt(chance) * (self.new.slopes @ moved + noise)
+        return np.sqrt(chance) * (self.new.slopes @ moved + noise)
 
     @property
     def expected(self) -> np.ndarray:
@@ -94,12 +99,55 @@ class Prospect:
     def _odds(self, true: int, data: np.ndarray) -> np.ndarray:
         """Log odds (R, draws) of one theory over each, in these data (n, draws)."""
         seen = [rival.refitted(data) for rival in self.rivals]
-        costs = [self.pieces @ residual**2 for residual in seen]
-        apart = [self.pieces @ (residual - seen[true]) ** 2 for residual in seen]
-        explained = (self.pieces @ self.base.refitted(data) ** 2 - costs[true]).sum(axis=0)
         number = [len(rival.past.theory.free) for rival in self.rivals]
-        told = zip(costs, apart, number, strict=True)
-        return np.stack([weighed(c - costs[true], a, explained, self.chance, number[true] - n) for c, a, n in told])
+        return _log_odds(self.pieces, seen, self.base.refitted(data), true, number, self.chance)
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """A new trial as if one theory were right: all of them really fitted to the trials made and to what it would show
+    there. true: its number. right: how it stands. fits: of each theory; base: of the base model. evidence: of all
+    trials, the new one last."""
+
+    true: int
+    right: Outlook
+    fits: Sequence[Fit]
+    base: Fit
+    evidence: Evidence
+    chance: float
+
+    def expected(self) -> np.ndarray:
+        """Log odds (R,) over each theory without noise."""
+        return self._odds(np.zeros((len(self.right.new.residual), 1)))[:, 0]
+
+    def drawn(self, draws: int, rng: np.random.Generator) -> np.ndarray:
+        """The same with chance at work, (R, draws)."""
+        return self._odds(self.right.scatter(self.chance, draws, rng))
+
+    def _odds(self, change: np.ndarray) -> np.ndarray:
+        """Log odds (R, draws) where the new trial's data differ from what is expected by change (n, draws)."""
+        piece = blocks(self.evidence)
+        pieces = csr_array((np.full(len(piece), 0.5), (piece, np.arange(len(piece)))))
+        *seen, base = (_followed(fit, change) for fit in (*self.fits, self.base))
+        return _log_odds(pieces, seen, base, self.true, [len(fit.theory.free) for fit in self.fits], self.chance)
+
+
+def _followed(fit: Fit, change: np.ndarray) -> np.ndarray:
+    """Residuals (N + n, draws) of a fit that follows, to first order, where the last data change by (n, draws)."""
+    off = np.concatenate([np.zeros((len(fit.residual) - len(change), change.shape[1])), -change])
+    return fit.residual[:, None] + off - fit.slopes @ np.linalg.solve(fit.normal, fit.slopes.T @ off)
+
+
+def _log_odds(
+    pieces: csr_array, seen: Sequence[np.ndarray], base: np.ndarray, true: int, number: Sequence[int], chance: float
+) -> np.ndarray:
+    """Log odds (R, draws) of one theory over each. seen: residuals of each, base: of the base model, (N + n, draws).
+    number: of the parameters of each."""
+    costs = [pieces @ residual**2 for residual in seen]
+    apart = [pieces @ (residual - seen[true]) ** 2 for residual in seen]
+    explained = (pieces @ base**2 - costs[true]).sum(axis=0)
+    told = zip(costs, apart, number, strict=True)
+    return np.stack([weighed(c - costs[true], a, explained, chance, number[true] - n) for c, a, n in told])
 
 
 def again(fit: Fit, trial: np.ndarray, number: int) -> Fit:

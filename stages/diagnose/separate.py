@@ -2,7 +2,8 @@
 each could explain by moving its own parameters as far as the trials made allow.
 
 First all motions with the theories as they were fitted, then the promising ones with all that their parameters can
-do, and of the best few what chance makes of it. What is counted is the log odds that the diagnosis itself would find.
+do to first order; the best of these are rehearsed, with every theory really fitted, and of the best few of them it is
+asked what chance makes of it. What is counted is the log odds that the diagnosis itself would find.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from stages.diagnose.casts import Design, imagined, possible, standing_for
 from stages.diagnose.choose import noisiness
 from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.foretell import DECIDED, Outlook, Prospect, again
+from stages.diagnose.foretell import DECIDED, Outlook, Prospect, Rehearsal, again
 from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.resolve import SEGMENTS, finer
 from stages.diagnose.verdict import Judgement
@@ -35,6 +36,8 @@ from stages.model.hand import JointMotion
 RIVAL = 0.02  # of the likeliest: sets of causes at least as likely are worth an experiment
 TOGETHER = 16  # motions simulated at once
 PROMISING = 48  # motions of which all that the theories could do is simulated
+REHEARSED = 8  # of these, at most, with which the theories are really fitted
+STEPS = 8  # of these fits
 BEST = 3  # of these, of which chance is drawn
 DRAWS = 100
 TELLS = 1.0  # log odds that a motion must be expected to give, or it tells nothing
@@ -77,6 +80,18 @@ class Contest:
         every = (*self.fits, self.base)
         seen = fitted(new, [fit.theory for fit in every], [fit.chi for fit in every], 0)
         return [self._prospect([again(f, new.trial, k) for f in seen], new.only([k])) for k in range(len(new.cases))]
+
+    def rehearsed(self, new: Evidence) -> list[Rehearsal]:
+        """What one new trial would say, whichever theory is right."""
+        every = (*self.fits, self.base)
+        theories, starts = [fit.theory for fit in every], [fit.chi for fit in every]
+        made = []
+        for true, seen in enumerate(fitted(new, theories[:-1], starts[:-1], 0)):
+            shown = replace(new.cases[0], points=(seen.residual * new.sigma).reshape(-1, 2))
+            evidence = replace(new, cases=(*self.evidence.cases, shown))
+            *fits, base = fitted(evidence, theories, starts, STEPS)
+            made.append(Rehearsal(true, Outlook(self.fits[true], seen), fits, base, evidence, self.chance))
+        return made
 
     def performed(self) -> list[Prospect]:
         """The same if a trial were made once more."""
@@ -153,19 +168,18 @@ def proposed(
     few = promising(rivals, cases, like, obstacles)
     if not few:
         return without_motion(None)
-    told = _told([p for k in range(0, len(few), TOGETHER) for p in _first(rivals, cases, like, few[k : k + TOGETHER])])
-    pairs = told.max(axis=0) > TELLS
-    asked = pairs if pairs.any() else ~np.eye(len(pairs), dtype=bool)
-    best = [few[i] for i in np.argsort(-_least(told, asked), kind="stable")[:BEST]]
-    fine = trusted(rivals, [cases[i] for i in best], like, rivals.evidence.segments, finer(rivals.evidence.segments))
-    prospects = rivals.prospects(fine)
-    found = [forecast(rivals, prospect, asked, rng) for prospect in prospects]
-    first = max(range(len(best)), key=lambda i: (round(found[i].probability, 2), found[i].odds))
+    made = _rehearsed(rivals, cases, like, few)
+    apart = {i: _each_way(np.stack([one.expected() for one in each])) for i, each in made.items()}
+    pairs = np.max(list(apart.values()), axis=0) > TELLS
+    asked = _asked(pairs)
+    best = sorted(made, key=lambda i: _least(apart[i], asked), reverse=True)[:BEST]
+    found = {i: forecast(rivals, np.stack([one.drawn(DRAWS, rng) for one in made[i]]), asked) for i in best}
+    first = max(best, key=lambda i: (round(found[i].probability, 2), found[i].odds))
     text = _document(rivals, pairs, asked, found[first], _performed(rivals, asked, rng), len(cases))
     if not pairs.any():
         return without_motion(text)
-    curve = curves.only(np.array([best[first]]))
-    seen = foretold(rivals, prospects[first], fine.cases[first])
+    curve = curves.only(np.array([first]))
+    seen = foretold(rivals, made[first])
     return Proposal(text, commands_of(model.arm, curve), control_points_of(curve), seen)
 
 
@@ -209,23 +223,47 @@ def trusted(
     return replace(doubted, cases=tuple(weighted))
 
 
-def _told(prospects: Sequence[Prospect]) -> np.ndarray:
-    """(M, R, R) log odds that each motion is expected to give between two theories, whichever of them is true."""
-    expected = np.stack([prospect.expected() for prospect in prospects])
-    return np.minimum(expected, expected.transpose(0, 2, 1))
+def _rehearsed(
+    rivals: Contest, cases: Sequence[Case], like: Case, few: Sequence[int]
+) -> dict[int, Sequence[Rehearsal]]:
+    """The motions that to first order tell most, rehearsed until none is left that promises more than was found."""
+    parts = [few[k : k + TOGETHER] for k in range(0, len(few), TOGETHER)]
+    told = [_each_way(prospect.expected()) for part in parts for prospect in _first(rivals, cases, like, part)]
+    asked = _asked(np.max(told, axis=0) > TELLS)
+    promise = np.array([_least(each, asked) for each in told])
+    made: dict[int, Sequence[Rehearsal]] = {}
+    reached = -np.inf
+    for place in np.argsort(-promise, kind="stable")[:REHEARSED]:
+        if promise[place] <= reached:
+            break
+        some = rivals.evidence.segments
+        each = rivals.rehearsed(trusted(rivals, [cases[few[place]]], like, some, finer(some)))
+        made[few[place]] = each
+        reached = max(reached, _least(_each_way(np.stack([one.expected() for one in each])), asked))
+    return made
 
 
-def _least(odds: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """The least over pairs of theories (R, R) that are asked of, (M,). odds: (M, R, R)."""
-    return np.where(asked, odds, np.inf).min(axis=(1, 2))
+def _each_way(odds: np.ndarray) -> np.ndarray:
+    """Log odds (R, R) that a motion gives between two theories, whichever of them is true."""
+    return np.minimum(odds, odds.T)
 
 
-def forecast(rivals: Contest, prospect: Prospect, asked: np.ndarray, rng: np.random.Generator) -> Forecast:
-    """What a motion does with chance at work. asked: (R, R) between which theories it is to decide."""
-    odds = prospect.drawn(DRAWS, rng)
+def _asked(pairs: np.ndarray) -> np.ndarray:
+    """Between which theories, (R, R), a motion is to decide: those that can be told apart, or else all."""
+    return pairs if pairs.any() else ~np.eye(len(pairs), dtype=bool)
+
+
+def _least(odds: np.ndarray, asked: np.ndarray) -> float:
+    """The least over pairs of theories that are asked of. odds, asked: (R, R)."""
+    return float(np.where(asked, odds, np.inf).min())
+
+
+def forecast(rivals: Contest, odds: np.ndarray, asked: np.ndarray) -> Forecast:
+    """What a motion does with chance at work. odds: (R, R, draws) of each theory, if it is true, over each other.
+    asked: (R, R) between which it is to decide."""
     worst = np.where(asked[..., None], odds, np.inf).min(axis=1)[asked.any(axis=1)]
     share = rivals.chances[asked.any(axis=1)]
-    share = np.repeat(share / share.sum() / DRAWS, DRAWS)
+    share = np.repeat(share / share.sum() / odds.shape[-1], odds.shape[-1])
     mean = float(share @ worst.ravel())
     spread = float(np.sqrt(share @ (worst.ravel() - mean) ** 2))
     return Forecast(float(share @ (worst.ravel() > DECIDED)), mean, spread)
@@ -234,18 +272,19 @@ def forecast(rivals: Contest, prospect: Prospect, asked: np.ndarray, rng: np.ran
 def _performed(rivals: Contest, asked: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
     """The same of the best trial made, if it were made once more."""
     prospects = rivals.performed()
-    best = int(np.argmax(_least(_told(prospects), asked)))
-    return {"trial": rivals.evidence.cases[best].name, **forecast(rivals, prospects[best], asked, rng).stated()}
+    best = int(np.argmax([_least(_each_way(prospect.expected()), asked) for prospect in prospects]))
+    said = forecast(rivals, prospects[best].drawn(DRAWS, rng), asked).stated()
+    return {"trial": rivals.evidence.cases[best].name, **said}
 
 
-def foretold(rivals: Contest, prospect: Prospect, case: Case) -> pd.DataFrame:
+def foretold(rivals: Contest, made: Sequence[Rehearsal]) -> pd.DataFrame:
     """Table FORETOLD: the string under the likeliest theory, and as near to that as each other can come."""
     first = int(np.argmax(rivals.chances))
     order = [first, *(i for i in range(len(rivals.names)) if i != first)]
-    expected, count = prospect.rivals[first].expected, 2 * len(case.s)
+    case, expected = made[first].evidence.cases[-1], made[first].right.expected[:, 0]
     frames = []
     for i in order:
-        off = expected if i == first else expected + prospect.rivals[i].refitted(expected)[-count:]
+        off = expected if i == first else expected + made[first].fits[i].residual[-len(expected) :]
         x, y = (off.reshape(-1, 2) * case.sigma[:, None]).T
         table = {"theory": rivals.names[i], "t": case.times[case.frame], "s": case.s, "x": x, "y": y}
         frames.append(pd.DataFrame(table | {"sigma": case.sigma}))

@@ -192,6 +192,33 @@ def test_what_is_foretold_is_what_noise_makes(contest, curves, model, number):
         assert abs(found - told.mean()) < 3 * told.std()
 
 
+def test_to_first_order_a_gentle_motion_is_foretold_as_it_is_rehearsed(contest, curves, model):
+    gentle = alone(contest, curves, 11)
+    told, made = contest.prospects(gentle)[0].expected(), contest.rehearsed(gentle)
+    for true, one in enumerate(made):
+        np.testing.assert_allclose(one.expected(), told[true], rtol=0.15, atol=1e-6)
+
+
+def test_a_rehearsal_does_not_believe_a_fit_that_stopped_short(contest, curves):
+    """To first order it promises to tell theories apart by what one of them was not fitted to; really fitted, both say
+    of the motion what they say after a good fit."""
+    violent = alone(contest, curves, 2)
+    lag, offset = contest.fits
+    values = {**offset.values, "linear_drag": 0.9, "quadratic_drag": 1e-3}
+    short = fitted(contest.evidence, [offset.theory], [offset.theory.at(values)], 0)[0]
+    stopped = replace(contest, fits=(lag, short))
+    right, made = (each.rehearsed(violent)[0].expected()[1] for each in (contest, stopped))
+    assert made == pytest.approx(right, rel=0.1)
+    assert stopped.prospects(violent)[0].expected()[0, 1] > 3 * right  # measured: 43 for 7
+
+
+def alone(contest, curves, number):
+    """One motion that nobody has made, with what it could be trusted to say."""
+    like = contest.evidence.cases[0]
+    case = imagined(like.model, curves.only(np.array([number])), like, DESIGN)
+    return trusted(contest, [case], like, (10, 14), FINER)
+
+
 def difference(true, other, data):
     """Of the log-likelihoods in data (n, draws)."""
     return (np.sum(other.refitted(data) ** 2, axis=0) - np.sum(true.refitted(data) ** 2, axis=0)) / 2
