@@ -36,7 +36,7 @@ from stages.model.hand import JointMotion
 RIVAL = 0.02  # of the likeliest: sets of causes at least as likely are worth an experiment
 TOGETHER = 16  # motions simulated at once
 PROMISING = 48  # motions of which all that the theories could do is simulated
-REHEARSED = 8  # of these, at most, with which the theories are really fitted
+REHEARSED = 8, 16  # of these, at most, with which the theories are really fitted: more while none tells anything
 STEPS = 8  # of these fits
 BEST = 3  # of these, of which chance is drawn
 DRAWS = 100
@@ -233,8 +233,8 @@ def _rehearsed(
     promise = np.array([_least(each, asked) for each in told])
     made: dict[int, Sequence[Rehearsal]] = {}
     reached = -np.inf
-    for place in np.argsort(-promise, kind="stable")[:REHEARSED]:
-        if promise[place] <= reached:
+    for place in np.argsort(-promise, kind="stable")[: REHEARSED[1]]:
+        if promise[place] <= reached or (len(made) >= REHEARSED[0] and reached > TELLS):
             break
         some = rivals.evidence.segments
         each = rivals.rehearsed(trusted(rivals, [cases[few[place]]], like, some, finer(some)))
