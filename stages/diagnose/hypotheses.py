@@ -89,7 +89,7 @@ class Hypotheses:
     def level(self, others: Sequence[Causes], best: Causes) -> None:
         """Fit others from where the best put the string, too; what only they have begins as it was."""
         old = [self.tried[key] for key in others]
-        starts = [_carried(fit.theory, fit, self.tried[best]) for fit in old]
+        starts = [carried(fit.theory, fit, self.tried[best]) for fit in old]
         made = fitted(self.evidence, [fit.theory for fit in old], starts, STEPS)
         for key, before, fit in zip(others, old, made, strict=True):
             if fit.cost < before.cost - LITTLE:
@@ -99,7 +99,7 @@ class Hypotheses:
 
     def _from(self, theory: Theory, near: Causes) -> Fit:
         """A theory fitted from where other causes put the string."""
-        return fitted(self.evidence, [theory], [_carried(theory, self.tried[near])], STEPS)[0]
+        return fitted(self.evidence, [theory], [carried(theory, self.tried[near])], STEPS)[0]
 
     def held(self, causes: Causes) -> HeldOut:
         """What these causes say of trials that they were not fitted to."""
@@ -205,7 +205,7 @@ class Hypotheses:
         return self.contexts[context]
 
 
-def _carried(theory: Theory, *fits: Fit) -> np.ndarray:
+def carried(theory: Theory, *fits: Fit) -> np.ndarray:
     """(P,) exponents of what a theory fits, each from the last of these fits that has it."""
     known: dict[str, float] = {}
     for fit in fits:

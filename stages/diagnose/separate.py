@@ -23,7 +23,7 @@ from stages.diagnose.choose import noisiness
 from stages.diagnose.evidence import LOST, Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.foretell import DECIDED, Outlook, Prospect, Rehearsal, again
-from stages.diagnose.hypotheses import Causes, Hypotheses
+from stages.diagnose.hypotheses import Causes, Hypotheses, carried
 from stages.diagnose.resolve import SEGMENTS, finer
 from stages.diagnose.verdict import Judgement
 from stages.estimate.forward import Case
@@ -89,7 +89,9 @@ class Contest:
         for true, seen in enumerate(fitted(new, theories[:-1], starts[:-1], 0)):
             shown = replace(new.cases[0], points=(seen.residual * new.sigma).reshape(-1, 2))
             evidence = replace(new, cases=(*self.evidence.cases, shown))
-            *fits, base = fitted(evidence, theories, starts, STEPS)
+            there = carried(self.base.theory, self.fits[true])  # where the string is, the base model may be nearer
+            *fits, base, near = fitted(evidence, [*theories, self.base.theory], [*starts, there], STEPS)
+            base = min(base, near, key=lambda fit: fit.cost)
             made.append(Rehearsal(true, Outlook(self.fits[true], seen), fits, base, evidence, self.chance))
         return made
 
