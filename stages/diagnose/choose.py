@@ -21,6 +21,7 @@ SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, thou
 MATTERS = 2.5  # standard deviations by which a cause must move something somewhere
 PENALTY = 5.0  # of the log-likelihood for each parameter that was not asked of other trials
 MAINLY = 0.4  # of where it moves most: a trial moved less can say little of a cause
+NEARLY, FOLLOWED = 0.75, 2  # share of what the best explains alone, and how many that explain so much are followed
 CONFIRMED = 0.5  # share of what a cause explains where it is fitted that it must explain where it is not
 AGAINST = 2  # sets of causes that are fitted once more against those that were chosen
 GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of its own noise
@@ -37,7 +38,7 @@ def chosen(hypotheses: Hypotheses, progress: Progress) -> tuple[Hypotheses, Caus
         before.add(best)
         fewer, more = best, _added(hypotheses, best)
         if not earns(hypotheses, best, more):
-            fewer, more = more, _added(hypotheses, more)  # of two that are needed, one alone may predict nothing
+            fewer, more = _two_added(hypotheses, best)  # of two that are needed, one alone may predict nothing
             if not earns(hypotheses, best, more):
                 break
         best = _needed(hypotheses, _settled(hypotheses, fewer, more), bool)  # alone, it has just earned its place
@@ -61,6 +62,18 @@ def _added(hypotheses: Hypotheses, causes: Causes) -> Causes:
     """With the one cause more that fits best; as they are where there is none."""
     fits = hypotheses.extended(causes)
     return causes | {min(fits, key=lambda name: fits[name].cost)} if fits else causes
+
+
+def _two_added(hypotheses: Hypotheses, causes: Causes) -> tuple[Causes, Causes]:
+    """With the one cause more from which a second leads to the best fit, and with both.
+
+    What explains most alone may do some of the work of two: what explains nearly as much is followed as well.
+    """
+    plain, fits = hypotheses.tried[causes].cost, hypotheses.extended(causes)
+    best = max((plain - fit.cost for fit in fits.values()), default=0.0)
+    likely = sorted((name for name in fits if plain - fits[name].cost > NEARLY * best), key=lambda n: fits[n].cost)
+    pairs = [(causes | {name}, _added(hypotheses, causes | {name})) for name in likely[:FOLLOWED]]
+    return min(pairs, key=lambda pair: hypotheses.tried[pair[1]].cost, default=(causes, causes))
 
 
 def _settled(hypotheses: Hypotheses, before: Causes, best: Causes) -> Causes:

@@ -8,7 +8,7 @@ log-likelihood, up to correlation.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -61,14 +61,21 @@ class Fit:
 
 @dataclass
 class _Run:
-    """A fit under way."""
+    """A fit under way. residual: where it is, once that was simulated. active: whether it moved since its slopes were
+    found by what matters to anybody."""
 
     theory: Theory
     chi: np.ndarray
-    residual: np.ndarray
-    slopes: np.ndarray
+    residual: np.ndarray | None = None
+    slopes: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
     cost: float = np.inf
     active: bool = True
+
+    @property
+    def here(self) -> np.ndarray:
+        """Residual where it is, (N,)."""
+        assert self.residual is not None
+        return self.residual
 
 
 def fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.ndarray], most: int) -> list[Fit]:
@@ -76,14 +83,13 @@ def fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.n
 
     Theories must share their model but for its effects.
     """
-    empty = np.empty(0)
-    runs = [_Run(theory, chi.copy(), empty, empty) for theory, chi in zip(theories, starts, strict=True)]
+    runs = [_Run(theory, chi.copy()) for theory, chi in zip(theories, starts, strict=True)]
     together: dict[tuple[type[Effect], ...], list[_Run]] = {}
     for run in runs:
         together.setdefault(run.theory.model.effects, []).append(run)
     for some in together.values():
         _go_on(evidence, some, most)
-    return [Fit(run.theory, run.chi, run.residual, run.slopes) for run in runs]
+    return [Fit(run.theory, run.chi, run.here, run.slopes) for run in runs]
 
 
 def fixed(fit: Fit, causes: Collection[str]) -> Fit:
@@ -100,39 +106,46 @@ def ranked(fits: Sequence[Fit]) -> list[Fit]:
 def _go_on(evidence: Evidence, runs: Sequence[_Run], most: int) -> None:
     """Fits that share their model, to their ends."""
     model = runs[0].theory.model
-    for _ in range(most):
+    for number in range(most + 1):
         active = [run for run in runs if run.active]
         if not active:
             break
         _linearised(evidence, model, active)
-        _stepped(evidence, model, active)
-    _linearised(evidence, model, runs)
+        if number < most:
+            _stepped(evidence, model, active)
 
 
 def _linearised(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
     """Residual and slopes of each run where it is."""
-    moved, signs = [], []
-    for run in runs:
-        free = run.theory.free
-        sign = np.where(run.chi[free] > 0.5, -1.0, 1.0)
-        rows = np.repeat(run.chi[None], len(free) + 1, axis=0)
-        rows[1 + np.arange(len(free)), free] += STEP * sign
-        moved.append(rows)
-        signs.append(sign)
-    seen = evidence.residuals(model, np.concatenate(moved))
+    asked = [_beside(run) for run in runs]
+    seen = evidence.residuals(model, np.concatenate(asked))
     first = 0
-    for run, rows, sign in zip(runs, moved, signs, strict=True):
+    for run, rows in zip(runs, asked, strict=True):
         own = seen[first : first + len(rows)]
         first += len(rows)
-        run.residual = own[0]
-        lost = (own == LOST)[1:] | (own[0] == LOST)  # a run that was rejected tells no slope
-        change = np.where(lost, 0.0, own[1:] - own[0])
-        run.slopes = (change / (STEP * sign[:, None])).T
-        run.cost = cost_of(run.theory, own[0], run.chi)
+        if run.residual is None:
+            run.residual, own = own[0], own[1:]
+        lost = (own == LOST) | (run.residual == LOST)  # a run that was rejected tells no slope
+        change = np.where(lost, 0.0, own - run.residual)
+        run.slopes = (change / _offsets(run)[:, None]).T
+        run.cost = cost_of(run.theory, run.residual, run.chi)
+
+
+def _beside(run: _Run) -> np.ndarray:
+    """Exponents (free, P) a little off in one of them each; with those of the run first, if they were not simulated."""
+    free = run.theory.free
+    rows = np.repeat(run.chi[None], len(free) + 1, axis=0)
+    rows[1 + np.arange(len(free)), free] += _offsets(run)
+    return rows if run.residual is None else rows[1:]
+
+
+def _offsets(run: _Run) -> np.ndarray:
+    """How far off, (free,): away from the nearer end of the range."""
+    return STEP * np.where(run.chi[run.theory.free] > 0.5, -1.0, 1.0)
 
 
 def _stepped(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
-    """Each run to the best of several damped steps; one that hardly improves is done."""
+    """Each run to the best of several damped steps; one that hardly improves is done, its slopes as they are."""
     tried = [_steps(run) for run in runs]
     seen = np.split(evidence.residuals(model, np.concatenate(tried)), len(runs))
     for run, some, residuals in zip(runs, tried, seen, strict=True):
@@ -141,7 +154,7 @@ def _stepped(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
         better = run.cost - costs[best]
         run.active = better > max(CONVERGED * run.cost, LITTLE)
         if better > 0:
-            run.chi, run.cost = some[best], costs[best]
+            run.chi, run.residual, run.cost = some[best], residuals[best].copy(), costs[best]
 
 
 def _steps(run: _Run) -> np.ndarray:
@@ -151,9 +164,7 @@ def _steps(run: _Run) -> np.ndarray:
     that is a bent valley, along which steps are short; in values it is straight.
     """
     free, chi = run.theory.free, run.chi
-    ways = {
-        damping: newton_step(run.theory, chi, run.residual, run.slopes, damping) for damping in {*DAMPINGS, *IN_VALUES}
-    }
+    ways = {damping: newton_step(run.theory, chi, run.here, run.slopes, damping) for damping in {*DAMPINGS, *IN_VALUES}}
     steps = [shortened(ways[damping]) for damping in DAMPINGS]
     steps += [_in_values(run.theory, ways[damping]) for damping in IN_VALUES]
     moved = np.repeat(chi[None], len(steps), axis=0)

@@ -47,6 +47,29 @@ def test_a_cause_whose_work_more_mass_points_do_is_not_named(monkeypatch, explai
 
 
 @pytest.mark.parametrize(
+    ("second", "found"),
+    [
+        (250.0, ({"b"}, {"b", "c"})),  # it explains 750 of what the best explains 900 of
+        (400.0, ({"a"}, {"a", "d"})),  # 600 of them: not followed
+    ],
+)
+def test_two_causes_are_sought_from_the_second_best_alone_as_well(second, found):
+    """Of a tilt and a clock that drifts, wind explains most (bench 2016): but not with anything beside it."""
+    costs = {"": 1000.0, "a": 100.0, "b": second, "ad": 60.0, "bc": 10.0}
+    tried = {frozenset(names): SimpleNamespace(cost=cost) for names, cost in costs.items()}
+    hypotheses = SimpleNamespace(tried=tried)
+    hypotheses.extended = lambda causes: {
+        name: fit for key, fit in tried.items() if causes < key and len(key) == len(causes) + 1 for name in key - causes
+    }
+    assert choose._two_added(hypotheses, frozenset()) == found
+
+
+def test_where_nothing_can_be_added_nothing_is():
+    hypotheses = SimpleNamespace(tried={frozenset(): SimpleNamespace(cost=1.0)}, extended=lambda causes: {})
+    assert choose._two_added(hypotheses, frozenset()) == (frozenset(), frozenset())
+
+
+@pytest.mark.parametrize(
     ("place", "acts", "left", "earned"),
     [
         (True, [9.0, 8.0, 0.0], [3.0, 3.0, 9.0], True),  # all that it reaches is explained

@@ -91,6 +91,17 @@ def test_a_fit_goes_along_the_valley_where_one_drag_takes_the_place_of_the_other
     assert here.mean_square == pytest.approx(there.mean_square, abs=1e-3)
 
 
+@pytest.mark.parametrize("most", [0, 1, 12])
+def test_a_fit_says_what_is_simulated_where_it_ends(arm, model, most):
+    """Residuals to the bit, though the last step that hardly mattered is not simulated again; slopes as they are there."""
+    evidence = measured(arm, model)
+    theory = Theory(model, (), model.names)
+    fit = fitted(evidence, [theory], [theory.at({**TRUTH, "linear_drag": 0.5})], most)[0]
+    assert np.array_equal(fit.residual, evidence.residuals(model, fit.chi[None])[0])
+    exact = fitted(evidence, [theory], [fit.chi], 0)[0].slopes
+    assert np.linalg.norm(fit.slopes - exact) < 0.01 * np.linalg.norm(exact)
+
+
 def test_a_fit_that_stopped_short_is_levelled_with_one_of_more_causes(arm, model):
     """Else what it missed would count as explained by a cause: measured, 20 against 1."""
     evidence = measured(arm, model)
