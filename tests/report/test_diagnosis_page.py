@@ -1,14 +1,18 @@
 """The page of a diagnosis: every verdict, whole in itself, numbers as they are in the artifact."""
 
 import base64
+import itertools
 import json
 import re
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import style
 from matplotlib.colors import to_hex
+from matplotlib.text import Text
 
 from data.artifacts import Diagnosis
 from stages.model.library import library
@@ -16,11 +20,12 @@ from stages.model.model import Model
 from stages.model.string import String
 from stages.report.diagnosis import DiagnosisRecord, diagnosis_report
 from stages.report.diagnosis.figures.colours import ABOVE, BELOW
-from stages.report.diagnosis.figures.maps import parts
+from stages.report.diagnosis.figures.maps import maps, parts
 from stages.report.diagnosis.figures.overlay import worst
 from stages.report.diagnosis.figures.tip import last
 from stages.report.diagnosis.record import TRIALS, away, rms
 from stages.report.diagnosis.words import gain, headline, interval, percent, quantity
+from stages.report.picture import STYLE
 
 SIGMA = 7e-4
 S = np.linspace(0.05, 0.3, 6)
@@ -117,7 +122,8 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
 
 
 def nothing_tried():
-    return {name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")}
+    nothing = {name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")}
+    return nothing | {"theories": theories()[1:2]}
 
 
 VERDICTS = {
@@ -281,9 +287,42 @@ def test_too_few_mass_points_have_no_parameter(write):
 
 def test_nothing_measured_has_a_page(write):
     empty = {name: Diagnosis.TABLES[name].empty() for name in ("residuals", "theories", "held_out")}
-    page = Page(write(diagnosed("insufficient", gain={"held_out_trials": []}, **empty, **nothing_tried())))
+    page = Page(write(diagnosed("insufficient", gain={"held_out_trials": []}, **nothing_tried() | empty)))
     assert "Nothing was measured that could be compared." in page.text
     assert page.pictures() == []
+
+
+def test_what_was_asked_of_beginnings_alone_is_not_called_nothing(write):
+    """Leads come before any screening beside the base model, and theories were fitted all the same."""
+    beside = pd.DataFrame([("wind", "tip_mass", 9.0)], columns=["context", "effect", "predicted_gain"])
+    page = Page(write(diagnosed("unknown", screening=beside, left="What is left looks like a force.")))
+    assert "nothing that was worth a search" not in page.text
+    assert "it was asked of the beginnings of the trials" in page.text
+
+
+def test_no_two_words_on_a_map_lie_on_one_another(arm, camera, monkeypatch):
+    """Names of trials may be longer than a row is high."""
+    monkeypatch.setattr(sys.modules[maps.__module__], "vector", lambda figure, alt: figure)
+    names = {"t00": "drive_black_short_unweighted", "t01": "release_black_short_unweighted"}
+    table = measured().replace({"trial": names})
+    record = DiagnosisRecord(
+        diagnosis=diagnosed("effect", ["tip_mass"], residuals=table),
+        model=Model(String(0.3), arm, camera),
+        library=library(),
+        name="bench-7",
+        settings={},
+        origin={},
+    )
+    with style.context(STYLE):
+        figure = maps(record, "base")
+        figure.draw_without_rendering()
+    words = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    boxes = {
+        text.get_text(): text.get_window_extent() for text in words if not re.fullmatch(r"[−\d.]+", text.get_text())
+    }
+    assert set(names.values()) < set(boxes)
+    for one, other in itertools.combinations(boxes.values(), 2):
+        assert not one.overlaps(other)
 
 
 def test_of_many_trials_the_worst_are_drawn_and_of_many_theories_the_best(write):

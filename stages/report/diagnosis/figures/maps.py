@@ -23,16 +23,18 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
     if not record.trials:
         return None
     rows = len(record.trials)
-    figure = Figure(figsize=(5.4, 1.1 + 0.95 * rows))
+    figure = Figure(figsize=(5.4, 1.3 + 1.05 * rows))
     panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
     end = _end(record)
     scale = AsinhNorm(2.0, -end, end)
     for line, (trial, table) in zip(panels, record.trials.items(), strict=True):
         split = parts(table, model)
         drawn = [_map(axes, table, split[part], scale) for axes, part in zip(line, PARTS, strict=True)]
-        line[0].set_ylabel(f"{trial}\ns [mm]")
+        line[0].set_ylabel("s [mm]")
+        above = {"x": 0.0, "y": 1.05, "transform": line[0].transAxes}
+        line[0].text(s=trial, fontsize=8, **above)  # names may be longer than a row is high
     for axes, words in zip(panels[0], PARTS.values(), strict=True):
-        axes.set_title(words, fontsize=9)
+        axes.set_title(words, fontsize=9, pad=16)
     for axes in panels[-1]:
         axes.set_xlabel("time [ms]")
     _bar(figure, panels, drawn[0], end)
