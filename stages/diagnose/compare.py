@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_softmax, logsumexp
 
-from stages.diagnose.evidence import LOST, Evidence
+from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, newton_step, ranked, shortened
+from stages.diagnose.predictive import cost_of_unseen
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
 SHOWN = 10.0  # of the log-likelihood that a cause must gain on other trials to be shown by them
@@ -58,15 +57,6 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> list[Fit]:
     others = evidence.only([k for k in range(len(evidence.cases)) if k != left_out])
     fits = ranked(fitted(others, [fit.theory] * 2, [np.clip(start, 0, 1), fit.chi], AGAIN))
     return [each for each in fits if each.cost < fits[0].cost + SHOWN]
-
-
-def cost_of_unseen(trial: Evidence, fits: Sequence[Fit]) -> float:
-    """Minus the log-likelihood of a trial from fits to others, each as probable as these make it: where they leave
-    something open, a plane that only one trial touched, say, the best of them alone foretells too much. Infinite where
-    no simulation of it survives."""
-    seen = trial.residuals(fits[0].theory.model, np.stack([fit.chi for fit in fits]))
-    costs = np.where(np.any(seen == LOST, axis=1), np.inf, 0.5 * np.sum(seen**2, axis=1))
-    return -float(logsumexp(log_softmax([-fit.cost for fit in fits]) - costs))
 
 
 def blocks(evidence: Evidence) -> np.ndarray:
