@@ -143,13 +143,13 @@ def _touched(evidence: Evidence, begun: Onset, sought: _Sought, seed: int) -> np
 def _fitting(evidence: Evidence, begun: Onset, sought: _Sought, chi: np.ndarray) -> np.ndarray:
     """Those of exponents (C, P) with which every trial that shows something is touched about then, none before, and
     the hand never."""
+    chi = chi[~sought.theory.on_hand(sought.effect, chi)]  # first: the hand's way is short
     late = evidence.until(begun.ends * WINDOW)
     for trial in begun.seen:
         way = followed(late.only([trial]), begun.fit)
         chi = chi[sought.pushed(chi, way)]
     clear = followed(evidence.until(begun.ends / WINDOW), begun.fit)
-    chi = chi[~sought.pushed(chi, clear)]
-    return chi[~sought.theory.on_hand(sought.effect, chi)]
+    return chi[~sought.pushed(chi, clear)]
 
 
 def _nearest(evidence: Evidence, sought: _Sought, chi: np.ndarray, seed: int) -> np.ndarray:
