@@ -69,9 +69,10 @@ def _two_added(hypotheses: Hypotheses, causes: Causes) -> tuple[Causes, Causes]:
 
     What explains most alone may do some of the work of two: what explains nearly as much is followed as well.
     """
-    plain, fits = hypotheses.tried[causes].cost, hypotheses.extended(causes)
-    best = max((plain - fit.cost for fit in fits.values()), default=0.0)
-    likely = sorted((name for name in fits if plain - fits[name].cost > NEARLY * best), key=lambda n: fits[n].cost)
+    plain = hypotheses.tried[causes].cost
+    gains = {name: plain - fit.cost for name, fit in hypotheses.extended(causes).items()}
+    least = NEARLY * max(gains.values(), default=0.0)
+    likely = [name for name in sorted(gains, key=gains.__getitem__, reverse=True) if gains[name] > least]
     pairs = [(causes | {name}, _added(hypotheses, causes | {name})) for name in likely[:FOLLOWED]]
     return min(pairs, key=lambda pair: hypotheses.tried[pair[1]].cost, default=(causes, causes))
 

@@ -32,7 +32,7 @@ def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> Held
     plain: the same without causes. A cause that the other trials do not show, or with which the trial cannot be
     simulated where they put it, is absent in what they predict.
     """
-    every = [_without(evidence, fit, k) for k in range(len(evidence.cases))]
+    every = without_each(evidence, fit)
     chi, spent = [fits[0].chi for fits in every], [fits[0].cost for fits in every]
     costs = [cost_of_unseen(evidence.only([k]), fits) for k, fits in enumerate(every)]
     for k in range(len(every)):
@@ -40,6 +40,11 @@ def held_out(evidence: Evidence, fit: Fit, plain: HeldOut | None = None) -> Held
             chi[k] = fit.theory.carried(dict(zip(plain.fit.theory.model.names, plain.chi[k], strict=True)))
             spent[k], costs[k] = plain.spent[k], plain.costs[k]
     return HeldOut(fit, np.stack(chi), np.array(spent), np.array(costs))
+
+
+def without_each(evidence: Evidence, fit: Fit) -> list[list[Fit]]:
+    """Fits to all trials but one, for each trial, the best first."""
+    return [_without(evidence, fit, k) for k in range(len(evidence.cases))]
 
 
 def _without(evidence: Evidence, fit: Fit, left_out: int) -> list[Fit]:

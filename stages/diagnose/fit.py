@@ -61,21 +61,15 @@ class Fit:
 
 @dataclass
 class _Run:
-    """A fit under way. residual: where it is, once that was simulated. active: whether it moved since its slopes were
-    found by what matters to anybody."""
+    """A fit under way. residual: where it is, empty until that was simulated. active: whether it moved since its slopes
+    were found by what matters to anybody."""
 
     theory: Theory
     chi: np.ndarray
-    residual: np.ndarray | None = None
-    slopes: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    residual: np.ndarray = field(default_factory=lambda: np.empty(0))
+    slopes: np.ndarray = field(default_factory=lambda: np.empty(0))
     cost: float = np.inf
     active: bool = True
-
-    @property
-    def here(self) -> np.ndarray:
-        """Residual where it is, (N,)."""
-        assert self.residual is not None
-        return self.residual
 
 
 def fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.ndarray], most: int) -> list[Fit]:
@@ -89,7 +83,7 @@ def fitted(evidence: Evidence, theories: Sequence[Theory], starts: Sequence[np.n
         together.setdefault(run.theory.model.effects, []).append(run)
     for some in together.values():
         _go_on(evidence, some, most)
-    return [Fit(run.theory, run.chi, run.here, run.slopes) for run in runs]
+    return [Fit(run.theory, run.chi, run.residual, run.slopes) for run in runs]
 
 
 def fixed(fit: Fit, causes: Collection[str]) -> Fit:
@@ -123,7 +117,7 @@ def _linearised(evidence: Evidence, model: Model, runs: Sequence[_Run]) -> None:
     for run, rows in zip(runs, asked, strict=True):
         own = seen[first : first + len(rows)]
         first += len(rows)
-        if run.residual is None:
+        if not run.residual.size:
             run.residual, own = own[0], own[1:]
         lost = (own == LOST) | (run.residual == LOST)  # a run that was rejected tells no slope
         change = np.where(lost, 0.0, own - run.residual)
@@ -136,7 +130,7 @@ def _beside(run: _Run) -> np.ndarray:
     free = run.theory.free
     rows = np.repeat(run.chi[None], len(free) + 1, axis=0)
     rows[1 + np.arange(len(free)), free] += _offsets(run)
-    return rows if run.residual is None else rows[1:]
+    return rows[1:] if run.residual.size else rows
 
 
 def _offsets(run: _Run) -> np.ndarray:
@@ -164,7 +158,9 @@ def _steps(run: _Run) -> np.ndarray:
     that is a bent valley, along which steps are short; in values it is straight.
     """
     free, chi = run.theory.free, run.chi
-    ways = {damping: newton_step(run.theory, chi, run.here, run.slopes, damping) for damping in {*DAMPINGS, *IN_VALUES}}
+    ways = {
+        damping: newton_step(run.theory, chi, run.residual, run.slopes, damping) for damping in {*DAMPINGS, *IN_VALUES}
+    }
     steps = [shortened(ways[damping]) for damping in DAMPINGS]
     steps += [_in_values(run.theory, ways[damping]) for damping in IN_VALUES]
     moved = np.repeat(chi[None], len(steps), axis=0)
@@ -204,4 +200,9 @@ def newton_step(
     held = ((here <= 0) & (gradient > 0)) | ((here >= 1) & (gradient < 0))
     slopes = np.where(held, 0.0, slopes)
     normal = slopes.T @ slopes + PRIOR * np.eye(len(here))
-    return np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -np.where(held, 0.0, gradient))
+    return damped_step(normal, np.where(held, 0.0, gradient), damping)
+
+
+def damped_step(normal: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+    """Newton's step (free,), damped as Marquardt does. normal: (free, free)."""
+    return np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -gradient)

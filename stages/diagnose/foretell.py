@@ -82,10 +82,9 @@ class Prospect:
 
     @cached_property
     def pieces(self) -> csr_array:
-        """(K, N + n) which residuals belong to a piece of time."""
+        """(K, N + n) half the sum over each piece of time."""
         old, new = blocks(self.evidence), blocks(self.new)
-        piece = np.concatenate([old, old.max() + 1 + new])
-        return csr_array((np.full(len(piece), 0.5), (piece, np.arange(len(piece)))))
+        return _halved_sums(np.concatenate([old, old.max() + 1 + new]))
 
     def expected(self) -> np.ndarray:
         """Log odds (R, R) of each theory, if it is true and without noise, over each other."""
@@ -126,10 +125,14 @@ class Rehearsal:
 
     def _odds(self, change: np.ndarray) -> np.ndarray:
         """Log odds (R, draws) where the new trial's data differ from what is expected by change (n, draws)."""
-        piece = blocks(self.evidence)
-        pieces = csr_array((np.full(len(piece), 0.5), (piece, np.arange(len(piece)))))
         *seen, base = (_followed(fit, change) for fit in (*self.fits, self.base))
-        return _log_odds(pieces, seen, base, self.true, [len(fit.theory.free) for fit in self.fits], self.chance)
+        number = [len(fit.theory.free) for fit in self.fits]
+        return _log_odds(_halved_sums(blocks(self.evidence)), seen, base, self.true, number, self.chance)
+
+
+def _halved_sums(piece: np.ndarray) -> csr_array:
+    """(K, N) that makes half the sum over each piece of what it multiplies. piece: number of that of each, (N,)."""
+    return csr_array((np.full(len(piece), 0.5), (piece, np.arange(len(piece)))))
 
 
 def _followed(fit: Fit, change: np.ndarray) -> np.ndarray:

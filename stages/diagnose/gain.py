@@ -10,7 +10,7 @@ import pandas as pd
 
 from data.artifacts import HELD_OUT, Observation
 from stages.diagnose.beginning import begun, doubted_beginnings
-from stages.diagnose.compare import AGAIN, held_out
+from stages.diagnose.compare import AGAIN, without_each
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
 from stages.diagnose.hypotheses import Causes, Hypotheses
@@ -60,7 +60,7 @@ def configured(ground: Ground, kept: Sequence[int], rest: Sequence[int]) -> Side
     own = ground.configured
     evidence = replace(ground.evidence, segments=(own.theory.model.string.points - 1,))
     fit = fitted(evidence.only(kept), [own.theory], [own.chi], AGAIN)[0]
-    chi = [fit.chi] * len(rest) if rest else list(held_out(evidence.only(kept), fit).chi)
+    chi = [fit.chi] * len(rest) if rest else [fits[0].chi for fits in without_each(evidence.only(kept), fit)]
     return Side(own.theory.model, evidence, chi, fit.chi)
 
 

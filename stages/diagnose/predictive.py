@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import log_softmax, logsumexp
 
 from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.fit import Fit, fitted, shortened
+from stages.diagnose.fit import Fit, damped_step, fitted, shortened
 from stages.diagnose.theory import Theory
 
 FOLLOWS = 4  # steps by which the string's parameters follow a trial
@@ -64,9 +64,8 @@ class _Allowed:
         free = self.theory.free
         gradient = here.slopes.T @ here.residual + self.known @ (here.chi - self.chi)[free]
         both = self.curvature(here)
-        systems = [both + damping * np.diag(np.diag(both)) for damping in DAMPINGS]
-        tried = np.repeat(here.chi[None], len(systems), axis=0)
-        tried[:, free] += [shortened(-np.linalg.solve(system, gradient)) for system in systems]
+        tried = np.repeat(here.chi[None], len(DAMPINGS), axis=0)
+        tried[:, free] += [shortened(damped_step(both, gradient, damping)) for damping in DAMPINGS]
         return np.clip(tried, 0, 1)
 
     def curvature(self, here: Fit) -> np.ndarray:

@@ -221,8 +221,9 @@ def touching(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.nda
     chi = np.repeat(trial.start[None], 2**DRAWS, axis=0)
     chi[:, own] = qmc.Sobol(len(own), seed=seed).random_base2(DRAWS)
     chi[:, own[0]] = trial.start[own[0]] + SIZES[-1] * (1 - trial.start[own[0]])
+    chi = chi[~trial.theory.on_hand(trial.effect, chi)]  # first: the hand's way is short
     share = np.mean(trial.theory.pushed(trial.effect, chi, path), axis=1)
-    return chi[(share > 0) & (share < TOUCHED) & ~trial.theory.on_hand(trial.effect, chi)][:PLACES]
+    return chi[(share > 0) & (share < TOUCHED)][:PLACES]
 
 
 def _scaled(trial: _Trial, chi: np.ndarray, factor: float) -> np.ndarray:

@@ -171,7 +171,7 @@ def proposed(
     if not few:
         return without_motion(None)
     made = _rehearsed(rivals, cases, like, few)
-    apart = {i: _each_way(np.stack([one.expected() for one in each])) for i, each in made.items()}
+    apart = {i: _apart(each) for i, each in made.items()}
     pairs = np.max(list(apart.values()), axis=0) > TELLS
     asked = _asked(pairs)
     best = sorted(made, key=lambda i: _least(apart[i], asked), reverse=True)[:BEST]
@@ -241,8 +241,13 @@ def _rehearsed(
         some = rivals.evidence.segments
         each = rivals.rehearsed(trusted(rivals, [cases[few[place]]], like, some, finer(some)))
         made[few[place]] = each
-        reached = max(reached, _least(_each_way(np.stack([one.expected() for one in each])), asked))
+        reached = max(reached, _least(_apart(each), asked))
     return made
+
+
+def _apart(made: Sequence[Rehearsal]) -> np.ndarray:
+    """Log odds (R, R) that a rehearsed motion gives between two theories, whichever of them is true."""
+    return _each_way(np.stack([one.expected() for one in made]))
 
 
 def _each_way(odds: np.ndarray) -> np.ndarray:

@@ -143,17 +143,21 @@ VERDICTS = {
 
 
 @pytest.fixture(scope="module")
-def write(arm, camera):
-    """The page of a diagnosis."""
+def record(arm, camera):
+    """What the page of a diagnosis is made of."""
     origin = {"seed": 7, "code": {"commit": "0123456789abcdef"}, "packages": {"numpy": "2"}}
 
-    def written(diagnosis, **other):
+    def recorded(diagnosis, **other):
         facts = {"name": "bench-7", "settings": {"diagnose": {"starts": 4}}, "origin": origin} | other
-        return diagnosis_report(
-            DiagnosisRecord(diagnosis=diagnosis, model=Model(String(0.3), arm, camera), library=library(), **facts)
-        )
+        return DiagnosisRecord(diagnosis=diagnosis, model=Model(String(0.3), arm, camera), library=library(), **facts)
 
-    return written
+    return recorded
+
+
+@pytest.fixture(scope="module")
+def write(record):
+    """The page of a diagnosis."""
+    return lambda diagnosis, **other: diagnosis_report(record(diagnosis, **other))
 
 
 @pytest.fixture(scope="module")
@@ -300,21 +304,13 @@ def test_what_was_asked_of_beginnings_alone_is_not_called_nothing(write):
     assert "it was asked of the beginnings of the trials" in page.text
 
 
-def test_no_two_words_on_a_map_lie_on_one_another(arm, camera, monkeypatch):
+def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):
     """Names of trials may be longer than a row is high."""
     monkeypatch.setattr(sys.modules[maps.__module__], "vector", lambda figure, alt: figure)
     names = {"t00": "drive_black_short_unweighted", "t01": "release_black_short_unweighted"}
     table = measured().replace({"trial": names})
-    record = DiagnosisRecord(
-        diagnosis=diagnosed("effect", ["tip_mass"], residuals=table),
-        model=Model(String(0.3), arm, camera),
-        library=library(),
-        name="bench-7",
-        settings={},
-        origin={},
-    )
     with style.context(STYLE):
-        figure = maps(record, "base")
+        figure = maps(record(diagnosed("effect", ["tip_mass"], residuals=table)), "base")
         figure.draw_without_rendering()
     words = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
     boxes = {

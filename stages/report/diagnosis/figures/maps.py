@@ -31,8 +31,8 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
         split = parts(table, model)
         drawn = [_map(axes, table, split[part], scale) for axes, part in zip(line, PARTS, strict=True)]
         line[0].set_ylabel("s [mm]")
-        above = {"x": 0.0, "y": 1.05, "transform": line[0].transAxes}
-        line[0].text(s=trial, fontsize=8, **above)  # names may be longer than a row is high
+        # above the row, for names may be longer than it is high
+        line[0].text(0.0, 1.05, trial, fontsize=8, transform=line[0].transAxes)
     for axes, words in zip(panels[0], PARTS.values(), strict=True):
         axes.set_title(words, fontsize=9, pad=16)
     for axes in panels[-1]:
