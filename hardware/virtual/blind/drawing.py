@@ -35,7 +35,8 @@ LEAST, MOST = 5.0, 60.0  # of a size as it turns out
 APART = 6.0  # sigmas of each of a pair that the other cannot explain
 UNLIKE = 5.0  # sigmas of an outside cause that no single effect of the library explains
 AGREE = 5.0  # sigmas by which the tip may move between 21 and 29 points
-EXPLAINED = 2.5  # sigmas that the true cause may leave at 29 points
+FEW, MORE = 21, 41  # points with which sizes are sought, and with which what is really seen is explained
+EXPLAINED = 2.5  # sigmas that the true cause may then leave
 SPEEDS = (2.0, 10.0)  # of the hand [m/s]
 LADDER = np.geomspace(3e-3, 1.0, 12)  # shares of an effect's range among which its size is sought
 LARGEST = 0.9
@@ -60,10 +61,11 @@ def draw(seed: int, arm: Arm, camera: Camera) -> BlindBench:
 def _drawn(seed: int, case: str, rng: np.random.Generator, arm: Arm, camera: Camera) -> BlindBench:
     scene = _scene(rng, arm, camera, soft=case == RESOLUTION)
     things = tuple(_hidden(effect, rng, scene) for effect in _effects(case, rng))
-    data, sizes, parameters = _sized(scene, things, rng)
+    data, parameters = _sized(scene, things, rng)
     if _kind(case) == "outside" and disguised(scene, data, UNLIKE):
         raise Redraw
-    true = _true(scene, things, parameters)
+    true, explained = _true(scene, things, parameters)
+    sizes = _sizes(scene, things, explained, parameters, MORE)
     off = scene.at_tip(scene.left(scene.model(String(scene.length)), true, tuple(scene.base), {}, steps=4)[0])
     if case == RESOLUTION:
         sizes = {RESOLUTION: off}
@@ -130,7 +132,7 @@ def _predictable(scene: Scene) -> bool:
 
 def _hidden(effect: type[Effect], rng: np.random.Generator, scene: Scene) -> Hidden:
     """The effect in circumstances of this scene's trials."""
-    plain = scene.model(scene.second_order(21))
+    plain = scene.model(scene.second_order(FEW))
     values = plain.values(scene.base)[None]
     times = [cast.frames for cast in scene.casts]
     strings = [plain.true(cast.happened, values, cast.frames).points[0] for cast in scene.casts]
@@ -140,36 +142,43 @@ def _hidden(effect: type[Effect], rng: np.random.Generator, scene: Scene) -> Hid
     return thing
 
 
-def _sized(
-    scene: Scene, things: Sequence[Hidden], rng: np.random.Generator
-) -> tuple[np.ndarray, dict[str, float], dict[str, float]]:
-    """What would be seen of things of drawn sizes (N, S, 2), their sizes in sigmas, and their parameters."""
+def _sized(scene: Scene, things: Sequence[Hidden], rng: np.random.Generator) -> tuple[np.ndarray, dict[str, float]]:
+    """What would be seen of things of drawn sizes with few points (N, S, 2), and their parameters."""
     parameters: dict[str, float] = {}
     for thing in things:
         parameters |= thing.at(_share(scene, thing, float(np.exp(rng.uniform(*np.log(SIZES))))))
-    light = scene.model(scene.second_order(21), [t.effect for t in things])
+    light = scene.model(scene.second_order(FEW), [t.effect for t in things])
     only = things[0].only if len(things) == 1 else None
     data = scene.seen(light, [parameters], only)[0]
     if not np.isfinite(data).all():
         raise Redraw
+    _sizes(scene, things, data, parameters, FEW)
+    return data, parameters
+
+
+def _sizes(
+    scene: Scene, things: Sequence[Hidden], data: np.ndarray, parameters: dict[str, float], points: int
+) -> dict[str, float]:
+    """How far each thing moves the tip at most, in sigmas, of what is seen with so many points (N, S, 2): what base
+    parameters and the other things leave."""
     sizes = {}
     for thing in things:
         others = [other for other in things if other is not thing]
         start = {name: value for other in others for name, value in parameters.items() if name in other.full}
-        model = scene.model(scene.second_order(21), [other.effect for other in others])
+        model = scene.model(scene.second_order(points), [other.effect for other in others])
         rest, _ = scene.left(model, data, (*scene.base, *start), start, steps=3)
         sizes[thing.effect.name] = scene.at_tip(rest)
     least = LEAST if len(things) == 1 else APART
     if not all(least <= size <= MOST for size in sizes.values()):
         raise Redraw
-    return data, sizes, parameters
+    return sizes
 
 
 def _share(scene: Scene, thing: Hidden, wanted: float) -> float:
     """The share of an effect's range at which it moves the tip by so many sigmas beyond what the base explains."""
-    model = scene.model(scene.second_order(21), [thing.effect])
+    model = scene.model(scene.second_order(FEW), [thing.effect])
     fields = scene.seen(model, [thing.absent, *(thing.at(share) for share in LADDER)], thing.only)
-    plain, slopes = scene.slopes(scene.model(scene.second_order(21)), scene.base, tuple(scene.base))
+    plain, slopes = scene.slopes(scene.model(scene.second_order(FEW)), scene.base, tuple(scene.base))
     sizes = [scene.at_tip(f) for f in unexplained(fields[1:] - plain, slopes)]
     finite = np.isfinite(sizes)
     rising = np.maximum.accumulate(np.where(finite, sizes, 0.0))
@@ -179,8 +188,8 @@ def _share(scene: Scene, thing: Hidden, wanted: float) -> float:
     return float(min(share, LARGEST))
 
 
-def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) -> np.ndarray:
-    """What is really seen, (N, S, 2), in sigmas, which at fewer points the true cause must explain."""
+def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """What is really seen, in sigmas, and what of it the true cause explains with fewer points, (N, S, 2) each."""
     effects = [t.effect for t in things]
     only = things[0].only if len(things) == 1 else None
     fine = scene.model(scene.fine, effects)
@@ -189,11 +198,11 @@ def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) 
     true = scene.seen(fine, [parameters], only)[0]
     if not np.isfinite(true).all():
         raise Redraw
-    again = scene.model(scene.second_order(29), effects)
+    again = scene.model(scene.second_order(MORE), effects)
     rest, _ = scene.left(again, true, (*scene.base, *parameters), parameters, steps=1, only=only)
     if scene.at_tip(rest) > EXPLAINED:
         raise Redraw
-    return true
+    return true, true - rest
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
