@@ -22,6 +22,7 @@ from stages.model.effect import Effect
 
 FIRST = 0.15  # [s] of every trial, which must show nothing
 GROWTH = 1.25  # of the horizon, from one to the next
+SHOWN = (3.0, CLEAR)  # standard deviations that neighbours share: a graze may be over before it is clear
 WINDOW = GROWTH**2  # of the time after which something is seen: the touch is in what is so much shorter or longer
 STEPS = 4  # of a fit at each
 DRAWS = 14  # places of which it is asked whether they are touched when they should be, as a power of two
@@ -47,31 +48,33 @@ class Onset:
         return np.flatnonzero(np.isfinite(self.ends))
 
 
-def onset(evidence: Evidence, fit: Fit) -> Onset | None:
+def onset(evidence: Evidence, fit: Fit, shown: float) -> Onset | None:
     """Until when each trial is explained; None where one is never, or all always are.
 
-    One that shows something takes the fit along, and others with it: these are asked again without it.
+    shown: standard deviations that neighbours share, of what is something. A trial that shows something takes the fit
+    along, and others with it: these are asked again without it.
     """
     ends = np.full(len(evidence.cases), np.inf)
     sound, seconds = fit, FIRST
     while seconds < GROWTH * _lengths(evidence).max():
         beginnings = evidence.until(np.minimum(ends, seconds))
         tried = fitted(beginnings, [fit.theory], [sound.chi], STEPS)[0]
-        shown = np.where(np.isinf(ends), visible_in_each(beginnings, tried.residual), 0.0)
-        if shown.max() < CLEAR:
+        seen = np.where(np.isinf(ends), visible_in_each(beginnings, tried.residual), 0.0)
+        if seen.max() < shown:
             sound, seconds = tried, seconds * GROWTH
         elif seconds < GROWTH * FIRST:
             return None
         else:
-            ends[np.argmax(shown)] = seconds / GROWTH
+            ends[np.argmax(seen)] = seconds / GROWTH
     return Onset(sound, ends) if np.isfinite(ends).any() else None
 
 
 def since(evidence: Evidence, fit: Fit, effect: type[Effect], seed: int) -> list[Fit]:
     """Fits of an effect that depends on place beside the causes of `fit`, of all the evidence, best first: none where
     no place would be touched when something is first seen."""
-    begun = onset(evidence, fit)
-    return _carried_on(evidence, begun, _Sought.after(begun, fit, effect), seed) if begun else []
+    begun = {each.ends.tobytes(): each for shown in SHOWN if (each := onset(evidence, fit, shown))}
+    found = [_carried_on(evidence, each, _Sought.after(each, fit, effect), seed) for each in begun.values()]
+    return ranked([fit for some in found for fit in some])
 
 
 def _carried_on(evidence: Evidence, begun: Onset, sought: _Sought, seed: int) -> list[Fit]:

@@ -8,7 +8,8 @@ from conftest import TRUTH
 from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved
 
 from stages.diagnose.fit import fitted
-from stages.diagnose.onset import GROWTH, onset, since
+from stages.diagnose.noise import CLEAR
+from stages.diagnose.onset import GROWTH, SHOWN, onset, since
 from stages.diagnose.prepare import Ground, Raw, cleaned_anew
 from stages.diagnose.theory import joined
 from stages.model.camera import Camera
@@ -34,8 +35,8 @@ def test_a_trial_is_explained_until_it_touches_something(arm, model, height, tou
     """And no other for that: one that bounces takes the fit of all along."""
     struck = measured(arm, model, {**PLANE, "contact.height": height}, seconds=0.9)
     free = measured(arm, model, seconds=0.9)
-    assert onset(free, base(model, free)) is None
-    begun = onset(struck, base(model, struck))
+    assert onset(free, base(model, free), CLEAR) is None
+    begun = onset(struck, base(model, struck), CLEAR)
     apart = [np.abs(c.points - f.points).max(axis=1) for c, f in zip(struck.cases, free.cases, strict=True)]
     first = [min(c.times[c.frame[a > 5 * SIGMA]], default=np.inf) for c, a in zip(struck.cases, apart, strict=True)]
     assert begun.seen.tolist() == np.flatnonzero(np.isfinite(first)).tolist() == touched
@@ -43,8 +44,13 @@ def test_a_trial_is_explained_until_it_touches_something(arm, model, height, tou
     assert begun.fit.values["bending_stiffness"] == pytest.approx(TRUTH["bending_stiffness"], rel=0.02)
 
 
-def test_what_it_touches_is_found_from_there(model, evidence):
-    """Something as hard as a table; friction, which decides where the string goes next, with it."""
+@pytest.mark.parametrize("clear", SHOWN)
+def test_what_it_touches_is_found_from_there(model, evidence, monkeypatch, clear):
+    """Something as hard as a table; friction, which decides where the string goes next, with it. From either of the
+    onsets alone: where one of them says nothing, the other is followed."""
+    monkeypatch.setattr(
+        "stages.diagnose.onset.onset", lambda e, f, shown: onset(e, f, shown) if shown == clear else None
+    )
     best = since(evidence, base(model, evidence), library()["contact"], 0)[0]
     there = evidence.cases[2].points
     touched = there[np.argmin(in_front(PLANE, there))]
