@@ -152,7 +152,7 @@ def _sized(scene: Scene, things: Sequence[Hidden], rng: np.random.Generator) -> 
     data = scene.seen(light, [parameters], only)[0]
     if not np.isfinite(data).all():
         raise Redraw
-    _sizes(scene, things, data, parameters, FEW)
+    _sizes(scene, things, data, parameters, FEW)  # too small or too large a thing is redrawn before it costs more
     return data, parameters
 
 

@@ -50,7 +50,8 @@ class Scene:
         return replace(self.second_order(POINTS), largest_step=LARGEST_STEP)
 
     def second_order(self, points: int) -> String:
-        """As `string=fine` of the configuration simulates it: nearly the same, for a hundredth of the time."""
+        """As `string=fine` of the configuration simulates it, with which sizes are sought: what really hangs takes
+        a hundred times as long."""
         return String(
             self.length, points, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4
         )
