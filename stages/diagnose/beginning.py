@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from stages.diagnose.evidence import Evidence, torn, with_shorter_steps
+from stages.diagnose.fit import Fit
 from stages.estimate.forward import Case
 from stages.estimate.result import values_of
 from stages.estimate.settle import settled, slopes
@@ -36,6 +37,15 @@ def doubted_beginnings(evidence: Evidence, model: Model, chi: np.ndarray) -> Evi
         return evidence
     values = values_of(model.parameters, chi[None])[0]
     return replace(evidence, unsure=tuple(slopes(case, values) for case in _divided(evidence, model, values)))
+
+
+def simulated(evidence: Evidence, fit: Fit) -> np.ndarray:
+    """Residual (N,) of what is really simulated, from the states that suit a fit: nothing that another beginning could
+    explain is taken away."""
+    if not move_at_first(evidence):
+        return fit.residual
+    own = replace(begun(evidence, fit.theory.model, fit.chi), unsure=())
+    return np.asarray(own.residuals(fit.theory.model, fit.chi[None])[0])
 
 
 def _divided(evidence: Evidence, model: Model, values: np.ndarray) -> list[Case]:

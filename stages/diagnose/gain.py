@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import HELD_OUT, Observation
-from stages.diagnose.beginning import begun, doubted_beginnings
+from stages.diagnose.beginning import begun
 from stages.diagnose.compare import AGAIN, without_each
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
@@ -49,8 +49,7 @@ def side(hypotheses: Hypotheses, ground: Ground, causes: Causes, rest: Sequence[
     turn. Trials that begin moving begin in the state that suits it."""
     fit = hypotheses.tried[causes]
     evidence = replace(ground.evidence, segments=hypotheses.evidence.segments)
-    evidence = begun(evidence, fit.theory.model, fit.chi)
-    evidence = doubted_beginnings(evidence, fit.theory.model, fit.chi)
+    evidence = replace(begun(evidence, fit.theory.model, fit.chi), unsure=())
     chi = [fit.chi] * len(rest) if rest else list(hypotheses.held(causes).chi)
     return Side(fit.theory.model, evidence, chi, fit.chi)
 
@@ -61,7 +60,7 @@ def configured(ground: Ground, kept: Sequence[int], rest: Sequence[int]) -> Side
     evidence = replace(ground.evidence, segments=(own.theory.model.string.points - 1,))
     fit = fitted(evidence.only(kept), [own.theory], [own.chi], AGAIN)[0]
     chi = [fit.chi] * len(rest) if rest else [fits[0].chi for fits in without_each(evidence.only(kept), fit)]
-    return Side(own.theory.model, evidence, chi, fit.chi)
+    return Side(own.theory.model, replace(evidence, unsure=()), chi, fit.chi)
 
 
 def held_out_table(
@@ -114,8 +113,9 @@ def thinned(observation: Observation) -> Observation:
 
 
 def extended_settings(model: Model, hypotheses: Hypotheses, causes: Causes) -> dict[str, object]:
-    """The extended model as settings that other stages take: what is at work, and what is known of it."""
-    fit = hypotheses.tried[causes]
+    """The extended model as settings that other stages take: what is at work, and what is known of it, by the last fit;
+    with the mass points that were enough to find it, for the other stages simulate many."""
+    fit = hypotheses.sharp(causes).fit
     segments = hypotheses.evidence.segments[-1]
     fine = fit.theory.model.string
     kind = type(fine.integrator)

@@ -18,6 +18,7 @@ from stages.diagnose.onset import since
 from stages.diagnose.ranges import ranged, widened, with_ranges
 from stages.diagnose.resolve import refined
 from stages.diagnose.screen import Probe, screened, spread
+from stages.diagnose.sharpen import Sharp, sharpened
 from stages.diagnose.theory import Theory, candidates, joined
 from stages.model.effect import Effect, placed
 from stages.model.model import Model
@@ -54,6 +55,7 @@ class Hypotheses:
     probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
     predictions: dict[Causes, HeldOut] = field(default_factory=dict)
     chance_gains: dict[Causes, float] = field(default_factory=dict)
+    sharpened: dict[Causes, Sharp] = field(default_factory=dict)
     led: bool = False
 
     def add(self, fit: Fit) -> None:
@@ -61,6 +63,7 @@ class Hypotheses:
         key = frozenset(fit.theory.names)
         if key not in self.tried or fit.cost < self.tried[key].cost:
             self.tried[key] = fit
+            self.sharpened.pop(key, None)
 
     def begin_with(self, fits: Sequence[Fit]) -> None:
         """Remember fits from elsewhere, and let single causes among all come before any that screening would find."""
@@ -129,6 +132,12 @@ class Hypotheses:
             asked = next(iter(self.probes.values()), None) or self.probed(causes)
             self.chance_gains[causes] = by_chance(self.evidence, self.tried[causes], asked, self.seed) if asked else 0.0
         return self.chance_gains[causes]
+
+    def sharp(self, causes: Causes) -> Sharp:
+        """The last fit of these causes, with more mass points: when nothing is added any more."""
+        if causes not in self.sharpened:
+            self.sharpened[causes] = sharpened(self.evidence, self.tried[causes])
+        return self.sharpened[causes]
 
     def probed(self, context: Causes) -> dict[str, list[Probe]]:
         """What every effect of the library but the context's would do beside it, to first order."""

@@ -8,14 +8,15 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
+from stages.diagnose.beginning import simulated
 from stages.diagnose.compare import moved
-from stages.diagnose.fit import Fit
 from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.intervals import interval
 from stages.diagnose.noise import parts, systematic
+from stages.diagnose.reach import reach
 from stages.diagnose.screen import Probe
 from stages.diagnose.verdict import Judgement
-from stages.model.effect import Effect, ModelChange
+from stages.model.effect import Effect, ModelChange, placed
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
 
@@ -29,7 +30,7 @@ def residuals(hypotheses: Hypotheses, causes: Causes) -> pd.DataFrame:
     """Table RESIDUALS."""
     base, extended = hypotheses.tried[frozenset()], hypotheses.tried[causes]
     frames = []
-    both = (parts(hypotheses.evidence, fit.residual) for fit in (base, extended))
+    both = (parts(hypotheses.evidence, simulated(hypotheses.evidence, fit)) for fit in (base, extended))
     floors = parts(hypotheses.evidence, hypotheses.floor.sigma)
     for case, plain, more, own in zip(hypotheses.evidence.cases, *both, floors, strict=True):
         first, then = (case.points + case.sigma[:, None] * off for off in (plain, more))
@@ -116,9 +117,10 @@ def causes(
             nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
             rows.append(common | {"sentence": effect.words({}), "parameter": "", "at_least": False, **nothing})
             continue
-        fit = hypotheses.tried[_with(chosen, judgement, name)]
+        key = _with(chosen, judgement, name)
+        fit = hypotheses.sharp(key).fit
         common["sentence"] = effect.words(fit.theory.of(effect, fit.chi))
-        rows += [common | row for row in _parameters(hypotheses, fit, effect)]
+        rows += [common | row for row in _parameters(hypotheses, key, effect)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
 
@@ -129,17 +131,26 @@ def _with(chosen: Causes, judgement: Judgement, name: str) -> Causes:
     return max((key for key in judgement.chances if name in key), key=lambda key: judgement.chances[key])
 
 
-def _parameters(hypotheses: Hypotheses, fit: Fit, effect: type[Effect]) -> list[dict[str, object]]:
-    low, high = interval(hypotheses.evidence, fit)
-    places = {int(place): number for number, place in enumerate(fit.theory.free)}
+def _parameters(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) -> list[dict[str, object]]:
+    fit, between = hypotheses.sharp(causes).fit, _between(hypotheses, causes, effect)
     rows = []
     for parameter in effect.parameters:
         place = fit.theory.model.names.index(effect.qualified(parameter))
-        number = places[place]
-        ends = parameter.value(np.array([low[number], high[number]]))
+        ends = parameter.value(np.array(between[effect.qualified(parameter)]))
         if parameter.at_least:
             ends[1] = parameter.high
         row = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning, "unit": parameter.unit}
         found = {"value": float(parameter.value(fit.chi[place])), "low": ends[0], "high": ends[1]}
         rows.append(row | found | {"at_least": parameter.at_least})
     return rows
+
+
+def _between(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) -> dict[str, tuple[float, float]]:
+    """Exponents between which each parameter of an effect is, by qualified name."""
+    sharp = hypotheses.sharp(causes)
+    low, high = interval(hypotheses.evidence, sharp)
+    ends = {sharp.fit.theory.model.names[p]: (low[k], high[k]) for k, p in enumerate(sharp.fit.theory.free)}
+    if not placed(effect):
+        return ends
+    far = reach(hypotheses, hypotheses.tried[causes], effect)
+    return {name: (min(ends[name][0], near), max(ends[name][1], off)) for name, (near, off) in far.items()}

@@ -27,18 +27,24 @@ AT_ONCE = 256  # effects of which a place is asked
 @dataclass(frozen=True)
 class Theory:
     """model: with more effects than are at work, perhaps. causes: those that are, beyond the base model's own. hand:
-    places where the hand was, (M, 2) [m]."""
+    places where the hand was, (M, 2) [m]. held: names of the causes' parameters that stay where they are."""
 
     model: Model
     causes: tuple[type[Effect], ...]
     base: tuple[str, ...]
     hand: np.ndarray = field(default_factory=lambda: np.empty((0, 2)), compare=False)
+    held: frozenset[str] = frozenset()
 
     @cached_property
     def free(self) -> np.ndarray:
         """Places of the parameters that are fitted: the base model's and the causes'."""
-        own = {e.qualified(p) for e in self.causes for p in e.parameters}
+        own = {e.qualified(p) for e in self.causes for p in e.parameters} - self.held
         return np.array([i for i, name in enumerate(self.model.names) if name in self.base or name in own])
+
+    @property
+    def parameters(self) -> int:
+        """How many are its own: those that are fitted, and those that are held."""
+        return len(self.free) + len(self.held)
 
     @cached_property
     def own(self) -> frozenset[str]:

@@ -102,18 +102,18 @@ def _chances(hypotheses: Hypotheses, causes: Causes) -> dict[Causes, float]:
     """Probability of every set of as many causes, given that one of them is right."""
     best = hypotheses.tried[causes]
     sets = {key: fit for key, fit in hypotheses.tried.items() if len(key) == len(causes)}
-    odds = {key: _log_odds(hypotheses, fit, best) for key, fit in sets.items()}
+    odds = {key: log_odds(hypotheses, fit, best) for key, fit in sets.items()}
     chance = {key: float(np.exp(value - max(odds.values()))) for key, value in odds.items()}
     return {key: value / sum(chance.values()) for key, value in chance.items()}
 
 
-def _log_odds(hypotheses: Hypotheses, fit: Fit, best: Fit) -> float:
+def log_odds(hypotheses: Hypotheses, fit: Fit, best: Fit) -> float:
     """Of a fit against the best, no more certain than what the pieces of time say allows."""
     number = blocks(hypotheses.evidence)
     says = np.bincount(number, best.residual**2 - fit.residual**2) / 2
     apart = np.bincount(number, (best.residual - fit.residual) ** 2) / 2
     explained = hypotheses.tried[frozenset()].cost - best.cost
-    more = len(fit.theory.free) - len(best.theory.free)
+    more = fit.theory.parameters - best.theory.parameters
     return float(weighed(says, apart, explained, noisiness(hypotheses.evidence, best), more))
 
 

@@ -1,0 +1,72 @@
+"""What is said of a parameter that was found: its value, and how sure it is."""
+
+import numpy as np
+import pytest
+from conftest import TRUTH
+from test_parts_of_a_diagnosis import S, base, measured, resolved
+
+from stages.diagnose.fit import PRIOR, Fit, fitted
+from stages.diagnose.intervals import half_width, interval
+from stages.diagnose.resolve import SEGMENTS, finer
+from stages.diagnose.sharpen import Sharp, sharpened
+from stages.diagnose.theory import Theory, joined
+from stages.model.camera import Camera
+from stages.model.library import library
+from stages.model.model import Model
+from stages.model.string import String
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+
+
+@pytest.mark.parametrize("frames", [1, 5])
+def test_of_a_hundred_intervals_ninety_five_hold_what_is_true(arm, model, frames):
+    """Noise that lasts for some frames, and slopes that do: straight models, fitted 300 times each. As if all points
+    were independent, no more than 34 in 100 would, and 15."""
+    evidence, rng = measured(arm, model), np.random.default_rng(1)
+    theory, count, lasting = Theory(model, (), model.names), len(evidence.trial), 2 * len(S) * frames
+    slopes = 100 * rng.standard_normal((-(-count // lasting), len(theory.free))).repeat(lasting, axis=0)[:count]
+    covariance = np.linalg.inv(slopes.T @ slopes + PRIOR * np.eye(len(theory.free)))
+    inside, naive = [], []
+    for _ in range(300):
+        noise = rng.standard_normal(-(-count // lasting)).repeat(lasting)[:count]
+        off = -covariance @ slopes.T @ noise
+        fit = Fit(theory, theory.start, noise + slopes @ off, slopes)
+        inside.append(np.abs(off) < half_width(evidence, fit))
+        naive.append(np.abs(off) < 1.96 * np.sqrt(np.diag(covariance)))
+    assert 0.9 < np.mean(inside) < 0.98
+    assert np.mean(naive) < 0.4
+
+
+@pytest.mark.parametrize(("name", "value"), [("tip_mass.ratio", 0.05), ("nonlinear_bending.hardening", 1e-4)])
+def test_more_mass_points_take_a_value_to_where_it_belongs(arm, model, name, value):
+    """A string of 81 points, fitted with 11 and 15: what nobody sees in any point moves a value all the same."""
+    evidence = measured(arm, model, {name: value}, noise=1e-5)
+    theory = joined(base(model, evidence).theory, library()[name.split(".")[0]])
+    fit = fitted(evidence, [theory], [theory.at({**TRUTH, name: value})], 15)[0]
+    sharp, place = sharpened(evidence, fit), theory.model.names.index(name)
+    true = float(theory.model.parameters[place].chi(np.asarray(value)))
+    assert abs(sharp.fit.chi[place] - true) < abs(fit.chi[place] - true) / 4
+    low, high = (ends[list(theory.free).index(place)] for ends in interval(evidence, sharp))
+    assert low < true < high
+
+
+def test_however_many_mass_points_there_are_some_are_nearer_to_each_other():
+    """Half as far apart after two steps: what the last of these changes is never nothing because there was none."""
+    for few, more in SEGMENTS:
+        assert finer(finer((few, more)))[0] == 2 * few
+    assert [finer(pair) for pair in SEGMENTS[:-1]] == list(SEGMENTS[1:])
+    assert finer((9,)) == (9,)
+
+
+def test_what_mass_points_still_change_makes_an_interval_wider(arm, model):
+    evidence, theory = measured(arm, model), Theory(model, (), model.names)
+    fit = fitted(evidence, [theory], [theory.at(TRUTH)], 2)[0]
+    half, far = half_width(evidence, fit), np.full(len(theory.free), 0.03)
+    narrow, wide = (np.diff(interval(evidence, Sharp(fit, doubt)), axis=0)[0] for doubt in (0 * far, far))
+    within = (fit.chi[theory.free] > 0.2) & (fit.chi[theory.free] < 0.8) & (half < 0.1)
+    assert within.sum() > 3
+    np.testing.assert_allclose(narrow[within], 2 * half[within])
+    np.testing.assert_allclose(wide[within], 2 * np.hypot(half, far)[within])
