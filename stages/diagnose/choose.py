@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -36,12 +36,10 @@ def chosen(hypotheses: Hypotheses, progress: Progress) -> tuple[Hypotheses, Caus
     before: set[Causes] = set()  # two that do each other's work could replace each other for ever
     while len(best) < MOST_CAUSES and best not in before and _suspect(hypotheses, best):
         before.add(best)
-        fewer, more = best, _added(hypotheses, best)
-        if not earns(hypotheses, best, more):
-            fewer, more = _two_added(hypotheses, best)  # of two that are needed, one alone may predict nothing
-            if not earns(hypotheses, best, more):
-                break
-        best = _needed(hypotheses, _settled(hypotheses, fewer, more), bool)  # alone, it has just earned its place
+        step = next((step for step in _steps(hypotheses, best) if earns(hypotheses, best, step[1])), None)
+        if step is None:
+            break
+        best = _needed(hypotheses, _settled(hypotheses, *step), bool)  # alone, it has just earned its place
         hypotheses = hypotheses.renewed(best)
         for name in sorted(best):
             if placed(hypotheses.library[name]):
@@ -56,6 +54,21 @@ def _suspect(hypotheses: Hypotheses, causes: Causes) -> bool:
     """Whether something may be there beside causes: a graze is seen for a few frames, and nowhere else."""
     shown = hypotheses.mismatch(causes) > SUSPECT
     return shown or visible(hypotheses.evidence, hypotheses.tried[causes].residual) > CLEAR
+
+
+def _steps(hypotheses: Hypotheses, causes: Causes) -> Iterator[tuple[Causes, Causes]]:
+    """What may be added, one after the other: the causes to which the last one is added, and all of them.
+
+    Of two that are needed, one alone may predict nothing; of two that were added, the first may only have led to the
+    second.
+    """
+    yield causes, _added(hypotheses, causes)
+    fewer, both = _two_added(hypotheses, causes)
+    yield fewer, both
+    second = causes | (both - fewer)
+    if second not in (causes, both):
+        hypotheses.fit(second, both)
+        yield causes, second
 
 
 def _added(hypotheses: Hypotheses, causes: Causes) -> Causes:
