@@ -94,10 +94,10 @@ def _settled(hypotheses: Hypotheses, before: Causes, best: Causes) -> Causes:
     """With causes that were there before the last one replaced, where others do better in their place."""
     for cause in (name for name in hypotheses.tried[best].theory.names if name in before):
         context = best - {cause}
-        if context in hypotheses.tried:
-            other = _added(hypotheses, context)
-            better = hypotheses.tried[other].cost < hypotheses.tried[best].cost
-            best = other if better and earns(hypotheses, context, other) else best
+        hypotheses.fit(context, best)
+        other = _added(hypotheses, context)
+        better = hypotheses.tried[other].cost < hypotheses.tried[best].cost
+        best = other if better and earns(hypotheses, context, other) else best
     return best
 
 

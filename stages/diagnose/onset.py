@@ -7,8 +7,9 @@ in the trials that show something, and nowhere else. A touch may last for a hund
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from scipy.stats import qmc
@@ -24,7 +25,7 @@ FIRST = 0.15  # [s] of every trial, which must show nothing
 GROWTH = 1.25  # of the horizon, from one to the next
 SHOWN = (3.0, CLEAR)  # standard deviations that neighbours share: a graze may be over before it is clear
 WINDOW = GROWTH**2  # of the time after which something is seen: the touch is in what is so much shorter or longer
-STEPS = 4  # of a fit at each
+STEPS, SURE = 4, 20  # of a fit at each, and before it is said that something is seen
 DRAWS = 14  # places of which it is asked whether they are touched when they should be, as a power of two
 NEAR, MORE = 0.03, 1024  # of a range: so near to those that are, so many more are asked
 PLACES = 64  # that are simulated
@@ -32,7 +33,7 @@ SIZES = (0.02, 0.045, 0.2)  # exponents at which they are: of planes, from a cus
 OTHERS = (0.0, 0.3)  # exponents of other sizes of the effect, of friction say, that may matter as much
 REACHES = (0.03, 0.015, 0.008)  # of a range, within which places are tried about the best
 BEST, ABOUT = 3, 12  # how many are gone about, places about each
-FITTED, KEPT = 6, 2  # how many are fitted, and how many of these go on
+FITTED, KEPT = 3, 2  # of each size, how many are fitted, and how many of these go on
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,7 @@ def onset(evidence: Evidence, fit: Fit, shown: float) -> Onset | None:
     ends = np.full(len(evidence.cases), np.inf)
     sound, seconds = fit, FIRST
     while seconds < GROWTH * _lengths(evidence).max():
-        beginnings = evidence.until(np.minimum(ends, seconds))
-        tried = fitted(beginnings, [fit.theory], [sound.chi], STEPS)[0]
-        seen = np.where(np.isinf(ends), visible_in_each(beginnings, tried.residual), 0.0)
+        tried, seen = _beginning(evidence.until(np.minimum(ends, seconds)), sound, np.isinf(ends), shown)
         if seen.max() < shown:
             sound, seconds = tried, seconds * GROWTH
         elif seconds < GROWTH * FIRST:
@@ -67,6 +66,17 @@ def onset(evidence: Evidence, fit: Fit, shown: float) -> Onset | None:
         else:
             ends[np.argmax(seen)] = seconds / GROWTH
     return Onset(sound, ends) if np.isfinite(ends).any() else None
+
+
+def _beginning(evidence: Evidence, start: Fit, asked: np.ndarray, shown: float) -> tuple[Fit, np.ndarray]:
+    """A fit of beginnings, and what it leaves to be seen in each trial that is asked about, (K,). What a fit leaves
+    that has not come to its end may be nothing."""
+    for steps in (STEPS, SURE):
+        start = fitted(evidence, [start.theory], [start.chi], steps)[0]
+        seen = np.where(asked, visible_in_each(evidence, start.residual), 0.0)
+        if seen.max() < shown:
+            break
+    return start, seen
 
 
 def since(evidence: Evidence, fit: Fit, effect: type[Effect], seed: int) -> list[Fit]:
@@ -78,17 +88,25 @@ def since(evidence: Evidence, fit: Fit, effect: type[Effect], seed: int) -> list
 
 
 def _carried_on(evidence: Evidence, begun: Onset, sought: _Sought, seed: int) -> list[Fit]:
-    """Fits to what comes just after the onset go on to more and more of the trials."""
+    """Fits to what comes just after the onset go on to more and more of the trials, those of each size by themselves:
+    what is soft may follow the first touch better and the rest worse, and is nowhere near what is hard."""
     chi = _touched(evidence, begun, sought, seed)
     if not len(chi):
         return []
     ends = begun.ends * GROWTH
-    chi = _nearest(evidence.until(ends), sought, chi, seed)
+    kinds = [list(_nearest(evidence.until(ends), sought, chi, size, seed)) for size in SIZES]
     while np.isfinite(ends).any():
-        fits = ranked(fitted(evidence.until(ends), [sought.theory] * len(chi), list(chi), STEPS))
-        chi = np.stack([fit.chi for fit in fits[:KEPT]])
+        fits = _side_by_side(evidence.until(ends), sought.theory, kinds)
+        kinds = [[fit.chi for fit in ranked(some)[:KEPT]] for some in fits]
         ends = np.where(ends < _lengths(evidence), ends * GROWTH, np.inf)
-    return ranked(fitted(evidence, [sought.theory] * len(chi), list(chi), STEPS))
+    return ranked([fit for some in _side_by_side(evidence, sought.theory, kinds) for fit in some])
+
+
+def _side_by_side(evidence: Evidence, theory: Theory, kinds: Sequence[Sequence[np.ndarray]]) -> list[list[Fit]]:
+    """Fits of every kind."""
+    starts = [chi for some in kinds for chi in some]
+    fits = iter(fitted(evidence, [theory] * len(starts), starts, STEPS))
+    return [list(islice(fits, len(some))) for some in kinds]
 
 
 def _lengths(evidence: Evidence) -> np.ndarray:
@@ -155,10 +173,10 @@ def _fitting(evidence: Evidence, begun: Onset, sought: _Sought, chi: np.ndarray)
     return chi[~sought.pushed(chi, clear)]
 
 
-def _nearest(evidence: Evidence, sought: _Sought, chi: np.ndarray, seed: int) -> np.ndarray:
-    """The best of places (C, P) at several sizes, and of others about them, (FITTED, P)."""
+def _nearest(evidence: Evidence, sought: _Sought, chi: np.ndarray, size: float, seed: int) -> np.ndarray:
+    """The best of places (C, P) at a size, and of others about them, (FITTED, P)."""
     rng = np.random.default_rng(seed)
-    tried = np.concatenate([_sized(sought, chi, size, other) for size in SIZES for other in OTHERS])
+    tried = np.concatenate([_sized(sought, chi, size, other) for other in OTHERS])
     costs = _costs(evidence, sought, tried)
     for reach in REACHES:
         best = np.repeat(tried[np.argsort(costs)[:BEST]], ABOUT, axis=0)

@@ -64,6 +64,24 @@ def test_two_causes_are_sought_from_the_second_best_alone_as_well(second, found)
     assert choose._two_added(hypotheses, frozenset()) == found
 
 
+@pytest.mark.parametrize(("cost", "found"), [(5.0, {"b", "c"}), (15.0, {"a", "b"})])
+def test_what_came_first_is_asked_again_beside_what_came_later(monkeypatch, cost, found):
+    """An offset explains more than the lag that is there, until a slip is found beside it (bench 3044): nobody had
+    asked of the slip alone."""
+    both = SimpleNamespace(cost=10.0, theory=SimpleNamespace(names=("a", "b")))
+    hypotheses = SimpleNamespace(tried={frozenset("ab"): both})
+    hypotheses.fit = lambda causes, near: hypotheses.tried.setdefault(causes, SimpleNamespace(cost=500.0))
+
+    def extended(context):
+        assert context in hypotheses.tried
+        hypotheses.tried[context | {"c"}] = SimpleNamespace(cost=cost)
+        return {"a": both, "c": hypotheses.tried[context | {"c"}]}
+
+    hypotheses.extended = extended
+    monkeypatch.setattr(choose, "earns", lambda hypotheses, without, causes: True)
+    assert choose._settled(hypotheses, frozenset("a"), frozenset("ab")) == found
+
+
 def test_a_second_cause_is_asked_without_the_first_that_led_to_it():
     """Beside a joint's gain, a tilt of gravity did some of a rest curvature's work, which nobody asked of before; with
     both, none is clearly there (bench 3101)."""
