@@ -59,16 +59,16 @@ def _suspect(hypotheses: Hypotheses, causes: Causes) -> bool:
 def _steps(hypotheses: Hypotheses, causes: Causes) -> Iterator[tuple[Causes, Causes]]:
     """What may be added, one after the other: the causes to which the last one is added, and all of them.
 
-    Of two that are needed, one alone may predict nothing; of two that were added, the first may only have led to the
-    second.
+    Of two that are needed, one alone may predict nothing; of two that were added, one may only have led to the other.
     """
-    yield causes, _added(hypotheses, causes)
+    first = _added(hypotheses, causes)
+    yield causes, first
     fewer, both = _two_added(hypotheses, causes)
     yield fewer, both
-    second = causes | (both - fewer)
-    if second not in (causes, both):
-        hypotheses.fit(second, both)
-        yield causes, second
+    for name in sorted(both - first):
+        hypotheses.fit(causes | {name}, both)
+        hypotheses.level([causes | {name}], both)
+        yield causes, causes | {name}
 
 
 def _added(hypotheses: Hypotheses, causes: Causes) -> Causes:
@@ -96,7 +96,7 @@ def _settled(hypotheses: Hypotheses, before: Causes, best: Causes) -> Causes:
         context = best - {cause}
         hypotheses.fit(context, best)
         other = _added(hypotheses, context)
-        better = hypotheses.tried[other].cost < hypotheses.tried[best].cost
+        better = _priced(hypotheses, other) < _priced(hypotheses, best)
         best = other if better and earns(hypotheses, context, other) else best
     return best
 

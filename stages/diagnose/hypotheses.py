@@ -28,7 +28,7 @@ Causes = frozenset[str]
 FIRST = 2  # steps of every promising effect's fit
 AGAIN = 4  # of a fit where doubt was found anew
 SHORTLIST = 6  # fits that then go on
-STARTS = 2  # probes of each from which it is fitted
+STARTS = 2  # probes or places of each from which it is fitted
 PROMISING = 5.0  # of a predicted gain of the log-likelihood
 UNDERRATED = 3.0  # times what first order says of an effect that depends on place, it may gain
 STEPS = 14
@@ -51,7 +51,7 @@ class Hypotheses:
     library: Mapping[str, type[Effect]]
     seed: int
     tried: dict[Causes, Fit] = field(default_factory=dict)
-    contexts: dict[Causes, dict[str, Fit]] = field(default_factory=dict)
+    contexts: dict[Causes, Causes] = field(default_factory=dict)
     probes: dict[Causes, dict[str, list[Probe]]] = field(default_factory=dict)
     predictions: dict[Causes, HeldOut] = field(default_factory=dict)
     chance_gains: dict[Causes, float] = field(default_factory=dict)
@@ -59,17 +59,21 @@ class Hypotheses:
     led: bool = False
 
     def add(self, fit: Fit) -> None:
-        """Remember a fit if it is the best of its causes."""
+        """Remember a fit if it is the best of its causes, and forget what was said of the one before."""
         key = frozenset(fit.theory.names)
-        if key not in self.tried or fit.cost < self.tried[key].cost:
-            self.tried[key] = fit
-            self.sharpened.pop(key, None)
+        if key in self.tried and fit.cost > self.tried[key].cost - LITTLE:
+            return
+        self.tried[key] = fit
+        self.sharpened.pop(key, None)
+        self.chance_gains.pop(key, None)
+        for told in [key] if key else list(self.predictions):  # all are told beside those of no cause
+            self.predictions.pop(told, None)
 
     def begin_with(self, fits: Sequence[Fit]) -> None:
         """Remember fits from elsewhere, and let single causes among all come before any that screening would find."""
         for fit in fits:
             self.add(fit)
-        alone = {name: fit for key, fit in self.tried.items() if len(key) == 1 for name in key}
+        alone = frozenset(name for key in self.tried if len(key) == 1 for name in key)
         if alone:
             self.contexts[frozenset()], self.led = alone, True
 
@@ -85,20 +89,13 @@ class Hypotheses:
         made, before = self._from(self.tried[fewer].theory, more), self.tried[fewer].cost
         if made.cost < (1 - LEVEL) * before:
             self.add(made)
-            self.chance_gains.pop(fewer, None)
-            for key in [fewer] if fewer else list(self.predictions):  # all are told beside those of no cause
-                self.predictions.pop(key, None)
 
     def level(self, others: Sequence[Causes], best: Causes) -> None:
         """Fit others from where the best put the string, too; what only they have begins as it was."""
         old = [self.tried[key] for key in others]
         starts = [carried(fit.theory, fit, self.tried[best]) for fit in old]
-        made = fitted(self.evidence, [fit.theory for fit in old], starts, STEPS)
-        for key, before, fit in zip(others, old, made, strict=True):
-            if fit.cost < before.cost - LITTLE:
-                self.add(fit)
-                self.chance_gains.pop(key, None)
-                self.predictions.pop(key, None)
+        for fit in fitted(self.evidence, [fit.theory for fit in old], starts, STEPS):
+            self.add(fit)
 
     def _from(self, theory: Theory, near: Causes) -> Fit:
         """A theory fitted from where other causes put the string."""
@@ -180,7 +177,7 @@ class Hypotheses:
             fresh.add(best)
         for made in fitted(evidence, theories, starts, AGAIN):
             fresh.add(made)
-        fresh.contexts = {c: {n: fresh.tried[c | {n}] for n in fits} for c, fits in self.contexts.items()}
+        fresh.contexts = dict(self.contexts)
         fresh.led = self.led
         return fresh
 
@@ -210,8 +207,8 @@ class Hypotheses:
             for made in shortlisted(self.evidence, fit, chosen, INEXACT * explained, self.seed):
                 self.add(made)
             names = {probe.effect.name for probe in chosen} & {n for key in self.tried for n in key if key > context}
-            self.contexts[context] = {n: self.tried[context | {n}] for n in names if context | {n} in self.tried}
-        return self.contexts[context]
+            self.contexts[context] = frozenset(n for n in names if context | {n} in self.tried)
+        return {name: self.tried[context | {name}] for name in sorted(self.contexts[context])}
 
 
 def carried(theory: Theory, *fits: Fit) -> np.ndarray:
@@ -248,6 +245,6 @@ def shortlisted(evidence: Evidence, fit: Fit, probes: Sequence[Probe], least: fl
     for effect in there:
         some = [probe for probe in probes if probe.effect is effect]
         if some[0].gain > wanted:
-            begun += since(evidence, fit, effect, seed) or closed_in(evidence, some)
+            begun += (since(evidence, fit, effect, seed) or closed_in(evidence, some))[:STARTS]
     best = ranked(begun)[:SHORTLIST]
     return fitted(evidence, [fit.theory for fit in best], [fit.chi for fit in best], STEPS)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stages.diagnose import choose
+from stages.diagnose import choose, hypotheses
 
 
 def test_two_causes_that_take_turns_do_not_keep_the_choice_going(monkeypatch):
@@ -64,36 +64,58 @@ def test_two_causes_are_sought_from_the_second_best_alone_as_well(second, found)
     assert choose._two_added(hypotheses, frozenset()) == found
 
 
-@pytest.mark.parametrize(("cost", "found"), [(5.0, {"b", "c"}), (15.0, {"a", "b"})])
-def test_what_came_first_is_asked_again_beside_what_came_later(monkeypatch, cost, found):
+@pytest.mark.parametrize(
+    ("cost", "parameters", "earned", "found"),
+    [
+        (5.0, 9, True, {"b", "c"}),
+        (15.0, 9, True, {"a", "b"}),
+        (5.0, 13, True, {"a", "b"}),  # further parameters must pay
+        (5.0, 9, False, {"a", "b"}),
+    ],
+)
+def test_what_came_first_is_asked_again_beside_what_came_later(monkeypatch, cost, parameters, earned, found):
     """An offset explains more than the lag that is there, until a slip is found beside it (bench 3044): nobody had
     asked of the slip alone."""
-    both = SimpleNamespace(cost=10.0, theory=SimpleNamespace(names=("a", "b")))
+    both = SimpleNamespace(cost=10.0, theory=SimpleNamespace(names=("a", "b"), free=[0] * 9))
+    other = SimpleNamespace(cost=cost, theory=SimpleNamespace(free=[0] * parameters))
     hypotheses = SimpleNamespace(tried={frozenset("ab"): both})
     hypotheses.fit = lambda causes, near: hypotheses.tried.setdefault(causes, SimpleNamespace(cost=500.0))
 
     def extended(context):
         assert context in hypotheses.tried
-        hypotheses.tried[context | {"c"}] = SimpleNamespace(cost=cost)
-        return {"a": both, "c": hypotheses.tried[context | {"c"}]}
+        hypotheses.tried[context | {"c"}] = other
+        return {"a": both, "c": other}
 
     hypotheses.extended = extended
-    monkeypatch.setattr(choose, "earns", lambda hypotheses, without, causes: True)
+    monkeypatch.setattr(choose, "earns", lambda hypotheses, without, causes: earned)
     assert choose._settled(hypotheses, frozenset("a"), frozenset("ab")) == found
 
 
-def test_a_second_cause_is_asked_without_the_first_that_led_to_it():
-    """Beside a joint's gain, a tilt of gravity did some of a rest curvature's work, which nobody asked of before; with
-    both, none is clearly there (bench 3101)."""
-    costs = {"": 1000.0, "a": 700.0, "ab": 10.0}
+@pytest.mark.parametrize(
+    ("costs", "steps"),
+    [
+        ({"g": 1000.0, "ga": 700.0, "gab": 10.0}, [("g", "ga"), ("ga", "gab"), ("g", "gb")]),  # bench 3101
+        (
+            {"g": 1000.0, "ga": 700.0, "gb": 750.0, "gab": 10.0, "gbc": 5.0},
+            [("g", "ga"), ("gb", "gbc"), ("g", "gb"), ("g", "gc")],
+        ),
+    ],
+)
+def test_of_two_causes_each_that_was_not_is_asked_alone(costs, steps):
+    """Beside a joint's gain, a tilt of gravity did some of a rest curvature's work, of which nobody had asked; with
+    both, the tilt is nothing."""
     tried = {frozenset(names): SimpleNamespace(cost=cost) for names, cost in costs.items()}
-    asked = []
-    hypotheses = SimpleNamespace(tried=tried, fit=lambda causes, near: asked.append((causes, near)))
+    hypotheses = SimpleNamespace(tried=tried)
+    near, levelled = [], []
+    hypotheses.fit = lambda causes, others: near.append((causes, others))
+    hypotheses.level = lambda others, best: levelled.append((*others, best))
     hypotheses.extended = lambda causes: {
         name: fit for key, fit in tried.items() if causes < key and len(key) == len(causes) + 1 for name in key - causes
     }
-    assert list(choose._steps(hypotheses, frozenset())) == [(set(), {"a"}), ({"a"}, {"a", "b"}), (set(), {"b"})]
-    assert asked == [({"b"}, {"a", "b"})]
+    found = list(choose._steps(hypotheses, frozenset("g")))
+    assert found == [(set(before), set(after)) for before, after in steps]
+    both = found[1][1]
+    assert near == levelled == [(after, both) for _, after in found[2:]]
 
 
 def test_where_nothing_can_be_added_nothing_is():
@@ -167,3 +189,21 @@ def test_what_stands_against_the_chosen_takes_their_place_if_it_is_better_and_ea
     assert choose.levelled(hypotheses, chosen) == kept
     assert asked[0] == ([other, frozenset("cd")], chosen)
     assert needed == ([other] if kept == other else [])
+
+
+def test_planes_leave_room_for_other_effects(monkeypatch):
+    """Of a dozen places of one plane the best two go on, not six."""
+    plane, wind, lag = object(), object(), object()
+    theories = {effect: SimpleNamespace(effect=effect, cost=cost) for effect, cost in ((wind, 50.0), (lag, 60.0))}
+    probes = [SimpleNamespace(effect=e, theory=t, chi=0.0, gain=90.0) for e, t in theories.items()]
+    probes.append(SimpleNamespace(effect=plane, theory=None, chi=0.0, gain=90.0))
+    places = [SimpleNamespace(cost=float(k), chi=0.0, theory=SimpleNamespace(effect=plane, cost=k)) for k in range(12)]
+
+    def fitted(evidence, theories, starts, most):
+        return [SimpleNamespace(cost=theory.cost, chi=0.0, theory=theory) for theory in theories]
+
+    monkeypatch.setattr(hypotheses, "placed", lambda effect: effect is plane)
+    monkeypatch.setattr(hypotheses, "fitted", fitted)
+    monkeypatch.setattr(hypotheses, "since", lambda evidence, fit, effect, seed: places)
+    made = hypotheses.shortlisted(None, SimpleNamespace(cost=100.0), probes, 1.0, 0)
+    assert [fit.theory.effect for fit in made] == [plane, plane, wind, lag]

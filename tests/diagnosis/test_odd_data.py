@@ -113,6 +113,7 @@ def test_mass_points_are_not_judged_where_the_simulation_is_uncertain_everywhere
 
 def test_causes_stay_where_nothing_promises_to_take_the_place_of_one():
     both, one = frozenset({"a", "b"}), frozenset({"b"})
-    fits = {both: SimpleNamespace(cost=1.0, theory=SimpleNamespace(names=("a", "b"))), one: SimpleNamespace(cost=2.0)}
+    theory = SimpleNamespace(names=("a", "b"), free=[0] * 9)
+    fits = {both: SimpleNamespace(cost=1.0, theory=theory), one: SimpleNamespace(cost=20.0, theory=theory)}
     hypotheses = SimpleNamespace(tried=fits, extended=lambda context: {}, fit=lambda causes, near: fits[causes])
     assert choose._settled(hypotheses, frozenset({"a"}), both) == both

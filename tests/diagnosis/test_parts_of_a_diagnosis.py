@@ -288,7 +288,7 @@ def test_on_other_points_all_is_asked_again_but_for_what_leads_said(arm, model, 
     hypotheses.add(base(model, fewer))
     heavier = fitted(fewer, [heavy], [heavy.at(TRUTH)], 8)[0]
     hypotheses.add(heavier)
-    hypotheses.contexts[frozenset()] = {"tip_mass": heavier}
+    hypotheses.contexts[frozenset()] = frozenset({"tip_mass"})
     if led:
         hypotheses.begin_with([])
     fresh = hypotheses.on_other_evidence(evidence, evidence, plain, frozenset({"tip_mass"}))
