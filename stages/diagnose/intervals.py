@@ -14,6 +14,7 @@ from stages.diagnose.sharpen import Sharp
 from stages.model.effect import Effect, placed
 
 CLEARLY = 2.4  # half-widths of its interval that a size must be from absence: five standard deviations, nearly
+EDGE = 0.02  # of its size: a cause that would no longer be what it says with so much less would rather be less
 
 
 def half_width(evidence: Evidence, fit: Fit) -> np.ndarray:
@@ -40,9 +41,20 @@ def present(evidence: Evidence, fit: Fit, effects: Iterable[type[Effect]]) -> bo
     another component of a vector.
 
     Not asked of what depends on place: something hard is as hard as any, so that its size may be anything, and yet
-    the string is elsewhere without it.
+    the string is elsewhere without it. But what is as soft as it may be would rather be softer, and is something else.
     """
     far = np.abs(fit.chi - fit.theory.start)[fit.theory.free] > CLEARLY * half_width(evidence, fit)
     beyond = {fit.theory.model.names[p]: bool(far[k]) for k, p in enumerate(fit.theory.free)}
-    sized = (e for e in effects if not placed(e))
-    return all(any(beyond[e.qualified(p)] for p in e.parameters if p.unit == e.parameters[0].unit) for e in sized)
+    return all(_well_within(fit, e) if placed(e) else any(beyond[name] for name in _components(e)) for e in effects)
+
+
+def _components(effect: type[Effect]) -> list[str]:
+    """Qualified names of the parameters that are an effect's size: components of a vector share their unit."""
+    return [effect.qualified(p) for p in effect.parameters if p.unit == effect.parameters[0].unit]
+
+
+def _well_within(fit: Fit, effect: type[Effect]) -> bool:
+    """Whether an effect would still be what it says with a little less of it."""
+    less = fit.chi.copy()
+    less[fit.theory.model.names.index(effect.qualified(effect.parameters[0]))] *= 1 - EDGE
+    return effect.plausible(fit.theory.of(effect, less))

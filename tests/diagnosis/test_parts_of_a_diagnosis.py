@@ -222,6 +222,17 @@ def test_a_size_that_could_be_nothing_is_no_cause_but_a_plane_may_be_as_hard_as_
     assert present(evidence, fit, [effect]) is believed
 
 
+@pytest.mark.parametrize(("stiffness", "believed"), [(2505.0, False), (3000.0, True), (4e6, True)])
+def test_a_plane_that_would_rather_be_softer_is_none(arm, model, stiffness, believed):
+    """Of a cable with a set curvature, a plane of 2500 1/s2, the softest that there may be, explained the rest."""
+    evidence = measured(arm, model, trials=1)
+    theory = joined(whole(model, candidates(model, library(), evidence), evidence), library()["contact"])
+    fit = fitted(evidence, [theory], [theory.at({**TRUTH, "contact.stiffness": stiffness, "contact.height": -0.9})], 0)[
+        0
+    ]
+    assert present(evidence, fit, [library()["contact"]]) is believed
+
+
 def test_nothing_stands_where_the_hand_was(arm, model):
     """A plane below the hand's way may be a cause, one that the hand goes through may not; nor is it asked of."""
     evidence = measured(arm, model, trials=2)
