@@ -202,7 +202,7 @@ def followed(evidence: Evidence, fit: Fit) -> dict[str, np.ndarray]:
 def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) -> dict[str, np.ndarray]:
     coarse = model.divided(evidence.segments[0])
     points = coarse.true(case.motion, values, case.times, case.initial).points[0]
-    velocity = np.gradient(points, case.times, axis=0)
+    velocity = np.gradient(points, case.times, axis=0) if len(case.times) > 1 else np.zeros_like(points)
     tangent = np.gradient(points, axis=1)
     tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
     s, t = np.meshgrid(coarse.string.arc_lengths(), case.times)

@@ -18,7 +18,7 @@ from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
 from stages.diagnose.predictive import cost_of_unseen
 from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw, eased, resolved
 from stages.diagnose.ranges import pressed
-from stages.diagnose.screen import screened
+from stages.diagnose.screen import followed, screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
 from stages.diagnose.verdict import judged, weighed
 from stages.estimate.forward import Case
@@ -231,6 +231,16 @@ def test_a_plane_that_would_rather_be_softer_is_none(arm, model, stiffness, beli
         0
     ]
     assert present(evidence, fit, [library()["contact"]]) is believed
+
+
+def test_of_a_single_frame_the_place_is_known_and_no_speed(arm, model):
+    """The beginning of a trial filmed at 30 Hz may be one."""
+    evidence = measured(arm, model)
+    way = followed(evidence.until(np.array([0.0, 0.0, 0.2])), base(model, evidence))
+    first, later = way["t"] == 0.0, way["t"] > 0.0
+    assert {name: np.isfinite(values).all() for name, values in way.items()} == dict.fromkeys(way, True)
+    assert np.abs(way["vx"][later]).max() > 0.1
+    assert sum(first) >= 3
 
 
 def test_nothing_stands_where_the_hand_was(arm, model):
