@@ -20,6 +20,7 @@ MOST_CAUSES = 3
 SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, though nothing need be there
 MATTERS = 2.5  # standard deviations by which a cause must move something somewhere
 PENALTY = 5.0  # of the log-likelihood for each parameter that was not asked of other trials
+FEW = 2  # trials, which a cause may fit though it is wrong
 MAINLY = 0.4  # of where it moves most: a trial moved less can say little of a cause
 NEARLY, FOLLOWED = 0.75, 2  # share of what the best explains alone, and how many that explain so much are followed
 CONFIRMED = 0.5  # share of what a cause explains where it is fitted that it must explain where it is not
@@ -137,7 +138,8 @@ def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:
     """Whether causes move something by enough to matter, cannot be absent, and predict trials not fitted to.
 
     Of one that acts in a single trial no other trial can say anything, and of a place that several reach the others
-    say too little: these must explain all trials in which they act to the noise, or foretell them after all.
+    say too little: these must explain all trials in which they act to the noise, or foretell them after all. But where
+    all that there is are two trials, and it acts in both, nothing would have been asked of it.
     """
     hypotheses.refitted(without, causes)
     plain, fit = hypotheses.tried[without], hypotheses.tried[causes]
@@ -149,7 +151,8 @@ def earns(hypotheses: Hypotheses, without: Causes, causes: Causes) -> bool:
     least = max(GAIN * noisiness(hypotheses.evidence, fit), hypotheses.by_chance(causes), INEXACT * explained)
     there = acts > max(MATTERS, MAINLY * acts.max())
     local = there.sum() == 1 or all(placed(effect) for effect in new)
-    if local and _explains(hypotheses.evidence, fit, there):
+    checked = not there.all() or len(there) > FEW
+    if local and checked and _explains(hypotheses.evidence, fit, there):
         price = PENALTY * (len(fit.theory.free) - len(plain.theory.free))
         return plain.cost - fit.cost > least + price
     if len(acts) == 1:

@@ -131,6 +131,10 @@ def test_where_nothing_can_be_added_nothing_is():
         (False, [9.0, 8.0, 0.0], [3.0, 3.0, 3.0], False),  # what acts everywhere must be foretold
         (False, [9.0, 0.0, 0.0], [3.0, 9.0, 9.0], True),
         (False, [9.0, 0.0, 0.0], [5.0, 3.0, 3.0], False),
+        (True, [9.0, 8.0], [3.0, 3.0], False),  # of two trials, in both of which it acts, nothing is left to check it
+        (True, [9.0, 0.0], [3.0, 9.0], True),
+        (True, [9.0, 8.0, 7.0], [3.0, 3.0, 3.0], True),
+        (True, [9.0], [3.0], False),
     ],
 )
 def test_a_place_that_explains_all_trials_that_reach_it_need_not_foretell_them(monkeypatch, place, acts, left, earned):
