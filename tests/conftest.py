@@ -16,6 +16,8 @@ from hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
 from stages.execute import execute
 from stages.model.arm import Arm
 from stages.model.camera import Camera
+from stages.model.model import Model
+from stages.model.string import String
 
 ROOT = Path(__file__).resolve().parents[1]
 # An ordinary string, the paper's parameters per mass point at n = 10.
@@ -70,6 +72,11 @@ def arm() -> Arm:
 @pytest.fixture(scope="session")
 def camera() -> Camera:
     return configured(Camera, "camera/highspeed.yaml")
+
+
+def ordinary(arm) -> Model:
+    """The base model of an ordinary string, as it is configured, before a simple camera."""
+    return Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0))
 
 
 def specimen(name) -> Specimen:

@@ -24,11 +24,13 @@ def move_at_first(evidence: Evidence) -> bool:
 
 
 def begun(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
-    """With the states that suit these exponents (P,) best, by how the trials go on; as it is if all begin at rest."""
+    """With the states that suit these exponents (P,) best, by how the trials go on, as if these were known; as it is if
+    all begin at rest."""
     if not move_at_first(evidence):
         return evidence
     values = values_of(model.parameters, chi[None])[0]
-    return replace(evidence, cases=tuple(settled(case, values) for case in _divided(evidence, model, values)))
+    cases = tuple(settled(case, values) for case in _divided(evidence, model, values))
+    return replace(evidence, cases=cases, unsure=())
 
 
 def doubted_beginnings(evidence: Evidence, model: Model, chi: np.ndarray) -> Evidence:
@@ -44,7 +46,7 @@ def simulated(evidence: Evidence, fit: Fit) -> np.ndarray:
     explain is taken away."""
     if not move_at_first(evidence):
         return fit.residual
-    own = replace(begun(evidence, fit.theory.model, fit.chi), unsure=())
+    own = begun(evidence, fit.theory.model, fit.chi)
     return np.asarray(own.residuals(fit.theory.model, fit.chi[None])[0])
 
 

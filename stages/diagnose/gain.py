@@ -49,7 +49,7 @@ def side(hypotheses: Hypotheses, ground: Ground, causes: Causes, rest: Sequence[
     turn. Trials that begin moving begin in the state that suits it."""
     fit = hypotheses.tried[causes]
     evidence = replace(ground.evidence, segments=hypotheses.evidence.segments)
-    evidence = replace(begun(evidence, fit.theory.model, fit.chi), unsure=())
+    evidence = begun(evidence, fit.theory.model, fit.chi)
     chi = [fit.chi] * len(rest) if rest else list(hypotheses.held(causes).chi)
     return Side(fit.theory.model, evidence, chi, fit.chi)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 
 from stages.diagnose.casts import Design, imagined, possible
 from stages.diagnose.evidence import Evidence
@@ -16,11 +16,8 @@ from stages.diagnose.theory import Theory, joined
 from stages.generate.curves import Curves
 from stages.generate.generate import arm_faults
 from stages.model.box import Box
-from stages.model.camera import Camera
 from stages.model.effects.arm_lag import ArmLag
 from stages.model.effects.time_offset import TimeOffset
-from stages.model.model import Model
-from stages.model.string import String
 
 SIGMA = 7e-4
 DESIGN = Design(motions=12, shortest=0.2, longest=0.6, alpha=150.0, before=0.1, after=0.1)
@@ -39,7 +36,7 @@ class Lead(TimeOffset):
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+    return resolved(ordinary(arm))
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved, swings
 
 from stages.diagnose.evidence import Evidence
@@ -12,16 +12,13 @@ from stages.diagnose.fit import fitted
 from stages.diagnose.grain import grain
 from stages.diagnose.theory import joined
 from stages.estimate.forward import Case
-from stages.model.camera import Camera
 from stages.model.hand import joint_motion
 from stages.model.library import library
-from stages.model.model import Model
-from stages.model.string import String
 
 
 @pytest.fixture(scope="module")
 def eq1(arm):
-    return Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0))
+    return ordinary(arm)
 
 
 def chain(arm, model, points):

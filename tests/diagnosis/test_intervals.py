@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import S, base, measured, resolved
 
 from stages.diagnose.fit import PRIOR, Fit, fitted
@@ -10,15 +10,12 @@ from stages.diagnose.intervals import half_width, interval
 from stages.diagnose.resolve import SEGMENTS, finer
 from stages.diagnose.sharpen import Sharp, sharpened
 from stages.diagnose.theory import Theory, joined
-from stages.model.camera import Camera
 from stages.model.library import library
-from stages.model.model import Model
-from stages.model.string import String
 
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+    return resolved(ordinary(arm))
 
 
 @pytest.mark.parametrize("frames", [1, 5])

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 
 from data.artifacts import JOINTS, MASKS, READINGS, Observation
 from data.schema import DataError
@@ -21,12 +21,9 @@ from stages.estimate.forward import case
 from stages.estimate.matching import Matching
 from stages.generate.curves import first_curves
 from stages.generate.generate import arm_faults
-from stages.model.camera import Camera
 from stages.model.effects.arm_lag import ArmLag
 from stages.model.hand import joint_motion
 from stages.model.library import library
-from stages.model.model import Model
-from stages.model.string import String
 
 SIGMA = 7e-4
 LAG = 0.015
@@ -35,7 +32,7 @@ STIFF = TRUTH | {"bending_stiffness": 20.0, "grasp_stiffness": 5.0}
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0))
+    return ordinary(arm)
 
 
 @pytest.fixture(scope="module")

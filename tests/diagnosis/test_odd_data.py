@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 
 from data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
 from stages.diagnose import choose
@@ -18,9 +18,6 @@ from stages.diagnose.prepare import usable
 from stages.estimate.forward import case
 from stages.estimate.matching import Matching
 from stages.generate.curves import Curves
-from stages.model.camera import Camera
-from stages.model.model import Model
-from stages.model.string import String
 
 S = np.array([0.1, 0.2, 0.3])
 FINE = Matching(dilations=20, step_px=1, tip_step_px=1.0, delta_w=0.25)
@@ -28,7 +25,7 @@ FINE = Matching(dilations=20, step_px=1, tip_step_px=1.0, delta_w=0.25)
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0))
+    return ordinary(arm)
 
 
 @pytest.fixture(scope="module")

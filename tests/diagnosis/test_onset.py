@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved
 
 from stages.diagnose.fit import fitted
@@ -12,17 +12,14 @@ from stages.diagnose.noise import CLEAR
 from stages.diagnose.onset import GROWTH, KEPT, SHOWN, SIZES, _beginning, onset, since
 from stages.diagnose.prepare import Ground, Raw, cleaned_anew
 from stages.diagnose.theory import joined
-from stages.model.camera import Camera
 from stages.model.library import library
-from stages.model.model import Model
-from stages.model.string import String
 
 PLANE = {"contact.stiffness": 4e6, "contact.height": 0.435, "contact.tilt": -1.0, "contact.friction": 0.3}
 
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+    return resolved(ordinary(arm))
 
 
 @pytest.fixture(scope="module")

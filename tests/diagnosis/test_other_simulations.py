@@ -6,17 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import TRUTH as ORDINARY
+from conftest import ordinary
 
 from data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stages.diagnose.casts import Design
 from stages.diagnose.diagnose import diagnose
 from stages.estimate.matching import Matching
 from stages.generate.curves import Curves
-from stages.model.camera import Camera
 from stages.model.effects.tip_mass import TipMass
 from stages.model.hand import joint_motion
-from stages.model.model import Model
-from stages.model.string import String
 
 SIGMA = 7e-4
 TRUTH = ORDINARY | {"bending_stiffness": 6.0, "axial_stiffness": 5e5, "grasp_stiffness": 4.0}
@@ -25,7 +23,7 @@ TRUTH = ORDINARY | {"bending_stiffness": 6.0, "axial_stiffness": 5e5, "grasp_sti
 @pytest.fixture(scope="module")
 def eq1(arm):
     """The paper's string: ten equal points."""
-    return Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0))
+    return ordinary(arm)
 
 
 def measured(arm, model, values, rng, trials=2):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 from scipy.interpolate import CubicSpline
 
 from stages.diagnose.choose import MATTERS, earns, levelled
@@ -23,11 +23,8 @@ from stages.diagnose.theory import Theory, candidates, joined, whole
 from stages.diagnose.verdict import judged, weighed
 from stages.estimate.forward import Case
 from stages.generate.curves import Curves
-from stages.model.camera import Camera
 from stages.model.hand import joint_motion
 from stages.model.library import library
-from stages.model.model import Model
-from stages.model.string import String
 
 SIGMA = 7e-4
 PINNED = 1e6  # exponents are as they are
@@ -36,7 +33,7 @@ S = np.linspace(0.03, 0.3, 10)
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+    return resolved(ordinary(arm))
 
 
 def swings(arm, count, seconds=0.5):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, ordinary
 from test_onset import PLANE
 from test_parts_of_a_diagnosis import base, measured, resolved
 
@@ -13,17 +13,14 @@ from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.reach import AGAINST, reach
 from stages.diagnose.theory import joined
 from stages.diagnose.verdict import log_odds
-from stages.model.camera import Camera
 from stages.model.library import library
-from stages.model.model import Model
-from stages.model.string import String
 
 HARD = "contact.stiffness"
 
 
 @pytest.fixture(scope="module")
 def model(arm):
-    return resolved(Model(String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)))
+    return resolved(ordinary(arm))
 
 
 def weighed(model, evidence, *fits):

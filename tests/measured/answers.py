@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 from data.artifacts import Diagnosis
 from data.store import write_text
+from pipeline.settings import composed
 from pipeline.study.command import diagnosis
 from tests.measured.sets import RELEASED, written
 
-CONF = Path(__file__).resolve().parents[2] / "conf"
 # Root mean square of the tip in released trials, of the models of those who measured them, fitted to these [m]: arXiv
 # 2402.16114, as ../shared/measured/README.md has it.
 AUTHORS = {
@@ -34,9 +32,7 @@ AUTHORS = {
 def answer(measured: Path, name: str, trials: list[str], out: Path) -> dict[str, Any]:
     """A row of the table but for the code; the diagnosis is left in `out`."""
     dataset, begun = written(measured, name, trials, out / "dataset"), time.perf_counter()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        config = OmegaConf.to_container(compose("config", ["+experiment=diagnose", f"trials={dataset}"]), resolve=True)
-    found = diagnosis(dataset, config)
+    found = diagnosis(dataset, composed(["+experiment=diagnose"]))
     seconds = time.perf_counter() - begun
     text = found.finding["diagnosis"].iloc[0]
     write_text(out / "diagnosis.json", text)
