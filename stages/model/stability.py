@@ -114,7 +114,9 @@ def slot_sum(
 
 
 def _drag(string: String, material: np.ndarray) -> np.ndarray:
-    """Damping rate of the loads at the fastest speed covered, (C,)."""
+    """Damping rate of the loads at the fastest speed covered, (C,), but of those that declare theirs: these depend on
+    place, and what they are in one place says nothing."""
+    string, material = string.only(tuple(e for e in string.effects if not hasattr(e, "bound")), material)
     step = 1e-3
     still = np.zeros((1, 1))
     masses, cells = string.masses(material)

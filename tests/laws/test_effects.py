@@ -18,6 +18,7 @@ from stages.model.hand import joint_motion
 from stages.model.library import library
 from stages.model.model import Model
 from stages.model.parameter import Parameter
+from stages.model.stability import steps_per_tick
 from stages.model.string import BASE, String
 
 LIBRARY = library()
@@ -248,6 +249,22 @@ def test_strings_with_every_effect_at_once_stay_finite(swung):
     values[:, full.names.index("box_contact.centre_x")] = rng.uniform(0.5, 0.9, 32)
     values[:, full.names.index("box_contact.centre_y")] = rng.uniform(-0.9, -0.5, 32)
     assert full.seen(motion, values, t).finite.all()
+
+
+def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
+    """It may lie behind a plane that takes from what strikes it, or inside a box."""
+    _, full, _, _ = swung
+    behind, before = {"contact.height": 0.4, "box_contact.centre_x": 0.0}, {"contact.height": -0.4}
+    some = {
+        "contact.stiffness": 4e6,
+        "contact.friction": 0.5,
+        "box_contact.stiffness": 5e4,
+        "box_contact.friction": 0.5,
+    }
+    material = full.string.material(np.stack([full.string.values(NAMED | some | place) for place in (behind, before)]))
+    steps, possible = steps_per_tick(*full.string.at_work(material), 5e-3)
+    assert possible.all()
+    assert steps[0] == steps[1]
 
 
 # --- for people --------------------------------------------------------------------------------------------
