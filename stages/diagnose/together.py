@@ -1,55 +1,101 @@
-"""Candidates in several trials as one batch: what a simulation costs before its first step is paid once."""
+"""Candidates in several trials as one batch: what a simulation costs before its first step is paid once, and few
+candidates fill the vector units and the cores."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numba import get_num_threads
 
 from stages.estimate.forward import Case
 from stages.model.hand import HandMotion
 from stages.model.model import Model
-from stages.model.string import simulate
+from stages.model.state import State
+from stages.model.string import String, simulate
+
+BEGINNING = 0.05  # [s] of simulated time that a batch costs before its first step
+APART = 1.15  # times what steps cost where each candidate has a hand of its own
 
 
 def seen_together(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.ndarray]:
     """What the camera reports of candidates (C, P) in each trial, (C, F, n, 2) [m]; NaN where a run was rejected."""
-    result: list[np.ndarray | None] = [None] * len(cases)
-    for chosen in _batches(cases):
-        some = [cases[i] for i in chosen]
-        alone = len(some) == 1
-        seen = [model.seen(c.motion, values, c.times, c.initial).points for c in some] if alone else None
-        for i, points in zip(chosen, seen or _seen(model, some, values), strict=True):
-            result[i] = points
-    return [points for points in result if points is not None]
+    result: dict[int, np.ndarray] = {}
+    for alike in _alike(cases):
+        lanes = len(values) / model.string.precision.width
+        for chosen in _batches([float(np.ptp(cases[i].times)) for i in alike], lanes / get_num_threads()):
+            numbers = [alike[place] for place in chosen]
+            result |= zip(numbers, _seen(model, [cases[i] for i in numbers], values), strict=True)
+    return [result[i] for i in range(len(cases))]
 
 
-def _batches(cases: Sequence[Case]) -> list[list[int]]:
-    """Trials that begin at rest at the same time of their clock go together; each of the others alone."""
-    batches: dict[object, list[int]] = {}
+def _alike(cases: Sequence[Case]) -> list[list[int]]:
+    """Trials that can be simulated side by side: all at rest or all moving at the same time of their clock."""
+    alike: dict[object, list[int]] = {}
     for i, case in enumerate(cases):
-        key = ("moving", i) if case.initial is not None else (case.motion.start, case.motion.tick)
-        batches.setdefault(key, []).append(i)
-    return list(batches.values())
+        begin = ("rest", case.motion.start) if case.initial is None else ("moving", case.initial.t)
+        alike.setdefault((*begin, case.motion.tick), []).append(i)
+    return list(alike.values())
+
+
+def _batches(seconds: Sequence[float], rounds: float) -> list[list[int]]:
+    """Places of trials that go together, for the least time in all: a batch lasts as long as its longest trial.
+
+    seconds: how long each is. rounds: how often the candidates of one would fill the vector units of all cores.
+    """
+    order = [int(i) for i in np.argsort(seconds, kind="stable")]
+    best: list[tuple[float, list[list[int]]]] = [(0.0, [])]
+    for last in range(1, len(order) + 1):
+        tried = []
+        for first in range(last):
+            batch = order[first:last]
+            dearer = APART if len(batch) > 1 else 1.0
+            price = BEGINNING + dearer * np.ceil(len(batch) * rounds) * seconds[batch[-1]]
+            tried.append((best[first][0] + price, [*best[first][1], batch]))
+        best.append(min(tried, key=lambda one: one[0]))
+    return best[-1][1]
 
 
 def _seen(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.ndarray]:
-    hands = [model.hand(case.motion, values) for case in cases]
+    """Of trials that are simulated side by side."""
+    if len(cases) == 1:
+        return [model.seen(case.motion, values, case.times, case.initial).points for case in cases]
+    begun = [model.begun(case.initial, values) for case in cases]
+    hands = [_since(model.hand(case.motion, values), begin) for case, begin in zip(cases, begun, strict=True)]
     moments = [np.atleast_2d(model.moments(values, case.times)) for case in cases]
-    ticks, wanted = max(hand.pose.shape[1] for hand in hands), max(m.shape[-1] for m in moments)
-    pose = np.concatenate([_rested(hand.pose, len(values), ticks) for hand in hands])
-    rate = np.concatenate([_rested(hand.rate, len(values), ticks, still=True) for hand in hands])
-    times = np.concatenate([_rested(m, len(values), wanted) for m in moments])
+    counted = [m if begin is None else begin.counted(m) for m, begin in zip(moments, begun, strict=True)]
     string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
-    points = simulate(model.string, HandMotion(hands[0].start, hands[0].tick, pose, rate), string, times).points
-    return [
-        model.reported(own[:, : m.shape[-1]], values, case.times)
-        for own, m, case in zip(np.split(points, len(cases)), moments, cases, strict=True)
-    ]
+    states = _of_each(model.string, [begin for begin in begun if begin is not None], len(values))
+    points = simulate(model.string, _side_by_side(hands, len(values)), string, _padded(counted, len(values)), states)
+    pairs = zip(np.split(points.points, len(cases)), moments, cases, strict=True)
+    return [model.reported(own[:, : m.shape[-1]], values, case.times) for own, m, case in pairs]
 
 
-def _rested(rows: np.ndarray, count: int, length: int, still: bool = False) -> np.ndarray:
-    """Rows (1 or C, K, ...) for `count` candidates, at their last value (or zero) until they are `length` long."""
-    every = np.broadcast_to(rows, (count, *rows.shape[1:]))
-    last = np.repeat(every[:, -1:] * (0.0 if still else 1.0), length - rows.shape[1], axis=1)
-    return np.concatenate([every, last], axis=1)
+def _side_by_side(hands: Sequence[HandMotion], count: int) -> HandMotion:
+    """Hands of several trials for so many candidates of each; those that end earlier rest."""
+    pose, rate = _padded([hand.pose for hand in hands], count), _padded([hand.rate for hand in hands], count, 0.0)
+    return HandMotion(hands[0].start, hands[0].tick, pose, rate)
+
+
+def _since(hand: HandMotion, begin: State | None) -> HandMotion:
+    return hand if begin is None else hand.since(begin.t)
+
+
+def _of_each(string: String, states: Sequence[State], count: int) -> State | None:
+    """The states of several trials, for so many candidates of each; None of those at rest."""
+    if not states:
+        return None
+    angle, rate = (np.repeat(each, count, axis=0) for each in zip(*(s.segments(string) for s in states), strict=True))
+    return replace(states[0], s=string.arc_lengths()[1:] - string.segment / 2, angle=angle, rate=rate)
+
+
+def _padded(parts: Sequence[np.ndarray], count: int, times: float = 1.0) -> np.ndarray:
+    """Rows (1 or C, K, ...) of several trials for `count` candidates of each, below one another, (C', K, ...); shorter
+    ones go on with so many times their last value."""
+    length = max(part.shape[1] for part in parts)
+    return np.concatenate([_lengthened(np.broadcast_to(p, (count, *p.shape[1:])), length, times) for p in parts])
+
+
+def _lengthened(rows: np.ndarray, length: int, times: float) -> np.ndarray:
+    return np.concatenate([rows, np.repeat(rows[:, -1:] * times, length - rows.shape[1], axis=1)], axis=1)

@@ -119,10 +119,13 @@ class Model:
 
         initial: the state from which they move, of the same clock; else they rest before the hand moves.
         """
-        if initial is not None:
-            initial = initial.at(self._on_arm(values, np.array([initial.t]))[..., 0])
+        initial = self.begun(initial, values)
         real = self.true(motion, values, self.moments(values, times), initial)
         return StringMotion(self.reported(real.points, values, times), real.finite)
+
+    def begun(self, initial: State | None, values: np.ndarray) -> State | None:
+        """A state of the camera's clock by the arm's. values: (C, P)."""
+        return None if initial is None else initial.at(self._on_arm(values, np.array([initial.t]))[..., 0])
 
     def moments(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Times of the arm's clock at which `reported` needs points, (M,) or (C, M) [s]. times: (F,)."""

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 NODES = 6  # ticks that the polynomial goes through
+WHOLE = 1e-6  # of a tick, which is as good as none
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -21,22 +22,22 @@ def unpacked(lanes: np.ndarray, count: int) -> np.ndarray:
     return result
 
 
-def sampled(ticks: np.ndarray, position: np.ndarray, moved: int) -> np.ndarray:
+def sampled(ticks: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Positions between ticks, by Lagrange's polynomial through the six nearest.
 
-    ticks: (C, K, n, 2). position: (F,) or (C, F) in ticks, clipped to the first and last. moved:
-    last tick of the hand's motion. (C, F, n, 2).
+    ticks: (C, K, n, 2), of at least six. position: (F,) or (C, F) in ticks, of which those before the first count as
+    it. (C, F, n, 2).
     """
-    # The last tick that the candidate itself asks for: rest added for others must not matter.
-    asked = np.ceil(position.max(axis=-1, keepdims=True) - 1e-9).astype(int)
-    last = np.clip(asked, moved, ticks.shape[1] - 1)
+    # The last tick that the candidate itself asks for: what is simulated longer for others must not matter.
+    last = np.maximum(np.ceil(position.max(axis=-1, keepdims=True) - 1e-9).astype(int), NODES - 1)
     position = np.clip(position, 0, last)
     whole = np.round(position)
-    if position.ndim == 1 and np.allclose(position, whole, rtol=0, atol=1e-6):
+    position = np.where(np.abs(position - whole) < WHOLE, whole, position)  # where the polynomial is a tick to the bit
+    if position.ndim == 1 and np.array_equal(position, whole):
         whole = whole.astype(int)
         return ticks if np.array_equal(whole, np.arange(ticks.shape[1])) else ticks[:, whole]
     each = np.broadcast_to(position, (len(ticks), position.shape[-1]))
-    return _interpolated(ticks, each, np.broadcast_to(last.ravel(), len(ticks)), min(NODES, int(last.min()) + 1))
+    return _interpolated(ticks, each, np.broadcast_to(last.ravel(), len(ticks)), NODES)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

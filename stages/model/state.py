@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +21,8 @@ class State:
     ringing along itself by noise; its stretch each candidate finds from its own tension.
 
     t: when [s], one moment or one for each candidate, (C,). s: (M,) rest arc lengths, increasing [m].
-    angle: (M,) direction there, continuous from the grasp's [rad]. rate: (M,) its time derivative [rad/s].
+    angle: (M,) direction there, continuous from the grasp's [rad]. rate: (M,) its time derivative [rad/s]. Both may
+    be each candidate's own, (C, M).
     """
 
     t: float | np.ndarray
@@ -36,7 +38,14 @@ class State:
         """Times (F,) or (C, F) [s] as they count from here on: as before, or from each candidate's own start."""
         return times if np.ndim(self.t) == 0 else times - np.asarray(self.t)[:, None]
 
+    def of(self, chosen: np.ndarray) -> State:
+        """Of some candidates, whose numbers are given."""
+        if self.angle.ndim == 1:
+            return self
+        return replace(self, angle=self.angle[chosen], rate=self.rate[chosen])
+
     def segments(self, string: String) -> tuple[np.ndarray, np.ndarray]:
-        """Angles [rad] and their rates [rad/s] of a string's segments, (n - 1,) each."""
+        """Angles [rad] and their rates [rad/s] of a string's segments, (n - 1,) each, or (C, n - 1)."""
         middle = string.arc_lengths()[1:] - string.segment / 2
-        return np.interp(middle, self.s, self.angle), np.interp(middle, self.s, self.rate)
+        along = partial(np.interp, middle, self.s)
+        return np.apply_along_axis(along, -1, self.angle), np.apply_along_axis(along, -1, self.rate)

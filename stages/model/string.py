@@ -29,7 +29,7 @@ from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
 from stages.model.precision import Double, Precision
-from stages.model.sampling import sampled, unpacked
+from stages.model.sampling import NODES, sampled, unpacked
 from stages.model.stability import steps_per_tick
 from stages.model.state import State
 from stages.model.statics import grasp_set
@@ -244,16 +244,17 @@ def simulate(
     Results do not depend on the number of threads nor on which candidates run together.
     """
     material = string.material(np.atleast_2d(values))
-    poses, rates = _extended(hand, float(np.max(times)))
+    poses, rates = _extended(hand, max(float(np.max(times)), hand.start + (NODES - 1) * hand.tick))
     steps, possible = steps_per_tick(*string.at_work(material), hand.tick)
     parts = []
     for level in np.unique(steps[possible]):
         chosen = np.flatnonzero(possible & (steps == level))
         pose = poses if len(poses) == 1 else poses[chosen]
         rate = rates if len(rates) == 1 else rates[chosen]
-        ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level), initial)
+        begins = None if initial is None else initial.of(chosen)
+        ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level), begins)
         own = times if times.ndim == 1 else times[chosen]
-        points = sampled(ticks, (own - hand.start) / hand.tick, hand.pose.shape[1] - 1)
+        points = sampled(ticks, (own - hand.start) / hand.tick)
         parts.append((chosen, points, alive))
     return _gathered(parts, (len(material), times.shape[-1], string.points, 2))
 

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import TRUTH
+from conftest import TRUTH, threads
 
 from stages.diagnose import beginning
 from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stages.diagnose.evidence import SHORTER, Evidence
 from stages.diagnose.theory import Theory
+from stages.diagnose.together import _batches, seen_together
 from stages.estimate.forward import Case
 from stages.generate.curves import plain_cast
 from stages.model.hand import joint_motion
@@ -79,6 +80,33 @@ def test_trials_that_begin_at_rest_have_nothing_to_doubt(model, evidence):
     assert both.only([0]).unsure[0] is both.unsure[0]
     plain, doubted = (each.residuals(model, exponents(model)[None])[0][rest.trial == 0] for each in (rest, both))
     np.testing.assert_array_equal(plain, doubted)
+
+
+def test_trials_side_by_side_are_as_they_are_alone(model, evidence):
+    """To the bit, however long they are, whether they begin moving or not, and however many share a batch."""
+    [case] = evidence.cases
+    rest = [replace(case.until(share), initial=None) for share in (1.0, 0.4)]
+    cases = [case, *rest, case.until(0.7), replace(case, initial=leaning(0.1, -0.2)), case.until(0.02)]
+    values = model.values(TRUTH) * np.linspace(0.9, 1.1, 7)[:, None]
+    every = seen_together(model, cases, values)
+    for own, seen in zip(cases, every, strict=True):
+        np.testing.assert_array_equal(seen, model.seen(own.motion, values, own.times, own.initial).points)
+    with threads(1):
+        np.testing.assert_array_equal(
+            np.concatenate(every, axis=1), np.concatenate(seen_together(model, cases, values), axis=1)
+        )
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rounds", "together"),
+    [
+        ([1.0, 1.0, 1.0], 0.3, [[0, 1, 2]]),  # all of three fill one round
+        ([1.0, 0.2, 0.3], 0.5, [[1, 2], [0]]),  # the short ones should not last as long as the long one
+        ([1.0, 1.0], 3.0, [[0], [1]]),  # each fills the cores by itself
+    ],
+)
+def test_trials_go_together_where_that_takes_less_time(seconds, rounds, together):
+    assert _batches(seconds, rounds) == together
 
 
 def test_beginnings_are_found_with_steps_that_bear_what_was_fitted(model, evidence, monkeypatch):
