@@ -42,7 +42,8 @@ class Case:
         """Strings of candidates (C, P) as the camera reports them at the frame times, chunk by chunk."""
         for first in range(0, len(values), CHUNK):
             some = slice(first, min(first + CHUNK, len(values)))
-            yield some, self.model.seen(self.motion, values[some], self.times, self.initial)
+            begin = None if self.initial is None else self.initial.of(some)
+            yield some, self.model.seen(self.motion, values[some], self.times, begin)
 
     @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,8 @@ RATE = 3.0  # [rad/s] by which a mode of the rates may
 STEP = 1e-3  # of those, for the differences
 HUBER = 2.0  # robust scales beyond which a residual counts less
 TRIES = 20  # steps at most; it mostly takes 5
+UNCHANGED = np.zeros((1, 2 * MODES))
+BESIDE = np.concatenate([UNCHANGED, STEP * np.eye(2 * MODES)])  # changes for the differences
 
 
 def settled(ready: Case, values: np.ndarray) -> Case:
@@ -30,44 +32,52 @@ def settled(ready: Case, values: np.ndarray) -> Case:
     the string cannot be simulated with them."""
     if ready.initial is None:
         return ready
-    begin = ready.initial
     early = ready.until(min(SPAN / float(np.ptp(ready.times)), 1.0))
-    noise = float(spread(_residual(early, values))) + 1e-12
+    noise = float(spread(_residuals(early, values, UNCHANGED)[0])) + 1e-12
     if not np.isfinite(noise):
         return ready
 
-    def mismatch(change: np.ndarray) -> np.ndarray:
-        moved = replace(early, initial=_changed(begin, change, ready.model.string.length))
-        return np.concatenate([np.nan_to_num(_residual(moved, values), nan=1e6) / noise, change])
+    def mismatch(changes: np.ndarray) -> np.ndarray:
+        """(C, 2 N + M) for changes (C, M)."""
+        return np.hstack([np.nan_to_num(_residuals(early, values, changes), nan=1e6) / noise, changes])
+
+    def slopes_of_mismatch(change: np.ndarray) -> np.ndarray:
+        here, *beside = mismatch(change + BESIDE)
+        return (np.stack(beside, axis=1) - here[:, None]) / STEP
 
     found = least_squares(
-        mismatch, np.zeros(2 * MODES), loss="huber", f_scale=HUBER, diff_step=STEP, x_scale=1.0, max_nfev=TRIES
+        lambda change: mismatch(change[None])[0],
+        UNCHANGED[0],
+        jac=slopes_of_mismatch,
+        loss="huber",
+        f_scale=HUBER,
+        x_scale=1.0,
+        max_nfev=TRIES,
     )
-    return replace(ready, initial=_changed(begin, found.x, ready.model.string.length))
+    return replace(ready, initial=_changed(ready.initial, found.x, ready.model.string.length))
 
 
 def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
     """How the measured points move with the modes of the state in which the trial begins, a column each, (2 N, M) [m];
     none where it begins at rest, nor for what cannot be simulated. values: (P,)."""
-    begin = ready.initial
-    if begin is None:
+    if ready.initial is None:
         return np.empty((2 * len(ready.points), 0))
-    metres = replace(ready, sigma=np.ones(len(ready.points)))
-    changes = STEP * np.eye(2 * MODES)
-    moved = [replace(metres, initial=_changed(begin, change, ready.model.string.length)) for change in changes]
-    here = _residual(metres, values)
-    columns = np.stack([_residual(each, values) - here for each in moved], axis=1) / STEP
+    here, *beside = _residuals(replace(ready, sigma=np.ones(len(ready.points))), values, BESIDE)
+    columns = (np.stack(beside, axis=1) - here[:, None]) / STEP
     return columns[:, np.isfinite(columns).all(axis=0)]
 
 
-def _residual(ready: Case, values: np.ndarray) -> np.ndarray:
-    """Simulated less measured, over sigma, (2 N,)."""
-    _, motion = next(ready.simulate(values[None]))
-    return ((ready.at_measured(motion)[0] - ready.points) / ready.sigma[:, None]).ravel()
+def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    """Simulated less measured over sigma, (C, 2 N), with each of the changes (C, M) of the state at the beginning."""
+    assert ready.initial is not None
+    moved = replace(ready, initial=_changed(ready.initial, changes, ready.model.string.length))
+    _, motion = next(moved.simulate(np.repeat(values[None], len(changes), axis=0)))
+    return ((moved.at_measured(motion) - ready.points) / ready.sigma[:, None]).reshape(len(changes), -1)
 
 
 def _changed(state: State, change: np.ndarray, length: float) -> State:
-    """The state with modes added: sin((k - 1/2) pi s / L) of the angles and of the rates. change: (2 MODES,)."""
+    """The state with modes added: sin((k - 1/2) pi s / L) of the angles and of the rates. change: (2 MODES,), or one
+    for each candidate, (C, 2 MODES)."""
     modes = np.sin((np.arange(MODES)[:, None] + 0.5) * np.pi * state.s / length)
-    turn, rate = TURN * change[:MODES] @ modes, RATE * change[MODES:] @ modes
+    turn, rate = TURN * change[..., :MODES] @ modes, RATE * change[..., MODES:] @ modes
     return replace(state, angle=state.angle + turn, rate=state.rate + rate)

@@ -38,7 +38,7 @@ class State:
         """Times (F,) or (C, F) [s] as they count from here on: as before, or from each candidate's own start."""
         return times if np.ndim(self.t) == 0 else times - np.asarray(self.t)[:, None]
 
-    def of(self, chosen: np.ndarray) -> State:
+    def of(self, chosen: np.ndarray | slice) -> State:
         """Of some candidates, whose numbers are given."""
         if self.angle.ndim == 1:
             return self
