@@ -60,10 +60,23 @@ def _suspect(hypotheses: Hypotheses, causes: Causes) -> bool:
 def _steps(hypotheses: Hypotheses, causes: Causes) -> Iterator[tuple[Causes, Causes]]:
     """What may be added, one after the other: the causes to which the last one is added, and all of them.
 
-    Of two that are needed, one alone may predict nothing; of two that were added, one may only have led to the other.
+    What explains most may predict nothing where its look-alike, which explains nearly as much, does.
     """
     first = _added(hypotheses, causes)
     yield causes, first
+    asked = {first}
+    if len(causes) + 2 <= MOST_CAUSES:
+        for step in _two_steps(hypotheses, causes, first):
+            asked.add(step[1])
+            yield step
+    for name in _likely(hypotheses, causes):
+        if causes | {name} not in asked:
+            yield causes, causes | {name}
+
+
+def _two_steps(hypotheses: Hypotheses, causes: Causes, first: Causes) -> Iterator[tuple[Causes, Causes]]:
+    """Two that may be added: of two that are needed, one alone may predict nothing. Then each that was not asked alone:
+    of two that were added, one may only have led to the other. first: what was asked alone."""
     fewer, both = _two_added(hypotheses, causes)
     yield fewer, both
     for name in sorted(both - first):
@@ -83,12 +96,17 @@ def _two_added(hypotheses: Hypotheses, causes: Causes) -> tuple[Causes, Causes]:
 
     What explains most alone may do some of the work of two: what explains nearly as much is followed as well.
     """
+    likely = _likely(hypotheses, causes)[:FOLLOWED]
+    pairs = [(causes | {name}, _added(hypotheses, causes | {name})) for name in likely]
+    return min(pairs, key=lambda pair: hypotheses.tried[pair[1]].cost, default=(causes, causes))
+
+
+def _likely(hypotheses: Hypotheses, causes: Causes) -> list[str]:
+    """Each cause that explains nearly as much beside these as the one that explains most, best first."""
     plain = hypotheses.tried[causes].cost
     gains = {name: plain - fit.cost for name, fit in hypotheses.extended(causes).items()}
     least = NEARLY * max(gains.values(), default=0.0)
-    likely = [name for name in sorted(gains, key=gains.__getitem__, reverse=True) if gains[name] > least]
-    pairs = [(causes | {name}, _added(hypotheses, causes | {name})) for name in likely[:FOLLOWED]]
-    return min(pairs, key=lambda pair: hypotheses.tried[pair[1]].cost, default=(causes, causes))
+    return [name for name in sorted(gains, key=gains.__getitem__, reverse=True) if gains[name] > least]
 
 
 def _settled(hypotheses: Hypotheses, before: Causes, best: Causes) -> Causes:

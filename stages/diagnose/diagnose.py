@@ -40,6 +40,7 @@ from stages.model.model import Model
 from stages.progress import Progress, part
 
 AGAIN = 20  # steps of a fit to other trials
+NEAR = 16.0  # mean square over the noise; of what is further off than that, its number of mass points is the least
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
 
@@ -83,11 +84,12 @@ def diagnose(
 def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, Hypotheses, Causes]:
     """The causes chosen, and what they were chosen from.
 
-    Where the model as it is configured is nearer to the data than one whose mass points do not matter, they may come
-    from another simulation of its kind: it is tried first, and the other only if it leaves something to be seen. Where
-    that leaves something too, or needs several causes, other numbers of points are asked. What leaves least stands.
+    Where the model as it is configured is near to the data, and nearer than one whose mass points do not matter, they
+    may come from another simulation of its kind: it is tried first, and the other only if it leaves something to be
+    seen. Where that leaves something too, or needs several causes, other numbers of points are asked. What leaves
+    least stands.
     """
-    nearer = ground.configured.mean_square < ground.beside_noise
+    nearer = ground.configured.mean_square < min(ground.beside_noise, NEAR)
     kinds = [data.of_points(data.model.string.points), _as_it_is] if nearer else [_as_it_is]
     made: list[tuple[Ground, Hypotheses, Causes]] = []
     for number, kind in enumerate(kinds):

@@ -16,6 +16,7 @@ POINTS = (10, 12, 15, 18, 22, 27, 33, 40, 50)
 BETWEEN = 3  # numbers on both sides of the best of these are tried too
 STEPS = 6
 NEARER = 0.9  # times what is left without points must be left at most
+MUCH = 0.6  # of what is left beyond noise without points must be left at most: or something else is wrong
 
 
 def grain(evidence: Evidence, fit: Fit, left: float) -> int | None:
@@ -28,7 +29,7 @@ def grain(evidence: Evidence, fit: Fit, left: float) -> int | None:
     about = range(max(best - BETWEEN, POINTS[0]), best + BETWEEN + 1)
     tried |= {points: _left(evidence, fit, points) for points in about if points not in tried}
     best = min(tried, key=lambda points: tried[points])
-    return best if tried[best] < NEARER * left else None
+    return best if tried[best] < NEARER * left and tried[best] - 1 < MUCH * max(left - 1, 0.0) else None
 
 
 def _left(evidence: Evidence, fit: Fit, points: int) -> float:

@@ -8,6 +8,22 @@ import pytest
 from stages.diagnose import choose, hypotheses
 
 
+def from_costs(costs):
+    """Hypotheses that were all fitted, with these costs of their causes' letters."""
+    tried = {frozenset(names): SimpleNamespace(cost=cost) for names, cost in costs.items()}
+    return SimpleNamespace(
+        tried=tried,
+        fit=lambda causes, others: None,
+        level=lambda others, best: None,
+        extended=lambda causes: {
+            name: fit
+            for key, fit in tried.items()
+            if causes < key and len(key) == len(causes) + 1
+            for name in key - causes
+        },
+    )
+
+
 def test_two_causes_that_take_turns_do_not_keep_the_choice_going(monkeypatch):
     """Each is added beside the other, which is then no longer needed."""
     effects = {"a": SimpleNamespace(laws=dict), "b": SimpleNamespace(laws=dict)}
@@ -56,12 +72,7 @@ def test_a_cause_whose_work_more_mass_points_do_is_not_named(monkeypatch, explai
 def test_two_causes_are_sought_from_the_second_best_alone_as_well(second, found):
     """Of a tilt and a clock that drifts, wind explains most (bench 2016): but not with anything beside it."""
     costs = {"": 1000.0, "a": 100.0, "b": second, "ad": 60.0, "bc": 10.0}
-    tried = {frozenset(names): SimpleNamespace(cost=cost) for names, cost in costs.items()}
-    hypotheses = SimpleNamespace(tried=tried)
-    hypotheses.extended = lambda causes: {
-        name: fit for key, fit in tried.items() if causes < key and len(key) == len(causes) + 1 for name in key - causes
-    }
-    assert choose._two_added(hypotheses, frozenset()) == found
+    assert choose._two_added(from_costs(costs), frozenset()) == found
 
 
 @pytest.mark.parametrize(
@@ -104,18 +115,28 @@ def test_what_came_first_is_asked_again_beside_what_came_later(monkeypatch, cost
 def test_of_two_causes_each_that_was_not_is_asked_alone(costs, steps):
     """Beside a joint's gain, a tilt of gravity did some of a rest curvature's work, of which nobody had asked; with
     both, the tilt is nothing."""
-    tried = {frozenset(names): SimpleNamespace(cost=cost) for names, cost in costs.items()}
-    hypotheses = SimpleNamespace(tried=tried)
+    hypotheses = from_costs(costs)
     near, levelled = [], []
     hypotheses.fit = lambda causes, others: near.append((causes, others))
     hypotheses.level = lambda others, best: levelled.append((*others, best))
-    hypotheses.extended = lambda causes: {
-        name: fit for key, fit in tried.items() if causes < key and len(key) == len(causes) + 1 for name in key - causes
-    }
     found = list(choose._steps(hypotheses, frozenset("g")))
     assert found == [(set(before), set(after)) for before, after in steps]
     both = found[1][1]
     assert near == levelled == [(after, both) for _, after in found[2:]]
+
+
+def test_what_explains_nearly_as_much_is_asked_at_last():
+    """Of a strip that hangs aslant wind explained most, and nothing of trials left out; a tilt of gravity did both."""
+    hypotheses = from_costs({"": 1000.0, "a": 100.0, "b": 120.0, "c": 150.0, "d": 400.0, "ax": 90.0})
+    steps = [(set(before), set(after)) for before, after in choose._steps(hypotheses, frozenset())]
+    assert steps == [(set(), {"a"}), ({"a"}, {"a", "x"}), (set(), {"x"}), (set(), {"b"}), (set(), {"c"})]
+
+
+def test_no_two_are_added_where_that_would_be_one_too_many():
+    hypotheses = from_costs({"gh": 1000.0, "gha": 100.0, "ghb": 150.0, "ghab": 5.0})
+    assert choose.MOST_CAUSES == 3
+    steps = [after - {"g", "h"} for _, after in choose._steps(hypotheses, frozenset("gh"))]
+    assert steps == [{"a"}, {"b"}]
 
 
 def test_where_nothing_can_be_added_nothing_is():
