@@ -18,6 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.markup import escape
+from threadpoolctl import threadpool_limits
 
 from data import store
 from data.schema import DataError
@@ -94,6 +95,7 @@ def asked(name: str, arguments: list[str]) -> int:
 def called() -> None:
     """Hand over to a command, or run, and turn what Hydra refuses into one clear message too."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
+    threadpool_limits(1, "blas")  # its sums depend on how many threads share them; all that takes long is ours
     try:
         if sys.argv[1:] and sys.argv[1] in NAMES:
             sys.exit(asked(sys.argv[1], sys.argv[2:]))

@@ -12,6 +12,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from omegaconf import OmegaConf
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from data import store
 from pipeline import __main__ as shell
@@ -44,6 +45,16 @@ def same(a, b):
     assert a.keys() == b.keys()
     for name in a:
         pd.testing.assert_frame_equal(a[name], b[name], check_exact=True, obj=name)
+
+
+def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch):
+    """Sums of long columns by several threads differ in their last digit, and a fit that stops a step later by more."""
+    monkeypatch.setattr(sys, "argv", ["pipeline"])
+    seen = []
+    monkeypatch.setattr(shell, "main", lambda: seen.extend(threadpool_info()))
+    with threadpool_limits(2, "blas"), pytest.raises(SystemExit):
+        shell.called()
+    assert {pool["num_threads"] for pool in seen if pool["user_api"] == "blas"} == {1}
 
 
 def test_a_run_leaves_everything_on_disk(quick):
