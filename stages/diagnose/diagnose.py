@@ -89,7 +89,8 @@ def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, 
     seen. Where that leaves something too, or needs several causes, other numbers of points are asked. What leaves
     least stands.
     """
-    nearer = ground.configured.mean_square < min(ground.beside_noise, NEAR)
+    off = ground.configured.mean_square
+    nearer = off < NEAR and off < ground.beside_noise
     kinds = [data.of_points(data.model.string.points), _as_it_is] if nearer else [_as_it_is]
     made: list[tuple[Ground, Hypotheses, Causes]] = []
     for number, kind in enumerate(kinds):
@@ -98,7 +99,7 @@ def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, 
             break
     _, hypotheses, causes = made[-1]
     if not hypotheses.explained(causes) or len(causes) > 1:
-        points = grain(hypotheses.floor, hypotheses.tried[causes], _left(hypotheses, causes))
+        points = grain(hypotheses.floor, hypotheses.tried[causes])
         made += [_sought(ground, data, data.of_points(points), lambda share: None)] if points else []
     progress(1.0)
     return min(made, key=lambda one: _left_of_all(*one))

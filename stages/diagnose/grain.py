@@ -19,11 +19,12 @@ NEARER = 0.9  # times what is left without points must be left at most
 MUCH = 0.6  # of what is left beyond noise without points must be left at most: or something else is wrong
 
 
-def grain(evidence: Evidence, fit: Fit, left: float) -> int | None:
+def grain(evidence: Evidence, fit: Fit) -> int | None:
     """The number of equal points beside which the causes of a fit leave least; None where that is no less than without.
 
-    evidence: with noise alone. left: mean square over it that the fit leaves.
+    evidence: with noise alone.
     """
+    left = fitted(evidence, [fit.theory], [fit.chi], STEPS)[0].mean_square  # the fit may have been to less
     tried = {points: _left(evidence, fit, points) for points in POINTS}
     best = min(tried, key=lambda points: tried[points])
     about = range(max(best - BETWEEN, POINTS[0]), best + BETWEEN + 1)

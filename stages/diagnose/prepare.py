@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -86,10 +87,10 @@ class Ground:
         """Noise of each residual [m], (N,)."""
         return self.undoubted.sigma
 
-    @property
+    @cached_property
     def beside_noise(self) -> float:
-        """Mean square of what the base model leaves, over the noise alone."""
-        return float(np.mean((self.base.residual * self.evidence.sigma / self.floor) ** 2))
+        """Mean square of what the base model leaves over the noise alone, as the configured one is fitted."""
+        return fitted(self.undoubted, [self.base.theory], [self.base.chi], STEPS)[0].mean_square
 
 
 def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:

@@ -39,7 +39,7 @@ def test_equal_points_are_counted(arm, eq1):
     evidence = chain(arm, eq1, 20)
     fit = base(resolved(eq1), evidence)
     assert fit.mean_square > 1.2
-    assert grain(evidence, fit, fit.mean_square) == 20
+    assert grain(evidence, fit) == 20
 
 
 def test_a_string_whose_cause_is_known_has_none(arm, eq1):
@@ -48,4 +48,4 @@ def test_a_string_whose_cause_is_known_has_none(arm, eq1):
     plain = base(resolved(eq1), evidence)
     theory = joined(plain.theory, library()["tip_mass"])
     fit = fitted(evidence, [theory], [theory.carried(plain.theory.named(plain.chi))], 15)[0]
-    assert grain(evidence, fit, fit.mean_square) is None
+    assert grain(evidence, fit) is None
