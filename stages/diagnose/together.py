@@ -4,7 +4,6 @@ candidates fill the vector units and the cores."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numba import get_num_threads
@@ -24,7 +23,7 @@ def seen_together(model: Model, cases: Sequence[Case], values: np.ndarray) -> li
     result: dict[int, np.ndarray] = {}
     for alike in _alike(cases):
         lanes = len(values) / model.string.precision.width
-        for chosen in _batches([float(np.ptp(cases[i].times)) for i in alike], lanes / get_num_threads()):
+        for chosen in _batches([_seconds(cases[i]) for i in alike], lanes / get_num_threads()):
             numbers = [alike[place] for place in chosen]
             result |= zip(numbers, _seen(model, [cases[i] for i in numbers], values), strict=True)
     return [result[i] for i in range(len(cases))]
@@ -37,6 +36,12 @@ def _alike(cases: Sequence[Case]) -> list[list[int]]:
         begin = ("rest", case.motion.start) if case.initial is None else ("moving", case.initial.t)
         alike.setdefault((*begin, case.motion.tick), []).append(i)
     return list(alike.values())
+
+
+def _seconds(case: Case) -> float:
+    """How long the trial is simulated [s]."""
+    begin = case.motion.start if case.initial is None else case.initial.t
+    return float(case.times[-1] - begin)
 
 
 def _batches(seconds: Sequence[float], rounds: float) -> list[list[int]]:
@@ -83,11 +88,12 @@ def _since(hand: HandMotion, begin: State | None) -> HandMotion:
 
 
 def _of_each(string: String, states: Sequence[State], count: int) -> State | None:
-    """The states of several trials, for so many candidates of each; None of those at rest."""
+    """The states of several trials, for so many candidates of each, whose time counts from there; None of those at
+    rest."""
     if not states:
         return None
     angle, rate = (np.repeat(each, count, axis=0) for each in zip(*(s.segments(string) for s in states), strict=True))
-    return replace(states[0], s=string.arc_lengths()[1:] - string.segment / 2, angle=angle, rate=rate)
+    return State(0.0, string.arc_lengths()[1:] - string.segment / 2, angle, rate)
 
 
 def _padded(parts: Sequence[np.ndarray], count: int, times: float = 1.0) -> np.ndarray:

@@ -7,6 +7,7 @@ from numba import njit, prange
 
 NODES = 6  # ticks that the polynomial goes through
 WHOLE = 1e-6  # of a tick, which is as good as none
+FAR = 1e3  # [m] where no tip is
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -22,22 +23,34 @@ def unpacked(lanes: np.ndarray, count: int) -> np.ndarray:
     return result
 
 
-def sampled(ticks: np.ndarray, position: np.ndarray) -> np.ndarray:
+def asked(position: np.ndarray) -> np.ndarray:
+    """The last tick that each candidate asks for, (C,), or one for all, (1,): what is simulated longer for others must
+    not matter. position: (F,) or (C, F) in ticks."""
+    return np.maximum(np.ceil(np.atleast_2d(position).max(axis=1) - 1e-9).astype(int), NODES - 1)
+
+
+def stayed(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Which candidates have their tip within a kilometre until their last tick, (C,). ticks: (C, K, n, 2); last: (C,)
+    or (1,)."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        within = np.abs(ticks[:, :, -1]).sum(axis=-1) < FAR
+    return np.asarray((within | (np.arange(ticks.shape[1]) > last[:, None])).all(axis=1))
+
+
+def sampled(ticks: np.ndarray, position: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Positions between ticks, by Lagrange's polynomial through the six nearest.
 
-    ticks: (C, K, n, 2), of at least six. position: (F,) or (C, F) in ticks, of which those before the first count as
-    it. (C, F, n, 2).
+    ticks: (C, K, n, 2). position: (F,) or (C, F) in ticks, of which those before the first count as it. last: as
+    `asked`. (C, F, n, 2).
     """
-    # The last tick that the candidate itself asks for: what is simulated longer for others must not matter.
-    last = np.maximum(np.ceil(position.max(axis=-1, keepdims=True) - 1e-9).astype(int), NODES - 1)
-    position = np.clip(position, 0, last)
+    position = np.maximum(position, 0)
     whole = np.round(position)
     position = np.where(np.abs(position - whole) < WHOLE, whole, position)  # where the polynomial is a tick to the bit
     if position.ndim == 1 and np.array_equal(position, whole):
         whole = whole.astype(int)
         return ticks if np.array_equal(whole, np.arange(ticks.shape[1])) else ticks[:, whole]
     each = np.broadcast_to(position, (len(ticks), position.shape[-1]))
-    return _interpolated(ticks, each, np.broadcast_to(last.ravel(), len(ticks)), NODES)
+    return _interpolated(ticks, each, np.broadcast_to(last, len(ticks)), NODES)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

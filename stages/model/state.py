@@ -40,9 +40,9 @@ class State:
 
     def of(self, chosen: np.ndarray | slice) -> State:
         """Of some candidates, whose numbers are given."""
-        if self.angle.ndim == 1:
-            return self
-        return replace(self, angle=self.angle[chosen], rate=self.rate[chosen])
+        t = self.t if np.ndim(self.t) == 0 else np.asarray(self.t)[chosen]
+        angle, rate = (each if each.ndim == 1 else each[chosen] for each in (self.angle, self.rate))
+        return replace(self, t=t, angle=angle, rate=rate)
 
     def segments(self, string: String) -> tuple[np.ndarray, np.ndarray]:
         """Angles [rad] and their rates [rad/s] of a string's segments, (n - 1,) each, or (C, n - 1)."""

@@ -29,7 +29,7 @@ from stages.model.hand import HandMotion
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
 from stages.model.precision import Double, Precision
-from stages.model.sampling import NODES, sampled, unpacked
+from stages.model.sampling import asked, sampled, stayed, unpacked
 from stages.model.stability import steps_per_tick
 from stages.model.state import State
 from stages.model.statics import grasp_set
@@ -244,7 +244,9 @@ def simulate(
     Results do not depend on the number of threads nor on which candidates run together.
     """
     material = string.material(np.atleast_2d(values))
-    poses, rates = _extended(hand, max(float(np.max(times)), hand.start + (NODES - 1) * hand.tick))
+    position = (times - hand.start) / hand.tick
+    last = asked(position)
+    poses, rates = _lasting(hand, int(last.max()) + 1)
     steps, possible = steps_per_tick(*string.at_work(material), hand.tick)
     parts = []
     for level in np.unique(steps[possible]):
@@ -252,10 +254,9 @@ def simulate(
         pose = poses if len(poses) == 1 else poses[chosen]
         rate = rates if len(rates) == 1 else rates[chosen]
         begins = None if initial is None else initial.of(chosen)
-        ticks, alive = _run(string, material[chosen], pose, rate, hand, int(level), begins)
-        own = times if times.ndim == 1 else times[chosen]
-        points = sampled(ticks, (own - hand.start) / hand.tick)
-        parts.append((chosen, points, alive))
+        ticks = _run(string, material[chosen], pose, rate, hand, int(level), begins)
+        own, end = (position, last) if times.ndim == 1 else (position[chosen], last[chosen])
+        parts.append((chosen, sampled(ticks, own, end), stayed(ticks, end)))
     return _gathered(parts, (len(material), times.shape[-1], string.points, 2))
 
 
@@ -273,11 +274,11 @@ def _gathered(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape:
     return StringMotion(points, finite)
 
 
-def _extended(hand: HandMotion, until: float) -> tuple[np.ndarray, np.ndarray]:
-    """The hand's ticks, with rest added at the end if `until` [s] lies beyond it."""
-    more = max(int(np.ceil((until - hand.end) / hand.tick - 1e-9)), 0)
-    pose = np.concatenate([hand.pose, np.repeat(hand.pose[:, -1:], more, axis=1)], axis=1)
-    rate = np.concatenate([hand.rate, np.zeros((len(hand.rate), more, 3))], axis=1)
+def _lasting(hand: HandMotion, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The hand's first so many ticks, with rest added at its end where there are fewer."""
+    more = max(count - hand.pose.shape[1], 0)
+    pose = np.concatenate([hand.pose[:, :count], np.repeat(hand.pose[:, -1:], more, axis=1)], axis=1)
+    rate = np.concatenate([hand.rate[:, :count], np.zeros((len(hand.rate), more, 3))], axis=1)
     return pose, rate
 
 
@@ -289,8 +290,8 @@ def _run(
     hand: HandMotion,
     steps: int,
     initial: State | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2) and who stayed finite (C,)."""
+) -> np.ndarray:
+    """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2), of no meaning once one is lost."""
     width, number = string.precision.width, string.precision.number
     count, blocks = len(material), -(-len(material) // width)
     index = np.minimum(np.arange(blocks * width), count - 1)
@@ -316,7 +317,7 @@ def _run(
     if initial is not None and string.integrator.behind:
         _set_back(string, run, buffers, cubic, hand.tick / steps, steps, out[:, :2].copy())
     run(buffers, H=cubic, steps=np.full(blocks, steps), tick=hand.tick, out=out, alive=alive)
-    return unpacked(out, count), alive.reshape(-1)[:count]
+    return unpacked(out, count)
 
 
 def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

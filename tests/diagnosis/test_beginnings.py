@@ -83,18 +83,24 @@ def test_trials_that_begin_at_rest_have_nothing_to_doubt(model, evidence):
 
 
 def test_trials_side_by_side_are_as_they_are_alone(model, evidence):
-    """To the bit, however long they are, whether they begin moving or not, and however many share a batch."""
-    [case] = evidence.cases
+    """To the bit, however long they or their hands are, whether they begin moving or not, however many share a batch,
+    and whatever each candidate's clock and joints do."""
+    late = model.with_effects(*named(["time_offset", "arm_lag"]))
+    [case] = (replace(each, model=late) for each in evidence.cases)
+    swung = joint_motion(
+        0.005 * np.arange(90), plain_cast(model.arm, 0.5).start + 0.3 * np.sin(0.05 * np.arange(90))[:, None]
+    )
     rest = [replace(case.until(share), initial=None) for share in (1.0, 0.4)]
-    cases = [case, *rest, case.until(0.7), replace(case, initial=leaning(0.1, -0.2)), case.until(0.02)]
-    values = model.values(TRUTH) * np.linspace(0.9, 1.1, 7)[:, None]
-    every = seen_together(model, cases, values)
+    moving = [case, case.until(0.7), replace(case, initial=leaning(0.1, -0.2)), case.until(0.02)]
+    cases = [*moving, *rest, *(replace(each, motion=swung) for each in (*moving, *rest))]
+    values = late.values({**TRUTH, "time_offset.offset": 0.003, "arm_lag.time_constant": 0.01})
+    values = values * np.linspace(0.9, 1.1, 7)[:, None]
+    every = seen_together(late, cases, values)
     for own, seen in zip(cases, every, strict=True):
-        np.testing.assert_array_equal(seen, model.seen(own.motion, values, own.times, own.initial).points)
+        np.testing.assert_array_equal(seen, late.seen(own.motion, values, own.times, own.initial).points)
     with threads(1):
-        np.testing.assert_array_equal(
-            np.concatenate(every, axis=1), np.concatenate(seen_together(model, cases, values), axis=1)
-        )
+        for seen, again in zip(every, seen_together(late, cases, values), strict=True):
+            np.testing.assert_array_equal(seen, again)
 
 
 @pytest.mark.parametrize(

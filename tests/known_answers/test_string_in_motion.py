@@ -153,3 +153,15 @@ def test_runs_that_do_not_stay_finite_are_rejected_and_leave_the_others_alone():
     assert motion.finite.tolist() == [True, False, True]
     assert np.isnan(motion.points[1]).all()
     np.testing.assert_array_equal(motion.points[0], motion.points[2])
+
+
+def test_what_is_lost_later_does_not_matter_before():
+    """A candidate is told by its own times alone, however long others beside it are simulated."""
+    t = np.arange(0, 1.5, 0.005)
+    hand, string = nudged(t, np.where(t < 1.0, 0.02 * np.sin(6 * t), 1e5)), String(0.3)
+    early, late = np.linspace(0.0, 0.41, 50), np.linspace(0.0, 1.4, 50)
+    alone = simulate(string, hand, string.values(QUIET)[None], early)
+    both = simulate(string, hand, np.tile(string.values(QUIET), (2, 1)), np.stack([early, late]))
+    assert alone.finite.all()
+    assert list(both.finite) == [True, False]
+    np.testing.assert_array_equal(both.points[0], alone.points[0])

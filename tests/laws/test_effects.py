@@ -257,9 +257,9 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
     behind, before = {"contact.height": 0.4, "box_contact.centre_x": 0.0}, {"contact.height": -0.4}
     some = {
         "contact.stiffness": 4e6,
-        "contact.friction": 0.5,
+        "contact.loss": 0.03,
         "box_contact.stiffness": 5e4,
-        "box_contact.friction": 0.5,
+        "box_contact.loss": 0.03,
     }
     material = full.string.material(np.stack([full.string.values(NAMED | some | place) for place in (behind, before)]))
     steps, possible = steps_per_tick(*full.string.at_work(material), 5e-3)
