@@ -100,9 +100,10 @@ def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, 
     _, hypotheses, causes = made[-1]
     if not hypotheses.explained(causes) or len(causes) > 1:
         points = grain(hypotheses.floor, hypotheses.tried[causes])
-        made += [_sought(ground, data, data.of_points(points), lambda share: None)] if points else []
+        if points and not (nearer and points == data.model.string.points):
+            made.append(_sought(ground, data, data.of_points(points), lambda share: None))
     progress(1.0)
-    return min(made, key=lambda one: _left_of_all(*one))
+    return min(made, key=lambda one: _left(*one)) if len(made) > 1 else made[0]
 
 
 def _sought(
@@ -153,15 +154,13 @@ def _base(ground: Ground, data: _Data) -> Fit:
     return again(ground.evidence.only(data.kept), ground.base) if data.rest else ground.base
 
 
-def _left(hypotheses: Hypotheses, causes: Causes) -> float:
-    """Mean square of what causes leave, over the noise alone."""
-    return float(np.mean((hypotheses.tried[causes].residual * hypotheses.evidence.sigma / hypotheses.floor.sigma) ** 2))
-
-
-def _left_of_all(ground: Ground, hypotheses: Hypotheses, causes: Causes) -> float:
-    """The same of all points: those left out are as far off as the nearest that are."""
-    count = ground.raw.points
-    return ((count - ground.outliers) * _left(hypotheses, causes) + ground.outliers * FAR**2 / 2) / count
+def _left(ground: Ground, hypotheses: Hypotheses, causes: Causes) -> float:
+    """Mean square of what causes leave of all points once fitted to the noise alone [m2]: those left out are as far off
+    as the nearest that are."""
+    fit, floor, count = hypotheses.tried[causes], hypotheses.floor, ground.raw.points
+    kept = again(floor, fit).mean_square
+    noise = float(np.median(floor.sigma))
+    return noise**2 * ((count - ground.outliers) * kept + ground.outliers * FAR**2 / 2) / count
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,12 @@ POINTS = (10, 12, 15, 18, 22, 27, 33, 40, 50)
 BETWEEN = 3  # numbers on both sides of the best of these are tried too
 STEPS = 6
 NEARER = 0.9  # times what is left without points must be left at most
-MUCH = 0.6  # of what is left beyond noise without points must be left at most: or something else is wrong
+MUCH = 0.6  # of what is left beyond noise without points must be left at most
 
 
 def grain(evidence: Evidence, fit: Fit) -> int | None:
-    """The number of equal points beside which the causes of a fit leave least; None where that is no less than without.
-
-    evidence: with noise alone.
-    """
+    """The number of equal points beside which the causes of a fit leave least; None where that is not much less than
+    without: then something else is wrong. evidence: with noise alone."""
     left = fitted(evidence, [fit.theory], [fit.chi], STEPS)[0].mean_square  # the fit may have been to less
     tried = {points: _left(evidence, fit, points) for points in POINTS}
     best = min(tried, key=lambda points: tried[points])

@@ -1,15 +1,16 @@
 """Trials made of equal mass points, as Eq. 1 is: how many they are."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved, swings
 
+from stages.diagnose import diagnose, grain
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
-from stages.diagnose.grain import grain
 from stages.diagnose.theory import joined
 from stages.estimate.forward import Case
 from stages.model.hand import joint_motion
@@ -39,7 +40,7 @@ def test_equal_points_are_counted(arm, eq1):
     evidence = chain(arm, eq1, 20)
     fit = base(resolved(eq1), evidence)
     assert fit.mean_square > 1.2
-    assert grain(evidence, fit) == 20
+    assert grain.grain(evidence, fit) == 20
 
 
 def test_a_string_whose_cause_is_known_has_none(arm, eq1):
@@ -48,4 +49,35 @@ def test_a_string_whose_cause_is_known_has_none(arm, eq1):
     plain = base(resolved(eq1), evidence)
     theory = joined(plain.theory, library()["tip_mass"])
     fit = fitted(evidence, [theory], [theory.carried(plain.theory.named(plain.chi))], 15)[0]
-    assert grain(evidence, fit) is None
+    assert grain.grain(evidence, fit) is None
+
+
+def test_points_do_not_stand_for_something_else(arm, eq1, monkeypatch):
+    """Ten would explain a third of what a tip mass and a tilt of gravity do: a search with them would be for nothing."""
+    hidden = {"tip_mass.ratio": 0.1, "gravity_direction.tilt": 0.05}
+    evidence = measured(arm, resolved(eq1), hidden, trials=2, seconds=0.8)
+    fit = base(resolved(eq1), evidence)
+    assert grain.grain(evidence, fit) is None
+    monkeypatch.setattr(grain, "MUCH", 1.0)
+    assert grain.grain(evidence, fit) == 10
+
+
+@pytest.mark.parametrize(
+    ("off", "beside", "kinds"),
+    [
+        (2.0, 3.0, [10, "as it is"]),  # 10 points are asked for once more, and were there
+        (2.0, 1.5, ["as it is", 10]),
+        (20.0, 30.0, ["as it is", 10]),  # so far off, the number of points is the least
+    ],
+)
+def test_the_configured_number_of_points_is_tried_first_where_it_is_near(monkeypatch, off, beside, kinds):
+    left = SimpleNamespace(explained=lambda causes: False, floor=None, tried={frozenset(): None})
+    ground = SimpleNamespace(configured=SimpleNamespace(mean_square=off), beside_noise=beside)
+    data = SimpleNamespace(model=SimpleNamespace(string=SimpleNamespace(points=10)), of_points=lambda points: points)
+    made = []
+    monkeypatch.setattr(diagnose, "_as_it_is", "as it is")
+    monkeypatch.setattr(diagnose, "grain", lambda evidence, fit: 10)
+    monkeypatch.setattr(diagnose, "_left", lambda *one: 0.0)
+    monkeypatch.setattr(diagnose, "_sought", lambda g, d, kind, progress: made.append(kind) or (g, left, frozenset()))
+    diagnose._compared(ground, data, lambda share: None)
+    assert made == kinds
