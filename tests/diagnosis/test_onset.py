@@ -48,16 +48,18 @@ def test_what_it_touches_is_found_from_there(model, evidence, monkeypatch, clear
     monkeypatch.setattr(
         "stages.diagnose.onset.onset", lambda e, f, shown: onset(e, f, shown) if shown == clear else None
     )
-    found = since(evidence, base(model, evidence), library()["contact"], 0)
-    best, there = found[0], evidence.cases[2].points
+    plain, contact = base(model, evidence), library()["contact"]
+    best, there = since(evidence, plain, contact, 0)[0], evidence.cases[2].points
     touched = there[np.argmin(in_front(PLANE, there))]
-    assert in_front(best.values, touched) == pytest.approx(0, abs=3e-3)
+    assert in_front(best.values, touched) == pytest.approx(0, abs=4e-3)
     assert best.values["contact.tilt"] == pytest.approx(PLANE["contact.tilt"], abs=0.06)
     assert best.values["contact.friction"] == pytest.approx(PLANE["contact.friction"], abs=0.15)
     assert best.values["contact.stiffness"] > 1e5  # mass points touch, what is between them goes deeper
-    harder = [fit for fit in found if fit.values["contact.stiffness"] > 6e5]  # than the hardest tried first, by half
-    assert min(fit.cost for fit in harder) < best.cost + 20  # measured: 17
     assert best.mean_square < 1.1
+    theory = joined(plain.theory, contact)
+    known = [theory.at({**TRUTH, **PLANE, "contact.stiffness": stiffness}) for stiffness in (1e6, 4e6)]
+    led = min(fit.cost for fit in fitted(evidence, [theory] * 2, known, 15))
+    assert best.cost < led + 30  # measured for six draws of noise: from 29 less to 19 more
 
 
 def test_planes_of_every_size_are_followed_to_the_end(model, evidence):

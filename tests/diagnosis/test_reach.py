@@ -80,13 +80,14 @@ def grazed(arm, model):
 
 
 def test_a_plane_that_is_grazed_may_be_elsewhere_than_slopes_allow(grazed):
-    """Turned about where it is touched: many of their standard deviations, and yet not anywhere."""
+    """Turned about where it is touched: many of their standard deviations, and yet not anywhere. A graze says little of
+    friction. Measured for six draws of noise: up to 0.04, 0.09 and 0.61 of their ranges."""
     fit, ends, _ = grazed
     truth = fit.theory.at({**TRUTH, **PLANE})
-    for name in ("contact.height", "contact.tilt", "contact.friction"):
+    for name, widest in {"contact.height": 0.1, "contact.tilt": 0.15, "contact.friction": 0.8}.items():
         low, high = ends[name]
         assert low < truth[fit.theory.model.names.index(name)] < high
-        assert high - low < 0.5
+        assert high - low < widest
     name = "contact.tilt"
     found = fit.chi[fit.theory.model.names.index(name)]
     assert max(abs(end - found) for end in ends[name]) > 20 * deviation(fit, name)
