@@ -9,7 +9,7 @@ import numpy as np
 from numba import get_num_threads
 
 from stages.estimate.forward import Case
-from stages.model.hand import HandMotion
+from stages.model.hand import HandMotion, rested
 from stages.model.model import Model
 from stages.model.state import State
 from stages.model.string import String, simulate
@@ -72,14 +72,17 @@ def _seen(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.nd
     counted = [m if begin is None else begin.counted(m) for m, begin in zip(moments, begun, strict=True)]
     string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
     states = _of_each(model.string, [begin for begin in begun if begin is not None], len(values))
-    points = simulate(model.string, _side_by_side(hands, len(values)), string, _padded(counted, len(values)), states)
+    times = _below(_lasting(counted), len(values))
+    points = simulate(model.string, _side_by_side(hands, len(values)), string, times, states)
     pairs = zip(np.split(points.points, len(cases)), moments, cases, strict=True)
     return [model.reported(own[:, : m.shape[-1]], values, case.times) for own, m, case in pairs]
 
 
 def _side_by_side(hands: Sequence[HandMotion], count: int) -> HandMotion:
     """Hands of several trials for so many candidates of each; those that end earlier rest."""
-    pose, rate = _padded([hand.pose for hand in hands], count), _padded([hand.rate for hand in hands], count, 0.0)
+    longest = max(hand.pose.shape[1] for hand in hands)
+    moved = [rested(hand.pose, hand.rate, longest - hand.pose.shape[1]) for hand in hands]
+    pose, rate = (_below(rows, count) for rows in zip(*moved, strict=True))
     return HandMotion(hands[0].start, hands[0].tick, pose, rate)
 
 
@@ -93,15 +96,15 @@ def _of_each(string: String, states: Sequence[State], count: int) -> State | Non
     if not states:
         return None
     angle, rate = (np.repeat(each, count, axis=0) for each in zip(*(s.segments(string) for s in states), strict=True))
-    return State(0.0, string.arc_lengths()[1:] - string.segment / 2, angle, rate)
+    return State(0.0, string.middles(), angle, rate)
 
 
-def _padded(parts: Sequence[np.ndarray], count: int, times: float = 1.0) -> np.ndarray:
-    """Rows (1 or C, K, ...) of several trials for `count` candidates of each, below one another, (C', K, ...); shorter
-    ones go on with so many times their last value."""
-    length = max(part.shape[1] for part in parts)
-    return np.concatenate([_lengthened(np.broadcast_to(p, (count, *p.shape[1:])), length, times) for p in parts])
+def _lasting(times: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Times of several trials, (1 or C, F) each, as many of each: shorter ones stay at their last."""
+    most = max(own.shape[1] for own in times)
+    return [np.pad(own, ((0, 0), (0, most - own.shape[1])), mode="edge") for own in times]
 
 
-def _lengthened(rows: np.ndarray, length: int, times: float) -> np.ndarray:
-    return np.concatenate([rows, np.repeat(rows[:, -1:] * times, length - rows.shape[1], axis=1)], axis=1)
+def _below(parts: Sequence[np.ndarray], count: int) -> np.ndarray:
+    """Rows (1 or C, ...) of several trials for `count` candidates of each, below one another, (C', ...)."""
+    return np.concatenate([np.broadcast_to(part, (count, *part.shape[1:])) for part in parts])

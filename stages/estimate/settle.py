@@ -41,14 +41,10 @@ def settled(ready: Case, values: np.ndarray) -> Case:
         """(C, 2 N + M) for changes (C, M)."""
         return np.hstack([np.nan_to_num(_residuals(early, values, changes), nan=1e6) / noise, changes])
 
-    def slopes_of_mismatch(change: np.ndarray) -> np.ndarray:
-        here, *beside = mismatch(change + BESIDE)
-        return (np.stack(beside, axis=1) - here[:, None]) / STEP
-
     found = least_squares(
         lambda change: mismatch(change[None])[0],
         UNCHANGED[0],
-        jac=slopes_of_mismatch,
+        jac=lambda change: _differences(mismatch(change + BESIDE)),
         loss="huber",
         f_scale=HUBER,
         x_scale=1.0,
@@ -62,9 +58,14 @@ def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
     none where it begins at rest, nor for what cannot be simulated. values: (P,)."""
     if ready.initial is None:
         return np.empty((2 * len(ready.points), 0))
-    here, *beside = _residuals(replace(ready, sigma=np.ones(len(ready.points))), values, BESIDE)
-    columns = (np.stack(beside, axis=1) - here[:, None]) / STEP
+    columns = _differences(_residuals(replace(ready, sigma=np.ones(len(ready.points))), values, BESIDE))
     return columns[:, np.isfinite(columns).all(axis=0)]
+
+
+def _differences(rows: np.ndarray) -> np.ndarray:
+    """Slopes (N, M) from rows (1 + M, N), with the changes of BESIDE."""
+    here, *beside = rows
+    return (np.stack(beside, axis=1) - here[:, None]) / STEP
 
 
 def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarray:

@@ -132,8 +132,12 @@ def hand_motion_from_grasp(t: np.ndarray, pose: np.ndarray, tick: float = HAND_T
 
 
 def _rested(value: np.ndarray, rate: np.ndarray, seconds: float, tick: float) -> tuple[np.ndarray, np.ndarray]:
-    """Value and rate, (B, K, ...) each, with rest on further ticks, if any."""
-    more = int(np.ceil(np.clip(seconds, 0.0, ARRIVED) / tick - 1e-9))
+    """Value and rate, (B, K, ...) each, with rest for further seconds, if any."""
+    return rested(value, rate, int(np.ceil(np.clip(seconds, 0.0, ARRIVED) / tick - 1e-9)))
+
+
+def rested(value: np.ndarray, rate: np.ndarray, more: int) -> tuple[np.ndarray, np.ndarray]:
+    """Value and rate, (B, K, ...) each, with rest on so many further ticks."""
     still = np.zeros_like(rate[:, -1:]).repeat(more, axis=1)
     return np.concatenate([value, value[:, -1:].repeat(more, axis=1)], axis=1), np.concatenate([rate, still], axis=1)
 

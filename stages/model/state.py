@@ -46,6 +46,5 @@ class State:
 
     def segments(self, string: String) -> tuple[np.ndarray, np.ndarray]:
         """Angles [rad] and their rates [rad/s] of a string's segments, (n - 1,) each, or (C, n - 1)."""
-        middle = string.arc_lengths()[1:] - string.segment / 2
-        along = partial(np.interp, middle, self.s)
+        along = partial(np.interp, string.middles(), self.s)
         return np.apply_along_axis(along, -1, self.angle), np.apply_along_axis(along, -1, self.rate)

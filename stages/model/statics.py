@@ -26,9 +26,8 @@ def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarr
     """From the grasp's direction to straight down over the length on which weight bends the rod."""
     stiffness = slope(string, material, "moment", "curvature", np.zeros((1, 1)))
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY) ** (1 / 3)
-    middle = string.arc_lengths()[None, 1:] - string.segment / 2
     fall = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
-    return theta[:, None] + fall[:, None] * (1 - np.exp(-middle / scale))
+    return theta[:, None] + fall[:, None] * (1 - np.exp(-string.middles() / scale))
 
 
 def forces(

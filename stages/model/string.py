@@ -25,7 +25,7 @@ from stages.model.effects.gravity import Gravity
 from stages.model.effects.hinge_damper import HingeDamper
 from stages.model.effects.hinge_spring import HingeSpring
 from stages.model.equilibrium import hanging, stretched
-from stages.model.hand import HandMotion
+from stages.model.hand import HandMotion, rested
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
 from stages.model.precision import Double, Precision
@@ -141,6 +141,10 @@ class String:
     def arc_lengths(self) -> np.ndarray:
         """(n,) arc length of each mass point from the grasp [m]."""
         return np.arange(self.points) * self.segment
+
+    def middles(self) -> np.ndarray:
+        """(n - 1,) arc length of each segment's middle from the grasp [m]."""
+        return self.arc_lengths()[1:] - self.segment / 2
 
     def start(self) -> np.ndarray:
         """(P,) start values of the parameters."""
@@ -276,10 +280,7 @@ def _gathered(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape:
 
 def _lasting(hand: HandMotion, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The hand's first so many ticks, with rest added at its end where there are fewer."""
-    more = max(count - hand.pose.shape[1], 0)
-    pose = np.concatenate([hand.pose[:, :count], np.repeat(hand.pose[:, -1:], more, axis=1)], axis=1)
-    rate = np.concatenate([hand.rate[:, :count], np.zeros((len(hand.rate), more, 3))], axis=1)
-    return pose, rate
+    return rested(hand.pose[:, :count], hand.rate[:, :count], max(count - hand.pose.shape[1], 0))
 
 
 def _run(
