@@ -28,12 +28,13 @@ AGAINST = 2  # sets of causes that are fitted once more against those that were 
 GAIN = 8.0  # least gain of the log-likelihood on trials not seen, in units of its own noise
 
 
-def chosen(hypotheses: Hypotheses, progress: Progress) -> tuple[Hypotheses, Causes]:
+def chosen(hypotheses: Hypotheses, progress: Progress, begin: Causes = frozenset()) -> tuple[Hypotheses, Causes]:
     """The causes that earn their place: added one by one, then each tried again without and replaced by others.
 
     Also what was tried in the end: where a cause moves the string elsewhere, the simulation's doubt is found anew.
+    begin: causes that have earned theirs.
     """
-    best: Causes = frozenset()
+    best = begin
     before: set[Causes] = set()  # two that do each other's work could replace each other for ever
     while len(best) < MOST_CAUSES and best not in before and _suspect(hypotheses, best):
         before.add(best)

@@ -116,7 +116,10 @@ def _sought(
         follow(hypotheses, partial(_early, data, kind))
     hypotheses, causes = chosen(hypotheses, progress)
     ground, hypotheses, causes = _cleaned(data, each, hypotheses, causes) if causes else (each, hypotheses, causes)
-    return ground, hypotheses, levelled(hypotheses, causes)
+    other = levelled(hypotheses, causes)
+    if other != causes:  # beside which nothing was sought
+        hypotheses, causes = chosen(hypotheses, lambda share: None, other)
+    return ground, hypotheses, causes
 
 
 def _cleaned(data: _Data, ground: Ground, hypotheses: Hypotheses, causes: Causes) -> tuple[Ground, Hypotheses, Causes]:

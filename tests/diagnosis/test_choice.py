@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stages.diagnose import choose, hypotheses
+from stages.diagnose import choose, diagnose, hypotheses
 
 
 def from_costs(costs):
@@ -214,6 +214,22 @@ def test_what_stands_against_the_chosen_takes_their_place_if_it_is_better_and_ea
     assert choose.levelled(hypotheses, chosen) == kept
     assert asked[0] == ([other, frozenset("cd")], chosen)
     assert needed == ([other] if kept == other else [])
+
+
+@pytest.mark.parametrize(("instead", "named"), [("tilt", {"tilt", "bending"}), ("plane", {"plane"})])
+def test_beside_what_took_a_place_others_are_sought_too(monkeypatch, instead, named):
+    """Of a strip a false plane was taken, and in the end a tilt in its place: nobody had asked of a bending beside."""
+
+    def chosen(hypotheses, progress, begin=frozenset()):
+        return hypotheses, begin | {"bending"} if begin else frozenset({"plane"})
+
+    monkeypatch.setattr(diagnose, "_hypotheses", lambda ground, data: None)
+    monkeypatch.setattr(diagnose, "astray", lambda ground: False)
+    monkeypatch.setattr(diagnose, "chosen", chosen)
+    monkeypatch.setattr(diagnose, "_cleaned", lambda data, *found: found)
+    monkeypatch.setattr(diagnose, "levelled", lambda hypotheses, causes: frozenset({instead}))
+    *_, causes = diagnose._sought(None, None, lambda ground: ground, None)
+    assert causes == named
 
 
 def test_planes_leave_room_for_other_effects(monkeypatch):
