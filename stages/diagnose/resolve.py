@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import fitted
+from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.theory import Theory
 
 SEGMENTS = ((10, 14), (14, 20), (20, 28), (28, 40), (40, 56), (56, 80))  # pairs from which results are extrapolated
@@ -22,19 +21,29 @@ def refined(noisy: Evidence, theory: Theory, chi: np.ndarray) -> Evidence:
     """With the fewest mass points whose own error does not matter for most of the data, and their doubt.
 
     noisy: with the noise alone as sigma; fewer points than its own are not tried, and one number stands as it is.
-    More points may not fit much better: parameters can make up for too few, and then doubt is small where they are.
+    More points may not fit much better: parameters can make up for too few, and then doubt is small where they are. A
+    few more may fit no better where many more do.
     """
     if len(noisy.segments) == 1:
         return noisy
-    here = fitted(noisy, [theory], [chi], STEPS)[0]
-    for few, more in pairwise(SEGMENTS[SEGMENTS.index(noisy.segments) :]):
-        there = fitted(replace(noisy, segments=more), [theory], [here.chi], STEPS)[0]
+    pairs = SEGMENTS[SEGMENTS.index(noisy.segments) :]
+    here = _fitted(noisy, pairs[0], theory, chi)
+    for few, more, most in zip(pairs[:-1], pairs[1:], (*pairs[2:], pairs[-1]), strict=True):
+        there = _fitted(noisy, more, theory, here.chi)
         doubted = replace(noisy, segments=few).doubted(theory.model, here.chi, more)
         doubtful = np.mean(doubted.sigma > DOUBTFUL * noisy.sigma)
-        if doubtful < MANY and here.mean_square < WORSE * there.mean_square:
+        least = here.mean_square / WORSE
+        enough = least < 1 or (
+            least < there.mean_square and least < _fitted(noisy, most, theory, there.chi).mean_square
+        )
+        if doubtful < MANY and enough:
             break
         here = there
     return doubted
+
+
+def _fitted(noisy: Evidence, segments: tuple[int, ...], theory: Theory, chi: np.ndarray) -> Fit:
+    return fitted(replace(noisy, segments=segments), [theory], [chi], STEPS)[0]
 
 
 def finer(segments: tuple[int, ...]) -> tuple[int, ...]:
