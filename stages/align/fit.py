@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from stages.align.sightings import Sighted
+from stages.model.effect import components
 from stages.model.library import named
 from stages.model.model import Model
 from stages.spread import spread
@@ -70,8 +71,8 @@ class Problem:
 
     @staticmethod
     def parameters(effects: Sequence[str]) -> tuple[str, ...]:
-        """Qualified names of the parameters of these effects."""
-        return tuple(effect.qualified(p) for effect in named(effects) for p in effect.parameters)
+        """Qualified names of the sizes of these effects: where and when they act is not asked."""
+        return tuple(effect.qualified(p) for effect in named(effects) for p in components(effect))
 
     def ranges(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds of parameters."""

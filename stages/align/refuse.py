@@ -11,6 +11,7 @@ from stages.align.fit import Fit, Problem, robust
 from stages.align.sightings import Sighted, on_links
 from stages.model.arm import Arm
 from stages.model.body import arm_seen
+from stages.model.effect import Effect, components
 from stages.model.library import named
 
 FRAMES = 30  # in which the arm must be seen
@@ -118,9 +119,14 @@ def suspects(problem: Problem, fit: Fit) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def moved_by(problem: Problem, fit: Fit, name: str, size: float) -> np.ndarray:
-    """How the residual over sigma changes with a hand's effect of this size, (N, 1)."""
+    """How the residual over sigma changes with components of this size of a hand's effect, (N, K)."""
     effect = named([name])[0]
     model = problem.model.with_effects(effect)
-    moved = [model.values(fit.values | {effect.qualified(effect.parameters[0]): value})[None] for value in (0.0, size)]
-    off = [np.concatenate([trial.off(model, values)[0] for trial in problem.trials]) for values in moved]
-    return ((off[1] - off[0]) / problem.sigma)[:, None]
+    values = np.stack([model.values(fit.values), *(model.values(fit.values | each) for each in _alone(effect, size))])
+    off = np.stack([np.concatenate([trial.off(model, each[None])[0] for trial in problem.trials]) for each in values])
+    return np.asarray((off[1:] - off[0]).T / problem.sigma[:, None])
+
+
+def _alone(effect: type[Effect], size: float) -> list[dict[str, float]]:
+    """Each component of an effect by itself."""
+    return [{effect.qualified(p): size} for p in components(effect)]

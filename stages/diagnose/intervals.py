@@ -9,24 +9,25 @@ from scipy.special import stdtrit
 
 from stages.diagnose.compare import blocks
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit
+from stages.diagnose.fit import PRIOR, Fit
 from stages.diagnose.sharpen import Sharp
-from stages.model.effect import Effect, placed
+from stages.model.effect import Effect, components, placed
 
 CLEARLY = 2.4  # half-widths of its interval that a size must be from absence: five standard deviations, nearly
 EDGE = 0.02  # of its size: a cause that would no longer be what it says with so much less would rather be less
 
 
 def half_width(evidence: Evidence, fit: Fit) -> np.ndarray:
-    """Of 95 % intervals of the free chi, (free,): sandwich over pieces of time (White 1980)."""
+    """Of 95 % intervals of the free chi, (free,): sandwich over pieces of time (White 1980), of which what was expected
+    beforehand is one more: that is all that is known where the data say nothing."""
     piece = blocks(evidence)
     count = int(piece.max()) + 1
     gradient = fit.slopes * fit.residual[:, None]
     sums = np.stack([np.bincount(piece, column, count) for column in gradient.T], axis=1)
     bread = np.linalg.inv(fit.normal)
     rest = max(count - len(fit.theory.free), 1)
-    deviation = np.sqrt(count / rest * np.sum((sums @ bread) ** 2, axis=0))
-    return np.asarray(stdtrit(rest, 0.975) * deviation)
+    variance = count / rest * np.sum((sums @ bread) ** 2, axis=0) + PRIOR * np.sum(bread**2, axis=0)
+    return np.asarray(stdtrit(rest, 0.975) * np.sqrt(variance))
 
 
 def interval(evidence: Evidence, sharp: Sharp) -> tuple[np.ndarray, np.ndarray]:
@@ -37,20 +38,16 @@ def interval(evidence: Evidence, sharp: Sharp) -> tuple[np.ndarray, np.ndarray]:
 
 
 def present(evidence: Evidence, fit: Fit, effects: Iterable[type[Effect]]) -> bool:
-    """Whether each effect's size is clearly not nothing: its first parameter, or another in the same unit, which is
-    another component of a vector.
+    """Whether each effect's size is clearly not nothing: one of its components.
 
     Not asked of what depends on place: something hard is as hard as any, so that its size may be anything, and yet
     the string is elsewhere without it. But what is as soft as it may be would rather be softer, and is something else.
     """
     far = np.abs(fit.chi - fit.theory.start)[fit.theory.free] > CLEARLY * half_width(evidence, fit)
     beyond = {fit.theory.model.names[p]: bool(far[k]) for k, p in enumerate(fit.theory.free)}
-    return all(_well_within(fit, e) if placed(e) else any(beyond[name] for name in _components(e)) for e in effects)
-
-
-def _components(effect: type[Effect]) -> list[str]:
-    """Qualified names of the parameters that are an effect's size: components of a vector share their unit."""
-    return [effect.qualified(p) for p in effect.parameters if p.unit == effect.parameters[0].unit]
+    return all(
+        _well_within(fit, e) if placed(e) else any(beyond[e.qualified(p)] for p in components(e)) for e in effects
+    )
 
 
 def _well_within(fit: Fit, effect: type[Effect]) -> bool:

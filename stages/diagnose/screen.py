@@ -18,7 +18,7 @@ from stages.diagnose.fit import PRIOR, Fit
 from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import Case
 from stages.estimate.result import values_of
-from stages.model.effect import Effect, placed
+from stages.model.effect import Effect, components, placed
 from stages.model.model import Model
 
 SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range
@@ -88,12 +88,11 @@ def about(chi: np.ndarray, where: Sequence[int], reach: float, rng: np.random.Ge
 
 
 def varied(theory: Theory, effect: type[Effect]) -> list[int]:
-    """Places of an effect's size, its first parameter, and of those that say where, when or which way.
+    """Places of an effect's size, its first parameter, of other components of that, and of what says where or when.
 
     Others that start at an end of their range are sizes too (of friction, say), and stay absent.
     """
-    first, *others = effect.parameters
-    chosen = [first, *(p for p in others if p.low < p.start < p.high)]
+    chosen = [p for p in effect.parameters if p in components(effect) or p.low < p.start < p.high]
     return [theory.model.names.index(effect.qualified(p)) for p in chosen]
 
 
@@ -109,6 +108,11 @@ class _Trial:
     def own(self) -> list[int]:
         """Places of the parameters that are tried."""
         return varied(self.theory, self.effect)
+
+    @property
+    def size(self) -> list[int]:
+        """Places of the components of its size."""
+        return [self.theory.model.names.index(self.effect.qualified(p)) for p in components(self.effect)]
 
     @property
     def room(self) -> tuple[float, float]:
@@ -165,10 +169,7 @@ def _taken(trial: _Trial, chi: np.ndarray, along: float, size: float) -> np.ndar
 
 
 def sizes(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.ndarray:
-    """Exponents (C, P) at which an effect is tried: some of its range, at several sizes to both sides.
-
-    The first parameter is the effect's size; the others say where, when or which way.
-    """
+    """Exponents (C, P) at which an effect is tried: at several sizes to both sides, anywhere and at any time."""
     own, start = trial.own, trial.start
     if placed(trial.effect):
         return touching(trial, path, seed)
@@ -176,9 +177,8 @@ def sizes(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.ndarra
     for size in SIZES:
         for end in _ends(len(own), seed):
             chi = start.copy()
-            chi[own] = end if len(own) > 2 else start[own] + size * (end - start[own])
-            chi[own[0]] = start[own[0]] + size * (end[0] - start[own[0]])
-            rows.append(chi)
+            chi[own] = end
+            rows.append(_scaled(trial, chi, size))
     return np.unique(np.clip(np.array(rows), 0, 1), axis=0)
 
 
@@ -228,7 +228,6 @@ def touching(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.nda
 
 def _scaled(trial: _Trial, chi: np.ndarray, factor: float) -> np.ndarray:
     """The probe at a multiple of its size."""
-    first = trial.own[0]
-    result = chi.copy()
-    result[first] = np.clip(trial.start[first] + factor * (chi[first] - trial.start[first]), 0, 1)
+    size, result = trial.size, chi.copy()
+    result[size] = np.clip(trial.start[size] + factor * (chi[size] - trial.start[size]), 0, 1)
     return result

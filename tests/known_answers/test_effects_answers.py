@@ -331,15 +331,15 @@ def test_a_hand_that_lags_arrives_while_it_rests():
 
 
 def test_play_leaves_a_joint_where_it_is_at_reversals():
-    """It turns half a gap less to either side, and stands still over a whole gap after each reversal."""
-    gap = 0.06
-    wave = 0.2 * np.sin(2 * np.pi * T)[None, :, None]
-    real = Backlash.joints(T, wave, np.full((1, 1, 1), gap))[0, :, 0]
-    assert real.max() == pytest.approx(0.2 - gap / 2, abs=1e-12)
-    assert real.min() == pytest.approx(-0.2 + gap / 2, abs=1e-12)
-    still = (T > 0.25) & (wave[0, :, 0] > 0.2 - gap) & (T < 0.5)
-    np.testing.assert_allclose(real[still], 0.2 - gap / 2, atol=1e-12)
-    assert np.abs(real - wave[0, :, 0]).max() <= gap / 2 + 1e-12
+    """It turns half its gap less to either side, and stands still over a whole gap after each reversal."""
+    wave, gaps = 0.2 * np.sin(2 * np.pi * T), (0.06, 0.0, 0.02)
+    joints = Backlash.joints(T, np.tile(wave[None, :, None], 3), *(np.full((1, 1, 1), gap) for gap in gaps))
+    for gap, real in zip(gaps, joints[0].T, strict=True):
+        assert real.max() == pytest.approx(0.2 - gap / 2, abs=1e-12)
+        assert real.min() == pytest.approx(-0.2 + gap / 2, abs=1e-12)
+        still = (T > 0.25) & (wave > 0.2 - gap) & (T < 0.5)
+        np.testing.assert_allclose(real[still], 0.2 - gap / 2, atol=1e-12)
+        assert np.abs(real - wave).max() <= gap / 2 + 1e-12
 
 
 def hand_model(*names, points=10):
@@ -363,14 +363,15 @@ def test_a_string_held_askew_leaves_the_hand_at_that_angle():
 
 def test_a_string_that_slips_comes_out_along_the_grasp():
     plain = hand_motion_from_grasp(T, POSE)
-    found = grasped(plain, **{"grasp_slip.speed": 0.1, "grasp_slip.onset": 0.3})
+    found = grasped(plain, **{"grasp_slip.speed": 0.1, "grasp_slip.onset": 0.3, "grasp_slip.duration": 0.4})
     out = np.sum((found.pose - plain.pose)[0, :, :2] * np.stack([np.cos(POSE[:, 2]), np.sin(POSE[:, 2])], -1), axis=-1)
-    late = T > 0.35
-    np.testing.assert_allclose(out[late], 0.1 * (T[late] - 0.3), atol=1e-6)
+    sliding = (T > 0.35) & (T < 0.65)
+    np.testing.assert_allclose(out[sliding], 0.1 * (T[sliding] - 0.3), atol=1e-6)
     np.testing.assert_allclose(out[T < 0.2], 0.0, atol=1e-6)
-    real = found.rate[0, late] - plain.rate[0, late]
-    direction = np.stack([np.cos(POSE[late, 2]), np.sin(POSE[late, 2])], -1)
-    np.testing.assert_allclose(np.sum(real[:-2, :2] * direction[:-2], axis=-1), 0.1, atol=1e-3)
+    np.testing.assert_allclose(out[T > 0.8], 0.04, atol=1e-6)
+    real = found.rate[0, sliding] - plain.rate[0, sliding]
+    direction = np.stack([np.cos(POSE[sliding, 2]), np.sin(POSE[sliding, 2])], -1)
+    np.testing.assert_allclose(np.sum(real[:, :2] * direction, axis=-1), 0.1, atol=1e-3)
     assert GraspSlip.parameters[0].start == 0.0
 
 
@@ -390,7 +391,7 @@ def test_what_acts_on_joints_is_refused_where_only_the_grasp_is_known():
     from data.schema import DataError
 
     with pytest.raises(DataError, match=r"'backlash' acts on joint angles.*Add arm.parquet"):
-        grasped(hand_motion_from_grasp(T, POSE), **{"backlash.gap": 0.01})
+        grasped(hand_motion_from_grasp(T, POSE), **{"backlash.gap_1": 0.01})
 
 
 # --- clocks and camera ---------------------------------------------------------------------------------------------
@@ -447,13 +448,13 @@ def test_a_rolled_camera_turns_the_picture_about_its_middle():
 def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
     """And is right for points that cross rows: it sees each where it is when its row is exposed."""
     law = library()["rolling_shutter"].seen
-    readout = np.full((1, 1, 1, 1), 0.01)
+    readout, stamped = np.full((1, 1, 1, 1), 0.01), np.full((1, 1, 1, 1), 0.25)
     line = np.stack([0 * np.linspace(0, 1, 9), np.linspace(-0.2, 0.8, 9)], axis=-1)[None, None]
-    sideways = law(line, np.broadcast_to([3.0, 0.0], line.shape), np.zeros(1), VIEW, readout)
-    row = VIEW.pixels(line)[..., 1] / 480 - 0.5
+    sideways = law(line, np.broadcast_to([3.0, 0.0], line.shape), np.zeros(1), VIEW, readout, stamped)
+    row = VIEW.pixels(line)[..., 1] / 480 - 0.25
     np.testing.assert_allclose(sideways[..., 0], 3.0 * 0.01 * row, atol=1e-12)
-    falling = law(line, np.broadcast_to([1.0, -4.0], line.shape), np.zeros(1), VIEW, readout)
-    when = 0.01 * (VIEW.pixels(falling)[..., 1:] / 480 - 0.5)
+    falling = law(line, np.broadcast_to([1.0, -4.0], line.shape), np.zeros(1), VIEW, readout, stamped)
+    when = 0.01 * (VIEW.pixels(falling)[..., 1:] / 480 - 0.25)
     np.testing.assert_allclose(falling, line + when * np.array([1.0, -4.0]), atol=1e-12)
 
 

@@ -64,6 +64,8 @@ NAMED = {
 # string, a wall to bounce from, and a box's corner in the string's way.
 FLOOR = {"contact.stiffness": 3e3, "contact.height": -0.3, "contact.friction": 0.2, "contact.loss": 0.1}
 ACTING = {"grasp_slip.onset": {"grasp_slip.speed": 0.05}}
+ACTING |= {"grasp_slip.duration": {"grasp_slip.speed": 0.05, "grasp_slip.onset": 0.1, "grasp_slip.duration": 0.2}}
+ACTING |= {"rolling_shutter.stamped": {"rolling_shutter.readout": 5e-3, "rolling_shutter.stamped": 0.5}}
 ACTING |= {f"contact.{name}": FLOOR for name in ("stiffness", "height", "tilt", "friction")}
 ACTING |= {"contact.loss": FLOOR | {"contact.tilt": np.pi / 2, "contact.height": -0.75}}
 CORNER = {

@@ -78,10 +78,18 @@ def _wind(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.nd
     }
 
 
+def _backlash(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
+    """In one joint, or in each as much as it happens to be."""
+    gaps = 0.1 * (np.eye(3)[rng.integers(3)] if rng.integers(2) else rng.uniform(size=3))
+    names = ("gap_1", "gap_2", "gap_3")
+    return dict.fromkeys(names, 0.0), dict(zip(names, gaps.tolist(), strict=True))
+
+
 def _grasp_slip(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
-    """Either way, from some time on within the first half of the shortest movement."""
-    onset = float(rng.uniform(0.2, 0.5) * min(t[-1] for t in times))
-    return {"speed": 0.0, "onset": onset}, {"speed": 0.3 * float(rng.choice([-1, 1])), "onset": onset}
+    """Either way, from some time on within the first half of the shortest movement, to its end or not so long."""
+    shortest, speed = min(t[-1] for t in times), 0.3 * float(rng.choice([-1, 1]))
+    same = {"onset": float(rng.uniform(0.2, 0.5) * shortest), "duration": float(rng.uniform(0.1, 1.0) * shortest)}
+    return {"speed": 0.0, **same}, {"speed": speed, **same}
 
 
 def _contact(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends | None:
@@ -100,6 +108,7 @@ def _contact(rng: np.random.Generator, times: list[np.ndarray], strings: list[np
 
 SPECIAL: dict[str, Callable[[np.random.Generator, list[np.ndarray], list[np.ndarray]], Ends | None]] = {
     "wind": _wind,
+    "backlash": _backlash,
     "grasp_slip": _grasp_slip,
     "contact": _contact,
 }

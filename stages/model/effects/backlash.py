@@ -17,32 +17,37 @@ if TYPE_CHECKING:
 
 
 class Backlash(HandEffect):
-    """The play operator: a joint stays where it is until the gap is taken up, then is pushed along.
+    """The play operator: a joint stays where it is until its gap is taken up, then is pushed along.
 
-    It begins in the middle of the gap.
+    It begins in the middle of the gap. Gears wear one by one: each joint has a gap of its own.
     """
 
     name = "backlash"
-    parameters = (Parameter("gap", "rad", "play of each joint, end to end", 0.0, 0.1, 0.0),)
+    parameters = tuple(
+        Parameter(f"gap_{joint}", "rad", f"play of joint q{joint}, end to end", 0.0, 0.1, 0.0) for joint in (1, 2, 3)
+    )
     reference = "Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989): the play operator"
     symmetries = (odd("joints", "angles"), follows("joints", "angles"))
 
     @staticmethod
     def words(values: Mapping[str, float]) -> str:
         """What is so."""
-        return f"the joints have a play of {np.degrees(values['gap']):.2f} degrees at reversals"
+        gaps = ", ".join(f"{np.degrees(gap):.2f}" for gap in values.values())
+        return f"joints have play at their reversals: q1, q2 and q3 of {gaps} degrees"
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """What the joint does over what is reported, there and back."""
+        """What each joint does over what is reported, there and back."""
         t = np.linspace(0.0, 2.0, 401)
         angle = 0.2 * np.sin(np.pi * t)
-        line(axes, angle, cls.joints(t, angle[None, :, None], values["gap"])[0, :, 0], "reported / rad", "angle / rad")
+        gaps = (np.full((1, 1, 1), gap) for gap in values.values())
+        for joint in cls.joints(t, np.tile(angle[None, :, None], 3), *gaps)[0].T:
+            line(axes, angle, joint, "reported / rad", "angle / rad")
 
     @staticmethod
-    def joints(t: np.ndarray, angles: np.ndarray, gap: Quantity) -> np.ndarray:
+    def joints(t: np.ndarray, angles: np.ndarray, gap_1: Quantity, gap_2: Quantity, gap_3: Quantity) -> np.ndarray:
         """Sample by sample: within half a gap of what is reported, and otherwise where it was."""
-        half = np.asarray(gap) / 2
+        half = np.concatenate([gap_1, gap_2, gap_3], axis=-1) / 2
         low, high = angles - half, angles + half
         real = np.empty(low.shape)
         real[:, 0] = angles[:, 0]

@@ -17,16 +17,17 @@ if TYPE_CHECKING:
 
 
 class GraspSlip(HandEffect):
-    """From an onset on the string slides out of the gripper, along the grasp's direction, at a constant speed.
+    """For some time the string slides out of the gripper, along the grasp's direction, at a constant speed.
 
     The part that has come out is taken to go on straight, and the free string keeps its length:
-    right for a slip that is short against the string. The onset is smooth over some 20 ms.
+    right for a slip that is short against the string. Onset and end are smooth over some 20 ms.
     """
 
     name = "grasp_slip"
     parameters = (
         Parameter("speed", "m/s", "speed at which the string slides out", -0.3, 0.3, 0.0),
         Parameter("onset", "s", "when it begins to slide", 0.0, 2.0, 0.2),
+        Parameter("duration", "s", "for how long it slides", 0.0, 4.0, 1.0, root=2),
     )
     reference = "Kinematics of a string that is paid out"
     symmetries = (carried("grasp", "pose"),)
@@ -35,20 +36,21 @@ class GraspSlip(HandEffect):
     def words(values: Mapping[str, float]) -> str:
         """What is so."""
         way = "out of" if values["speed"] > 0 else "into"
-        speed = 1e3 * abs(values["speed"])
-        return f"the string slides {way} the gripper at {speed:.0f} mm/s from {values['onset']:.2f} s on"
+        speed, until = 1e3 * abs(values["speed"]), values["onset"] + values["duration"]
+        return f"the string slides {way} the gripper at {speed:.1f} mm/s from {values['onset']:.2f} to {until:.2f} s"
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """How far it has slid, over time."""
         t = np.linspace(0.0, 2.0, 201)
         still = np.zeros((1, len(t), 3))
-        line(axes, t, cls.grasp(t, still, values["speed"], values["onset"])[0, :, 0], "time / s", "slid out / m")
+        line(axes, t, cls.grasp(t, still, **values)[0, :, 0], "time / s", "slid out / m")
 
     @staticmethod
-    def grasp(t: np.ndarray, pose: np.ndarray, speed: Quantity, onset: Quantity) -> np.ndarray:
-        """The distance is the integral of a logistic rise of the speed."""
-        rise = 0.005  # [s]
-        distance = speed * rise * np.logaddexp(0.0, (t[:, None] - onset) / rise)
+    def grasp(t: np.ndarray, pose: np.ndarray, speed: Quantity, onset: Quantity, duration: Quantity) -> np.ndarray:
+        """The distance is the integral of a logistic rise of the speed, and of its fall."""
+        rise, since = 0.005, t[:, None] - onset  # [s]
+        begun, ended = (np.logaddexp(0.0, each / rise) for each in (since, since - duration))
+        distance = speed * rise * (begun - ended)
         theta = pose[..., 2:]
         return pose + distance * np.concatenate([np.cos(theta), np.sin(theta), 0 * theta], axis=-1)

@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 
 
 class RollingShutter(CameraEffect):
-    """A row v of H is exposed (v / H - 1/2) `readout` after the frame's time; points go on evenly meanwhile."""
+    """A row v of H, counted from the top, is exposed (v / H - stamped) `readout` after the frame's time; points go on
+    evenly meanwhile. Cameras state the time of their first row, of the middle one, or of the last.
+    """
 
     name = "rolling_shutter"
     parameters = (
         Parameter("readout", "s", "time from the exposure of the top row to the bottom row", -0.02, 0.02, 0.0),
+        Parameter("stamped", "1", "row exposed at the frame's time, from the top, over the height", 0.0, 1.0, 0.5),
     )
     reference = "Meingast, Geyer and Sastry, Geometric models of rolling-shutter cameras (2005)"
     symmetries = (unmoved("seen", "points", "velocity"),)
@@ -38,13 +41,19 @@ class RollingShutter(CameraEffect):
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """When a row is exposed."""
         row = np.linspace(0.0, 1.0, 2)
-        line(axes, row, values["readout"] * (row - 0.5), "row / height", "exposed after the frame's time / s")
+        late = values["readout"] * (row - values["stamped"])
+        line(axes, row, late, "row / height", "exposed after the frame's time / s")
 
     @staticmethod
     def seen(
-        points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, readout: Quantity
+        points: np.ndarray,
+        velocity: np.ndarray,
+        times: np.ndarray,
+        camera: Camera,
+        readout: Quantity,
+        stamped: Quantity,
     ) -> np.ndarray:
         """Where each point is when its row is exposed: delay = readout (row + rowspeed delay), solved for the delay."""
-        row = camera.pixels(points)[..., 1:] / camera.height - 0.5
+        row = camera.pixels(points)[..., 1:] / camera.height - stamped
         speed = -velocity[..., 1:] * camera.px_per_m / camera.height
         return points + velocity * readout * row / (1 - readout * speed)
