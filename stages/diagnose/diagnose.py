@@ -27,7 +27,7 @@ from stages.diagnose.grain import grain
 from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.leads import astray, beginnings, follow
 from stages.diagnose.missing import missing, unexplained
-from stages.diagnose.noise import FAR
+from stages.diagnose.noise import FAR, mismatch
 from stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
 from stages.diagnose.separate import Proposal, separated
@@ -42,6 +42,7 @@ from stages.progress import Progress, part
 AGAIN = 20  # steps of a fit to other trials
 NEAR = 16.0  # mean square over the noise; of what is further off than that, its number of mass points is the least
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
+OPENED = "{}, set aside for measuring the gain, shows what the others do not: it was looked at as well."
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
 
 
@@ -61,10 +62,10 @@ def diagnose(
     """What the model gets wrong in these trials, and why.
 
     rejected: trials that cannot be used, with the reason. held_out: names of trials that are kept for measuring the
-    gain; where there are none, each trial is left out in turn. starts: of the search for the base model's
-    parameters. matching: how the matching rate E is counted. design: of the motion that would decide between
-    look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises DataError where no trial
-    can be used.
+    gain; where there are none, or they show what the others do not, each trial is left out in turn. starts: of the
+    search for the base model's parameters. matching: how the matching rate E is counted. design: of the motion that
+    would decide between look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises
+    DataError where no trial can be used.
     """
     good, faults = usable(model, observations)
     rejected = {**rejected, **faults}
@@ -72,8 +73,11 @@ def diagnose(
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
         raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
     data = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
-    ground = data.ground(good, lambda share: progress(share / 3))
-    ground, hypotheses, causes = _compared(ground, data, lambda share: progress((1 + 2 * share) / 3))
+    every = data.ground(good, lambda share: progress(share / 3))
+    ground, hypotheses, causes = _compared(every, data, lambda share: progress((1 + 2 * share) / 3))
+    if data.rest and hypotheses.explained(causes) and mismatch(every.evidence, every.base.residual) > 0:
+        data = data.opened()
+        ground, hypotheses, causes = _compared(every, data, lambda share: None)
     judgement = judged(hypotheses, causes, coarse(ground))
     if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
         judgement, causes = replace(judgement, verdict="insufficient", causes=(), groups=(), left=1.0), frozenset()
@@ -168,7 +172,7 @@ def _left(ground: Ground, hypotheses: Hypotheses, causes: Causes) -> float:
 
 @dataclass(frozen=True)
 class _Data:
-    """What was given."""
+    """What was given. shown: trials that were set aside, and show what the others do not."""
 
     model: Model
     observations: Sequence[Observation]
@@ -178,6 +182,11 @@ class _Data:
     library: Mapping[str, type[Effect]]
     seed: int
     starts: int
+    shown: tuple[str, ...] = ()
+
+    def opened(self) -> _Data:
+        """With the trials that were set aside looked at as well."""
+        return replace(self, held_out=(), shown=tuple(self.observations[i].trial for i in self.rest))
 
     def ground(self, observations: Sequence[Observation], progress: Progress = lambda share: None) -> Ground:
         """What a diagnosis of these starts from."""
@@ -237,6 +246,8 @@ def _written(
     left = unexplained(hypotheses, fit, judgement.left, found, differs)
     if judgement.verdict == "insufficient":
         left["sentence"] = ALONE
+    if data.shown:
+        left["sentence"] = " ".join(filter(None, (OPENED.format(", ".join(data.shown)), str(left["sentence"]))))
     gains = _gained(hypotheses, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
     named = tables.causes(hypotheses, causes, judgement, data.library)
     text = document(hypotheses, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
