@@ -75,7 +75,7 @@ def diagnose(
     data = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
     every = data.ground(good, lambda share: progress(share / 3))
     ground, hypotheses, causes = _compared(every, data, lambda share: progress((1 + 2 * share) / 3))
-    if data.rest and hypotheses.explained(causes) and mismatch(every.evidence, every.base.residual) > 0:
+    if data.rest and not causes and hypotheses.explained(causes) and _shows(ground):
         data = data.opened()
         ground, hypotheses, causes = _compared(every, data, lambda share: None)
     judgement = judged(hypotheses, causes, coarse(ground))
@@ -207,6 +207,11 @@ class _Data:
     def kept(self) -> list[int]:
         """Numbers of the others."""
         return [i for i in range(len(self.observations)) if i not in self.rest]
+
+
+def _shows(ground: Ground) -> bool:
+    """Whether the base model fitted to all trials leaves something to be seen."""
+    return mismatch(ground.evidence, ground.base.residual) > 0
 
 
 def again(evidence: Evidence, fit: Fit) -> Fit:

@@ -9,7 +9,6 @@ import numpy as np
 
 from stages.model.effect import HandEffect, Quantity
 from stages.model.parameter import Parameter
-from stages.model.picture import line
 from stages.model.symmetry import follows, odd
 
 if TYPE_CHECKING:
@@ -41,8 +40,10 @@ class Backlash(HandEffect):
         t = np.linspace(0.0, 2.0, 401)
         angle = 0.2 * np.sin(np.pi * t)
         gaps = (np.full((1, 1, 1), gap) for gap in values.values())
-        for joint in cls.joints(t, np.tile(angle[None, :, None], 3), *gaps)[0].T:
-            line(axes, angle, joint, "reported / rad", "angle / rad")
+        axes.plot(angle, cls.joints(t, np.tile(angle[None, :, None], 3), *gaps)[0], label=["q1", "q2", "q3"])
+        axes.set_xlabel("reported / rad")
+        axes.set_ylabel("angle / rad")
+        axes.legend()
 
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, gap_1: Quantity, gap_2: Quantity, gap_3: Quantity) -> np.ndarray:
