@@ -42,7 +42,7 @@ from stages.progress import Progress, part
 AGAIN = 20  # steps of a fit to other trials
 NEAR = 16.0  # mean square over the noise; of what is further off than that, its number of mass points is the least
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
-OPENED = "{}, set aside for measuring the gain, shows what the others do not: it was looked at as well."
+OPENED = "What was set aside for measuring the gain ({}) shows what the others do not: it was looked at as well."
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
 
 

@@ -22,21 +22,19 @@ def refined(noisy: Evidence, theory: Theory, chi: np.ndarray) -> Evidence:
 
     noisy: with the noise alone as sigma; fewer points than its own are not tried, and one number stands as it is.
     More points may not fit much better: parameters can make up for too few, and then doubt is small where they are. A
-    few more may fit no better where many more do.
+    few more may fit no better where many more do. What is noise alone nothing fits better.
     """
     if len(noisy.segments) == 1:
         return noisy
     pairs = SEGMENTS[SEGMENTS.index(noisy.segments) :]
     here = _fitted(noisy, pairs[0], theory, chi)
     for few, more, most in zip(pairs[:-1], pairs[1:], (*pairs[2:], pairs[-1]), strict=True):
-        there = _fitted(noisy, more, theory, here.chi)
         doubted = replace(noisy, segments=few).doubted(theory.model, here.chi, more)
-        doubtful = np.mean(doubted.sigma > DOUBTFUL * noisy.sigma)
-        least = here.mean_square / WORSE
-        enough = least < 1 or (
-            least < there.mean_square and least < _fitted(noisy, most, theory, there.chi).mean_square
-        )
-        if doubtful < MANY and enough:
+        sure, least = np.mean(doubted.sigma > DOUBTFUL * noisy.sigma) < MANY, here.mean_square / WORSE
+        if sure and least < 1:
+            break
+        there = _fitted(noisy, more, theory, here.chi)
+        if sure and least < there.mean_square and least < _fitted(noisy, most, theory, there.chi).mean_square:
             break
         here = there
     return doubted

@@ -1,6 +1,7 @@
 """The parts of a diagnosis, each against what is known."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
 from stages.diagnose.predictive import cost_of_unseen
 from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw, eased, resolved
 from stages.diagnose.ranges import pressed
+from stages.diagnose.resolve import SEGMENTS, refined
 from stages.diagnose.screen import followed, screened
 from stages.diagnose.theory import Theory, candidates, joined, whole
 from stages.diagnose.verdict import judged, weighed
@@ -67,6 +69,28 @@ def base(model, evidence):
     """The base model fitted from the truth, with the library at hand."""
     theory = whole(model, candidates(model, library(), evidence), evidence)
     return fitted(evidence, [theory], [theory.at(TRUTH)], 15)[0]
+
+
+@pytest.mark.parametrize(
+    ("left", "taken"),
+    [
+        ((5.3, 5.5, 1.05, 1.0), (20, 28)),  # set 25 of the fourth laboratory: stopped short with 14 and 20
+        ((5.3, 5.2, 5.1, 1.0), (10, 14)),
+        ((1.0, 0.8, 0.7, 0.6), (10, 14)),  # noise
+        ((2.0, 1.0, 1.0, 1.0), (14, 20)),
+    ],
+)
+def test_as_many_mass_points_are_taken_as_the_next_two_numbers_call_for(arm, model, monkeypatch, left, taken):
+    evidence = measured(arm, model)
+    squares = dict(zip(SEGMENTS, (*left, left[-1], left[-1]), strict=True))
+
+    def fits(evidence, theories, starts, most):
+        return [SimpleNamespace(mean_square=squares[evidence.segments], chi=starts[0])]
+
+    monkeypatch.setattr("stages.diagnose.resolve.fitted", fits)
+    monkeypatch.setattr(Evidence, "doubted", lambda self, model, chi, segments: self)
+    theory = Theory(model, (), model.names)
+    assert refined(evidence, theory, theory.at(TRUTH)).segments == taken
 
 
 def test_two_numbers_of_segments_are_better_than_either(arm, model):

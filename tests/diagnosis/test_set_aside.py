@@ -43,4 +43,4 @@ def test_what_only_a_trial_set_aside_shows_is_found_and_said(arm, offset, left_o
     named, sentence = {cause["effect"] for cause in document["causes"]}, document["unexplained"]["sentence"]
     assert document["gain"]["held_out_trials"] == left_out
     assert ("time_offset" in named) == (offset > 0), document["verdict"]
-    assert ("t3, set aside" in sentence) == (offset > 0)
+    assert ("set aside for measuring the gain (t3)" in sentence) == (offset > 0)
