@@ -17,7 +17,7 @@ from stages.model.effect import placed
 from stages.progress import Progress
 
 MOST_CAUSES = 3
-SUSPECT = -0.5  # logarithm of a mismatch from which causes are looked for, though nothing need be there
+SUSPECT = -0.9  # logarithm of a mismatch from which causes are looked for: without any it is -1.6 to -1.0
 MATTERS = 2.5  # standard deviations by which a cause must move something somewhere
 PENALTY = 5.0  # of the log-likelihood for each parameter that was not asked of other trials
 FEW = 2  # trials, which a cause may fit though it is wrong
