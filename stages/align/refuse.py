@@ -11,7 +11,7 @@ from stages.align.fit import Fit, Problem, robust
 from stages.align.sightings import Sighted, on_links
 from stages.model.arm import Arm
 from stages.model.body import arm_seen
-from stages.model.effect import Effect, components
+from stages.model.effect import components
 from stages.model.library import named
 
 FRAMES = 30  # in which the arm must be seen
@@ -122,11 +122,7 @@ def moved_by(problem: Problem, fit: Fit, name: str, size: float) -> np.ndarray:
     """How the residual over sigma changes with components of this size of a hand's effect, (N, K)."""
     effect = named([name])[0]
     model = problem.model.with_effects(effect)
-    values = np.stack([model.values(fit.values), *(model.values(fit.values | each) for each in _alone(effect, size))])
-    off = np.stack([np.concatenate([trial.off(model, each[None])[0] for trial in problem.trials]) for each in values])
+    known = [fit.values, *(fit.values | {effect.qualified(p): size} for p in components(effect))]
+    values = [model.values(each)[None] for each in known]
+    off = np.stack([np.concatenate([trial.off(model, one)[0] for trial in problem.trials]) for one in values])
     return np.asarray((off[1:] - off[0]).T / problem.sigma[:, None])
-
-
-def _alone(effect: type[Effect], size: float) -> list[dict[str, float]]:
-    """Each component of an effect by itself."""
-    return [{effect.qualified(p): size} for p in components(effect)]

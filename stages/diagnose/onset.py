@@ -131,8 +131,7 @@ class _Sought:
         """Beside the causes of a fit, all else as in the beginnings."""
         theory = joined(fit.theory, effect)
         size, *where = varied(theory, effect)
-        own = [theory.model.names.index(effect.qualified(p)) for p in effect.parameters]
-        others = [i for i in own if i not in (size, *where)]
+        others = [i for i in theory.places(effect, effect.parameters) if i not in (size, *where)]
         return cls(theory, effect, start_of(theory, begun.fit), size, where, others)
 
     def pushed(self, chi: np.ndarray, way: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -93,7 +93,7 @@ def varied(theory: Theory, effect: type[Effect]) -> list[int]:
     Others that start at an end of their range are sizes too (of friction, say), and stay absent.
     """
     chosen = [p for p in effect.parameters if p in components(effect) or p.low < p.start < p.high]
-    return [theory.model.names.index(effect.qualified(p)) for p in chosen]
+    return theory.places(effect, chosen)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class _Trial:
     @property
     def size(self) -> list[int]:
         """Places of the components of its size."""
-        return [self.theory.model.names.index(self.effect.qualified(p)) for p in components(self.effect)]
+        return self.theory.places(self.effect, components(self.effect))
 
     @property
     def room(self) -> tuple[float, float]:

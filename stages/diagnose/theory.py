@@ -18,6 +18,7 @@ from stages.estimate.result import values_of
 from stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed
 from stages.model.hand import HandMotion
 from stages.model.model import Model
+from stages.model.parameter import Parameter
 from stages.model.stability import load
 
 HAND = 300  # places on the hand's way at which it is asked whether something stands there
@@ -83,8 +84,12 @@ class Theory:
 
     def of(self, cause: type[Effect], chi: np.ndarray) -> dict[str, float]:
         """A cause's parameters by their own names, at exponents (P,)."""
-        places = {p.name: self.model.names.index(cause.qualified(p)) for p in cause.parameters}
-        return {name: float(self.model.parameters[i].value(chi[i])) for name, i in places.items()}
+        places = zip(cause.parameters, self.places(cause, cause.parameters), strict=True)
+        return {p.name: float(self.model.parameters[i].value(chi[i])) for p, i in places}
+
+    def places(self, cause: type[Effect], parameters: Sequence[Parameter]) -> list[int]:
+        """Of some parameters of a cause, among all."""
+        return [self.model.names.index(cause.qualified(p)) for p in parameters]
 
     def plausible(self, chi: np.ndarray) -> bool:
         """Whether each cause has values that can be what it says, at exponents (P,), and nothing stands where the

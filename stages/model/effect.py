@@ -244,13 +244,13 @@ def arguments(law: Callable[..., object]) -> tuple[str, ...]:
     return tuple(inspect.signature(law).parameters)
 
 
-@cache
 def components(effect: type[Effect]) -> tuple[Parameter, ...]:
     """The parameters that are an effect's size: its first, and others in the same unit, which are other components of a
     vector."""
     return tuple(p for p in effect.parameters if p.unit == effect.parameters[0].unit)
 
 
+@cache
 def placed(effect: type[Effect]) -> bool:
     """Whether one of an effect's laws depends on where the string is."""
     return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())

@@ -4,25 +4,20 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-import pandas as pd
 import pytest
 from conftest import TRUTH, ordinary
+from performed import performed, said_of
 
-from data.artifacts import JOINTS, MASKS, READINGS, Observation
 from data.schema import DataError
-from stages.diagnose.casts import Design
-from stages.diagnose.diagnose import diagnose
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted
 from stages.diagnose.hypotheses import SHORTLIST, Hypotheses
 from stages.diagnose.leads import beginnings, follow, leads
 from stages.diagnose.theory import Theory, joined
 from stages.estimate.forward import case
-from stages.estimate.matching import Matching
 from stages.generate.curves import first_curves
 from stages.generate.generate import arm_faults
 from stages.model.effects.arm_lag import ArmLag
-from stages.model.hand import joint_motion
 from stages.model.library import library
 
 SIGMA = 7e-4
@@ -48,21 +43,12 @@ def observations(arm, model):
 def _seen(arm, real, curves, name, rng):
     angles = curves.sampled(arm.tick, float(curves.duration[0]))[0][0]
     angles = np.concatenate([np.repeat(angles[:1], 10, axis=0), angles])
-    t = arm.tick * np.arange(len(angles))
-    values = real.values(STIFF | {"arm_lag.time_constant": LAG})[None]
-    places = np.arange(3, real.string.points, 3)
-    seen = real.seen(joint_motion(t, angles), values, t).points[0][:, places]
-    x, y = (seen + SIGMA * rng.standard_normal(seen.shape)).reshape(-1, 2).T
-    s = np.tile(real.string.arc_lengths()[places], len(t))
-    points = pd.DataFrame({"t": np.repeat(t, len(places)), "s": s, "x": x, "y": y, "sigma": SIGMA})
-    log = pd.DataFrame({"t": t} | dict(zip(JOINTS, angles.T, strict=True)))
-    return Observation(name, points, READINGS.empty(), MASKS.empty(), log)
+    values = STIFF | {"arm_lag.time_constant": LAG}
+    return performed(name, arm, real, values, angles, np.arange(3, real.string.points, 3), rng)
 
 
 def test_a_lag_is_found_though_the_base_model_is_nowhere_near(model, observations):
-    design = Design(motions=1, shortest=0.4, longest=0.8, alpha=150.0, before=0.05, after=0.1)
-    matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
-    said = diagnose(model, observations, {}, (), (), seed=0, starts=2, matching=matching, design=design)
+    said = said_of(model, observations, 2)
     assert said.causes["effect"].iloc[0] == "arm_lag", said.finding["sentence"].iloc[0]
     assert set(said.causes["effect"]) <= {"arm_lag", "time_offset"}  # which look alike
     assert said.causes["value"].iloc[0] == pytest.approx(LAG, abs=5e-4)

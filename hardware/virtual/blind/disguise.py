@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hardware.virtual.blind.scene import LIBRARY, Scene, unexplained
-from stages.model.effect import Effect, StringEffect
+from stages.model.effect import Effect, StringEffect, components
 from stages.model.effects.contact import Contact
 from stages.model.effects.grasp_slip import GraspSlip
 
@@ -47,7 +47,7 @@ def _probes(effect: type[Effect], scene: Scene) -> list[list[dict[str, float]]]:
         return [[_plane(scene, float(tilt))] for tilt in PLANES]
     if effect is GraspSlip:
         return [[{"grasp_slip.speed": 0.02, "grasp_slip.onset": onset} for onset in ONSETS]]
-    return [[{effect.qualified(p): p.start + LITTLE * (p.high - p.start)} for p in effect.parameters]]
+    return [[{effect.qualified(p): p.start + LITTLE * (p.high - p.start)} for p in components(effect)]]
 
 
 def _plane(scene: Scene, tilt: float) -> dict[str, float]:

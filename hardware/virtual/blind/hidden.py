@@ -9,6 +9,7 @@ import numpy as np
 
 from hardware.virtual.outside import Outside
 from stages.model.effect import Effect
+from stages.model.effects.backlash import Backlash
 
 CLEAR = 0.01  # [m] that a plane keeps from the hand and from the string at rest
 
@@ -80,9 +81,9 @@ def _wind(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.nd
 
 def _backlash(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
     """In one joint, or in each as much as it happens to be."""
-    gaps = 0.1 * (np.eye(3)[rng.integers(3)] if rng.integers(2) else rng.uniform(size=3))
-    names = ("gap_1", "gap_2", "gap_3")
-    return dict.fromkeys(names, 0.0), dict(zip(names, gaps.tolist(), strict=True))
+    shares = np.eye(3)[rng.integers(3)] if rng.integers(2) else rng.uniform(size=3)
+    gaps = {p.name: p.high * float(share) for p, share in zip(Backlash.parameters, shares, strict=True)}
+    return dict.fromkeys(gaps, 0.0), gaps
 
 
 def _grasp_slip(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
