@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence, torn, with_shorter_steps
+from stages.diagnose.evidence import SHORTER, Evidence, torn, with_shorter_steps
 from stages.diagnose.fit import Fit
 from stages.estimate.forward import Case
 from stages.estimate.result import values_of
@@ -59,4 +59,5 @@ def _divided(evidence: Evidence, model: Model, values: np.ndarray) -> list[Case]
 def _borne(case: Case, values: np.ndarray) -> Case:
     """With shorter steps where the model's tear the string, as candidates are tried."""
     points = next(case.simulate(values[None]))[1].points
-    return replace(case, model=with_shorter_steps(case.model)) if torn(points, case.model.string.length)[0] else case
+    lost = torn(points, case.model.string.length)[0]
+    return replace(case, model=with_shorter_steps(case.model, SHORTER)) if lost else case

@@ -124,15 +124,15 @@ def _tried_again(model: Model, cases: Sequence[Case], values: np.ndarray, seen: 
     can be too long for what else is asked."""
     lost = np.flatnonzero(np.any([torn(points, model.string.length) for points in seen], axis=0))
     if lost.size:
-        again = seen_together(with_shorter_steps(model), cases, values[lost])
+        again = seen_together(with_shorter_steps(model, SHORTER), cases, values[lost])
         for points, more in zip(seen, again, strict=True):
             points[lost] = more
     return seen
 
 
-def with_shorter_steps(model: Model) -> Model:
-    """For candidates that were torn."""
-    return replace(model, string=replace(model.string, largest_step=model.string.largest_step / SHORTER))
+def with_shorter_steps(model: Model, times: float) -> Model:
+    """The model with steps in time that are shorter by so many times."""
+    return replace(model, string=replace(model.string, largest_step=model.string.largest_step / times))
 
 
 def torn(points: np.ndarray, length: float) -> np.ndarray:

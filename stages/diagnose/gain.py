@@ -20,6 +20,7 @@ from stages.estimate.matching import Matching, targets
 from stages.estimate.result import values_of
 from stages.model.model import Model
 from stages.model.state import State
+from stages.model.string import String
 
 FRAMES = 20  # of a trial, from which E is counted
 
@@ -112,15 +113,21 @@ def thinned(observation: Observation) -> Observation:
     return replace(observation, points=points[points["t"].isin(kept)], moving=False)
 
 
+def _wider(configured: String, string: String) -> dict[str, dict[str, float]]:
+    """Ranges that the data asked to be wider than they are configured."""
+    known = {p.name: p for p in configured.parameters}
+    wider = {name: p for name, p in string.ranges.items() if (p.low, p.high) != (known[name].low, known[name].high)}
+    return {name: {"low": p.low, "high": p.high} for name, p in wider.items()}
+
+
 def extended_settings(model: Model, hypotheses: Hypotheses, causes: Causes) -> dict[str, object]:
     """The extended model as settings that other stages take: what is at work, and what is known of it, by the last fit;
-    with the mass points that were enough to find it, for the other stages simulate many."""
-    fit = hypotheses.sharp(causes).fit
-    segments = hypotheses.evidence.segments[-1]
-    fine = fit.theory.model.string
+    with the mass points and steps that were enough to find it, for the other stages simulate many."""
+    fit = hypotheses.sharp(causes).fit if causes else hypotheses.tried[causes]
+    segments, fine = hypotheses.evidence.segments[-1], hypotheses.tried[causes].theory.model.string
     kind = type(fine.integrator)
     string: dict[str, object] = {"points": segments + 1, "tip_cell": fine.tip_cell, "grasp_cell": fine.grasp_cell}
-    string |= {"largest_step": fine.largest_step}
+    string |= {"largest_step": fine.largest_step, "ranges": _wider(model.string, fine)}
     integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}"}
     known: dict[str, object] = {name: float(f"{value:.8g}") for name, value in fit.values.items()}
     for name, (low, high) in model.measured.items():

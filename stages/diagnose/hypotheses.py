@@ -131,7 +131,7 @@ class Hypotheses:
         return self.chance_gains[causes]
 
     def sharp(self, causes: Causes) -> Sharp:
-        """The last fit of these causes, with more mass points: when nothing is added any more."""
+        """The last fit of these causes, with more mass points and shorter steps: when nothing is added any more."""
         if causes not in self.sharpened:
             self.sharpened[causes] = sharpened(self.evidence, self.tried[causes])
         return self.sharpened[causes]

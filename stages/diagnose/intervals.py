@@ -10,7 +10,6 @@ from scipy.special import stdtrit
 from stages.diagnose.compare import blocks
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import PRIOR, Fit
-from stages.diagnose.sharpen import Sharp
 from stages.model.effect import Effect, components, placed
 
 CLEARLY = 2.4  # half-widths of its interval that a size must be from absence: five standard deviations, nearly
@@ -28,13 +27,6 @@ def half_width(evidence: Evidence, fit: Fit) -> np.ndarray:
     rest = max(count - len(fit.theory.free), 1)
     variance = count / rest * np.sum((sums @ bread) ** 2, axis=0) + PRIOR * np.sum(bread**2, axis=0)
     return np.asarray(stdtrit(rest, 0.975) * np.sqrt(variance))
-
-
-def interval(evidence: Evidence, sharp: Sharp) -> tuple[np.ndarray, np.ndarray]:
-    """95 % intervals of the free chi, (free,) each: with what more mass points than these might still change."""
-    half = np.hypot(half_width(evidence, sharp.fit), sharp.doubt)
-    chi = sharp.fit.chi[sharp.fit.theory.free]
-    return np.clip(chi - half, 0, 1), np.clip(chi + half, 0, 1)
 
 
 def present(evidence: Evidence, fit: Fit, effects: Iterable[type[Effect]]) -> bool:

@@ -11,7 +11,6 @@ from data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
 from stages.diagnose.beginning import simulated
 from stages.diagnose.compare import moved
 from stages.diagnose.hypotheses import Causes, Hypotheses
-from stages.diagnose.intervals import interval
 from stages.diagnose.noise import parts, systematic
 from stages.diagnose.reach import reach
 from stages.diagnose.screen import Probe
@@ -148,7 +147,7 @@ def _parameters(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) ->
 def _between(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) -> dict[str, tuple[float, float]]:
     """Exponents between which each parameter of an effect is, by qualified name."""
     sharp = hypotheses.sharp(causes)
-    low, high = interval(hypotheses.evidence, sharp)
+    low, high = sharp.interval(hypotheses.evidence)
     ends = {sharp.fit.theory.model.names[p]: (low[k], high[k]) for k, p in enumerate(sharp.fit.theory.free)}
     if not placed(effect):
         return ends

@@ -1,12 +1,14 @@
 """What is said of a parameter that was found: its value, and how sure it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import S, base, measured, resolved
 
 from stages.diagnose.fit import PRIOR, Fit, fitted
-from stages.diagnose.intervals import half_width, interval
+from stages.diagnose.intervals import half_width
 from stages.diagnose.resolve import SEGMENTS, finer
 from stages.diagnose.sharpen import Sharp, sharpened
 from stages.diagnose.theory import Theory, joined
@@ -46,12 +48,26 @@ def test_more_mass_points_take_a_value_to_where_it_belongs(arm, model, name, val
     sharp, place = sharpened(evidence, fit), theory.model.names.index(name)
     true = float(theory.model.parameters[place].chi(np.asarray(value)))
     assert abs(sharp.fit.chi[place] - true) < abs(fit.chi[place] - true) / 4
-    low, high = (ends[list(theory.free).index(place)] for ends in interval(evidence, sharp))
+    low, high = (ends[list(theory.free).index(place)] for ends in sharp.interval(evidence))
     assert low < true < high
 
 
+def test_shorter_steps_take_a_value_to_where_it_belongs(arm, model):
+    """A string in steps of 0.1 ms, fitted with as many mass points in steps of 2 ms: the tip seems heavier, by what
+    moves no point by a quarter of the noise."""
+    real = replace(model, string=replace(model.string, largest_step=1e-4))
+    long = replace(model, string=replace(model.string, largest_step=2e-3))
+    evidence = replace(measured(arm, real, {"density_taper.taper": 0.1}, noise=1e-5), segments=(80,))
+    theory = joined(Theory(long, (), long.names), library()["density_taper"])
+    fit = fitted(evidence, [theory], [theory.at({**TRUTH, "density_taper.taper": 0.1})], 15)[0]
+    sharp, place = sharpened(evidence, fit), theory.model.names.index("density_taper.taper")
+    true = float(theory.model.parameters[place].chi(np.asarray(0.1)))
+    assert np.abs(fit.residual).max() < 0.25
+    assert abs(sharp.fit.chi[place] - true) < abs(fit.chi[place] - true) / 8
+
+
 def test_however_many_mass_points_there_are_some_are_nearer_to_each_other():
-    """Half as far apart after two steps: what the last of these changes is never nothing because there was none."""
+    """Half as far apart after two of them: what the last of these changes is never nothing because there was none."""
     for few, more in SEGMENTS:
         assert finer(finer((few, more)))[0] == 2 * few
     assert [finer(pair) for pair in SEGMENTS[:-1]] == list(SEGMENTS[1:])
@@ -62,7 +78,7 @@ def test_what_mass_points_still_change_makes_an_interval_wider(arm, model):
     evidence, theory = measured(arm, model), Theory(model, (), model.names)
     fit = fitted(evidence, [theory], [theory.at(TRUTH)], 2)[0]
     half, far = half_width(evidence, fit), np.full(len(theory.free), 0.03)
-    narrow, wide = (np.diff(interval(evidence, Sharp(fit, doubt)), axis=0)[0] for doubt in (0 * far, far))
+    narrow, wide = (np.diff(Sharp(fit, doubt).interval(evidence), axis=0)[0] for doubt in (0 * far, far))
     within = (fit.chi[theory.free] > 0.2) & (fit.chi[theory.free] < 0.8) & (half < 0.1)
     assert within.sum() > 3
     np.testing.assert_allclose(narrow[within], 2 * half[within])
