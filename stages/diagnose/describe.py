@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from stages.diagnose.fit import Fit
 from stages.diagnose.hypotheses import Hypotheses
 from stages.diagnose.prepare import Ground
 from stages.diagnose.verdict import Judgement
@@ -18,6 +19,7 @@ FORMAT = 1
 def document(
     hypotheses: Hypotheses,
     ground: Ground,
+    base: Fit,
     judgement: Judgement,
     causes: pd.DataFrame,
     held_out: pd.DataFrame,
@@ -25,11 +27,10 @@ def document(
     unexplained: Mapping[str, Any],
     next_experiment: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """diagnosis.json."""
+    """diagnosis.json. base: the base model's fit from which the gain is counted."""
     used = [case.name for case in hypotheses.evidence.cases]
     listed = [*judgement.causes]
     others = sorted(set(judgement.probability) - set(listed), key=lambda name: -judgement.probability[name])
-    base = hypotheses.tried[frozenset()] if judgement.causes != ("resolution",) else ground.configured
     return {
         "format": FORMAT,
         "verdict": judgement.verdict,
@@ -37,7 +38,8 @@ def document(
         "alternatives": [{"effect": name, "probability": judgement.probability[name]} for name in others],
         "indistinguishable": [list(group) for group in judgement.groups],
         "base": {"parameters": base.values},
-        "gain": gain(held_out) | {"causes_chosen_from_them": set(held_out["trial"]) <= set(used)},
+        "gain": gain(held_out)
+        | {"causes_chosen_from_them": bool(len(held_out)) and set(held_out["trial"]) <= set(used)},
         "unexplained": dict(unexplained),
         "trials": {
             "used": used,

@@ -41,8 +41,10 @@ from stages.progress import Progress, part
 
 AGAIN = 20  # steps of a fit to other trials
 NEAR = 16.0  # mean square over the noise; of what is further off than that, its number of mass points is the least
+FEWEST = 4  # mass points, between which positions are read
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
 OPENED = "What was set aside for measuring the gain ({}) shows what the others do not: it was looked at as well."
+SCATTERED = "nearly all points are far from those just before and after: look at what followed the string"
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
 
 
@@ -67,22 +69,33 @@ def diagnose(
     would decide between look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises
     DataError where no trial can be used.
     """
+    if model.string.points < FEWEST:
+        raise DataError(f"string.points = {model.string.points}: a diagnosis needs {FEWEST} or more. Change it.")
     good, faults = usable(model, observations)
     rejected = {**rejected, **faults}
     if not good:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
         raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
-    data = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
-    every = data.ground(good, lambda share: progress(share / 3))
+    given = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
+    data, every = _begun(given, lambda share: progress(share / 3))
     ground, hypotheses, causes = _compared(every, data, lambda share: progress((1 + 2 * share) / 3))
     if data.rest and not causes and hypotheses.explained(causes) and _shows(ground):
         data = data.opened()
         ground, hypotheses, causes = _compared(every, data, lambda share: None)
     judgement = judged(hypotheses, causes, coarse(ground))
-    if len(data.kept) == 1 and (causes or judgement.verdict == "unknown"):
-        judgement, causes = replace(judgement, verdict="insufficient", causes=(), groups=(), left=1.0), frozenset()
+    if len(data.kept) == 1 and judgement.verdict == "unknown":
+        judgement = replace(judgement, verdict="insufficient", left=1.0)
     proposal = separated(hypotheses, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))
     return _written(hypotheses, ground, causes, judgement, data, proposal)
+
+
+def _begun(data: _Data, progress: Progress) -> tuple[_Data, Ground]:
+    """What is given, and what its diagnosis starts from, without trials whose points are scattered."""
+    ground = data.ground(data.observations, progress)
+    if not ground.scattered:
+        return data, ground
+    data = data.without(ground.scattered)
+    return data, data.ground(data.observations)
 
 
 def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, Hypotheses, Causes]:
@@ -184,6 +197,13 @@ class _Data:
     starts: int
     shown: tuple[str, ...] = ()
 
+    def without(self, scattered: Sequence[str]) -> _Data:
+        """Without trials whose points are scattered. Raises DataError where no other is left."""
+        left = [o for o in self.observations if o.trial not in scattered]
+        if not left:
+            raise DataError(f"there is no trial that can be used: of {', '.join(scattered)} {SCATTERED}.")
+        return replace(self, observations=left, rejected={**self.rejected, **dict.fromkeys(scattered, SCATTERED)})
+
     def opened(self) -> _Data:
         """With the trials that were set aside looked at as well."""
         return replace(self, held_out=(), shown=tuple(self.observations[i].trial for i in self.rest))
@@ -231,7 +251,7 @@ def coarse(ground: Ground) -> float:
 
 def _gained(hypotheses: Hypotheses, ground: Ground, causes: Causes, judgement: Judgement, data: _Data) -> pd.DataFrame:
     """Table HELD_OUT. Where too few mass points are what is wrong, that is what the base model has."""
-    few = judgement.causes == (RESOLUTION,) and not causes
+    few = _few(judgement, causes)
     base = configured(ground, data.kept, data.rest) if few else side(hypotheses, ground, frozenset(), data.rest)
     extended, chance = (
         side(hypotheses, ground, causes, data.rest),
@@ -239,6 +259,11 @@ def _gained(hypotheses: Hypotheses, ground: Ground, causes: Causes, judgement: J
     )
     numbers = data.rest or data.kept
     return held_out_table(base, extended, numbers, ground.floor, chance, data.observations, data.matching)
+
+
+def _few(judgement: Judgement, causes: Causes) -> bool:
+    """Whether too few mass points are all that is wrong."""
+    return judgement.causes == (RESOLUTION,) and not causes
 
 
 def _written(
@@ -255,7 +280,8 @@ def _written(
         left["sentence"] = " ".join(filter(None, (OPENED.format(", ".join(data.shown)), str(left["sentence"]))))
     gains = _gained(hypotheses, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
     named = tables.causes(hypotheses, causes, judgement, data.library)
-    text = document(hypotheses, ground, judgement, named, gains, data.rejected, left, proposal.next_experiment)
+    base = ground.configured if _few(judgement, causes) else hypotheses.tried[frozenset()]
+    text = document(hypotheses, ground, base, judgement, named, gains, data.rejected, left, proposal.next_experiment)
     settings = extended_settings(data.model, hypotheses, causes)
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}

@@ -41,7 +41,7 @@ class Differing:
 
 def differing(hypotheses: Hypotheses, causes: Causes) -> Differing | None:
     """The effect that explains most of what these causes leave if each trial has its own; None where none does."""
-    gains = {some[0].effect: _gains(hypotheses, causes, some) for some in hypotheses.probes.get(causes, {}).values()}
+    gains = {some[0].effect: _gains(hypotheses, causes, some) for some in hypotheses.probed(causes).values()}
     single = {effect: gain for effect, gain in gains.items() if len(effect.parameters) == 1}
     if not single or len(hypotheses.evidence.cases) == 1:
         return None
@@ -67,11 +67,12 @@ def _gains(hypotheses: Hypotheses, causes: Causes, probes: list[Probe]) -> tuple
 
 def _fitted(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) -> tuple[dict[str, float], float]:
     """The effect's value in each trial [its unit], all else as it is, and the share of the misfit that it explains."""
-    probe, fit = hypotheses.probes[causes][effect.name][0], hypotheses.tried[causes]
+    probe, fit = hypotheses.probed(causes)[effect.name][0], hypotheses.tried[causes]
     alone = replace(probe.theory, causes=(effect,), base=())
+    start = probe.theory.carried(probe.theory.named(probe.chi) | fit.theory.named(fit.chi))
     place, values, left = varied(alone, effect)[0], {}, []
     for number, case in enumerate(hypotheses.evidence.cases):
-        own = fitted(hypotheses.evidence.only([number]), [alone], [probe.chi], STEPS)[0]
+        own = fitted(hypotheses.evidence.only([number]), [alone], [start], STEPS)[0]
         values[case.name] = float(alone.model.parameters[place].value(own.chi[place]))
         left.append(own.residual)
     before = systematic(hypotheses.evidence, fit.residual)

@@ -1,7 +1,7 @@
 """Fits of many theories side by side, by damped least squares.
 
 Runs that share a model share a batch: the slopes of all of them are simulated together, and
-then all their trial steps. Residuals are over the noise, so that a cost is twice a negative
+then all their trial steps. Residuals are over the noise, so that a cost is a negative
 log-likelihood, up to correlation.
 """
 

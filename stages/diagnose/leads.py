@@ -67,7 +67,7 @@ def _carried_on(hypotheses: Hypotheses, fits: Sequence[Fit], seconds: Sequence[f
     base = hypotheses.tried[frozenset()].theory
     theories = [joined(base, *fit.theory.causes) for fit in fits]
     # Ranges that were widened for the beginnings need not be those of the whole.
-    chi = [np.clip(theory.at(fit.values), 0, 1) for theory, fit in zip(theories, fits, strict=True)]
+    chi = [theory.at(fit.values) for theory, fit in zip(theories, fits, strict=True)]
     for horizon in seconds:
         chi = [fit.chi for fit in fitted(hypotheses.evidence.rough.until(horizon), theories, chi, EACH)]
     hypotheses.begin_with(fitted(hypotheses.evidence, theories, chi, STEPS))

@@ -27,6 +27,7 @@ EVERY = 0.04  # [s] from pulse to pulse
 PLACES = (0.25, 0.5, 0.75, 1.0)  # of the string's length, of pulses of force
 STEADY = 0.6  # of the mean size that the mean has, where the direction stays
 MOST = 40  # pulses in time of a trial
+UNSEEN = 1e-6  # of the most that a pulse does: nobody sees that
 FIRMNESS = 0.1  # of the ridge, in units of what a typical pulse does
 SIZES: Mapping[type[Effect], float] = {Push: 5.0, GraspShift: 2e-3, PictureShift: 2e-3}  # at which pulses are tried
 
@@ -89,10 +90,14 @@ def _chi(model: Model, fit: Fit, effect: type[Effect], pulse: Mapping[str, float
 
 
 def _ridge(done: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitudes (C,) of directions (C, n) that take away most of the residual (n,), and what is left."""
-    normal = done @ done.T
-    level = FIRMNESS * float(np.median(np.diag(normal)))
-    amplitudes = np.linalg.solve(normal + level * np.eye(len(normal)), -done @ residual)
+    """Amplitudes (C,) of directions (C, n) that take away most of the residual (n,), and what is left. What was not
+    seen, as where frames are missing, has none."""
+    size = np.sum(done**2, axis=1)
+    seen = size > UNSEEN * size.max()
+    some = done[seen]
+    level = FIRMNESS * float(np.median(size[seen]))
+    amplitudes = np.zeros(len(done))
+    amplitudes[seen] = np.linalg.solve(some @ some.T + level * np.eye(len(some)), -some @ residual)
     return amplitudes, residual + amplitudes @ done
 
 

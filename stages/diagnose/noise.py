@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from data.dataset import FRAMES_NEEDED
 from stages.diagnose.evidence import Evidence
 from stages.estimate.forward import Case
 from stages.spread import spread
@@ -135,10 +136,27 @@ def cleaned(evidence: Evidence, residual: np.ndarray) -> tuple[Evidence, int]:
     size, whole = estimated(evidence, residual), len(residual)
     for _ in range(PASSES):
         pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
-        kept = [_near(case, part, size) for case, part in pairs]
+        kept = [_kept(case, part, size) for case, part in pairs]
         cases = tuple(_only(case, near) for case, near in zip(evidence.cases, kept, strict=True))
         evidence, residual = replace(evidence, cases=cases), residual[np.repeat(np.concatenate(kept), 2)]
     return evidence, (whole - len(residual)) // 2
+
+
+def scattered(evidence: Evidence, residual: np.ndarray) -> list[str]:
+    """Trials whose points are so scattered, as residuals (N,) over sigma have it, that too few of their frames have one
+    that is near those just before and after."""
+    size, pairs = estimated(evidence, residual), zip(evidence.cases, parts(evidence, residual), strict=True)
+    return [case.name for case, part in pairs if not _enough(case, _near(case, part, size))]
+
+
+def _enough(case: Case, kept: np.ndarray) -> bool:
+    return len(np.unique(case.frame[kept])) >= FRAMES_NEEDED
+
+
+def _kept(case: Case, residual: np.ndarray, size: float) -> np.ndarray:
+    """Which points (n,) are not out: all of them where too few frames would be left."""
+    near = _near(case, residual, size)
+    return near if _enough(case, near) else np.ones(len(near), dtype=bool)
 
 
 def _near(case: Case, residual: np.ndarray, size: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from data.schema import DataError
 from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.noise import cleaned, estimated, tracks
+from stages.diagnose.noise import cleaned, estimated, scattered, tracks
 from stages.diagnose.ranges import widened, with_ranges
 from stages.diagnose.resolve import SEGMENTS, refined
 from stages.diagnose.search import searched
@@ -87,6 +87,11 @@ class Ground:
         """Noise of each residual [m], (N,)."""
         return self.undoubted.sigma
 
+    @property
+    def scattered(self) -> list[str]:
+        """Names of trials whose points are nowhere near those just before and after."""
+        return scattered(self.undoubted, self.base.residual * self.evidence.sigma / self.floor)
+
     @cached_property
     def beside_noise(self) -> float:
         """Mean square of what the base model leaves over the noise alone, as the configured one is fitted."""
@@ -143,8 +148,9 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]], points: int) ->
     evidence, outliers = ground.raw.divided(segments).cleaned(nearest)
     theory = whole(model, candidates(model, library, evidence), evidence)
     base = _best(evidence, theory, [nearest.theory.named(nearest.chi)])
+    known = base if points == ground.configured.theory.model.string.points else _as_configured(ground, evidence)
     return replace(
-        ground, model=model, evidence=evidence, undoubted=evidence, base=base, configured=base, outliers=outliers
+        ground, model=model, evidence=evidence, undoubted=evidence, base=base, configured=known, outliers=outliers
     )
 
 
@@ -161,10 +167,15 @@ def cleaned_anew(ground: Ground, segments: tuple[int, ...], plain: Fit, fit: Fit
         return None
     doubted = refined(evidence, fit.theory, fit.chi)
     base = _best(doubted, plain.theory, [plain.theory.named(plain.chi)])
-    known, points = ground.configured.theory, ground.configured.theory.model.string.points
-    configured = _best(replace(evidence, segments=(points - 1,)), known, [known.named(ground.configured.chi)])
-    undoubted = replace(evidence, segments=doubted.segments)
+    undoubted, configured = replace(evidence, segments=doubted.segments), _as_configured(ground, evidence)
     return Ground(ground.model, doubted, undoubted, base, configured, raw, outliers, ground.resting)
+
+
+def _as_configured(ground: Ground, evidence: Evidence) -> Fit:
+    """The base model as it is configured, fitted to other evidence."""
+    known = ground.configured.theory
+    own = replace(evidence, segments=(known.model.string.points - 1,))
+    return _best(own, known, [known.named(ground.configured.chi)])
 
 
 def _of_points(ground: Ground, points: int) -> Fit:

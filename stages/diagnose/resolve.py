@@ -31,7 +31,7 @@ def refined(noisy: Evidence, theory: Theory, chi: np.ndarray) -> Evidence:
     for few, more, most in zip(pairs[:-1], pairs[1:], (*pairs[2:], pairs[-1]), strict=True):
         doubted = replace(noisy, segments=few).doubted(theory.model, here.chi, more)
         sure, least = np.mean(doubted.sigma > DOUBTFUL * noisy.sigma) < MANY, here.mean_square / WORSE
-        if sure and least < 1:
+        if (sure and least < 1) or more == pairs[-1]:  # there are no more to go on to
             break
         there = _fitted(noisy, more, theory, here.chi)
         if sure and least < there.mean_square and least < _fitted(noisy, most, theory, there.chi).mean_square:

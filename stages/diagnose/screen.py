@@ -51,7 +51,8 @@ def screened(evidence: Evidence, fit: Fit, effects: Sequence[type[Effect]], seed
     trials = [_Trial(joined(fit.theory, e), e, start_of(joined(fit.theory, e), fit)) for e in effects]
     tried = [(trial, sizes(trial, path, seed)) for trial in trials]
     own = projector(fit)
-    models = {trial.theory.model.effects for trial in trials}
+    # A set would have another order each time.
+    models = dict.fromkeys(trial.theory.model.effects for trial in trials)
     found: dict[str, list[Probe]] = {}
     for model in models:
         some = [(trial, chi) for trial, chi in tried if trial.theory.model.effects == model and len(chi)]

@@ -71,6 +71,12 @@ class Contest:
         return noisiness(self.evidence, self.likeliest)
 
     @property
+    def rough(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Numbers of segments that are good enough to look at many motions, and those by which their error is told."""
+        some = self.evidence.segments
+        return (SEGMENTS[0], SEGMENTS[1]) if len(some) > 1 else (some, some)
+
+    @property
     def likeliest(self) -> Fit:
         """The fit that is right if any has to be."""
         return self.fits[int(np.argmax(self.chances))]
@@ -88,12 +94,16 @@ class Contest:
         made = []
         for true, seen in enumerate(fitted(new, theories[:-1], starts[:-1], 0)):
             shown = replace(new.cases[0], points=(seen.residual * new.sigma).reshape(-1, 2))
-            evidence = replace(new, cases=(*self.evidence.cases, shown))
+            evidence = replace(new, cases=(*self.evidence.cases, shown), unsure=self._unsure(shown))
             there = carried(self.base.theory, self.fits[true])  # where the string is, the base model may be nearer
             *fits, base, near = fitted(evidence, [*theories, self.base.theory], [*starts, there], STEPS)
             base = min(base, near, key=lambda fit: fit.cost)
             made.append(Rehearsal(true, Outlook(self.fits[true], seen), fits, base, evidence, self.chance))
         return made
+
+    def _unsure(self, shown: Case) -> tuple[np.ndarray, ...]:
+        """Of the trials made, and of one that begins at rest."""
+        return (*self.evidence.unsure, np.empty((2 * len(shown.s), 0))) if self.evidence.unsure else ()
 
     def performed(self) -> list[Prospect]:
         """The same if a trial were made once more."""
@@ -190,7 +200,7 @@ def promising(rivals: Contest, cases: Sequence[Case], like: Case, obstacles: Seq
 
     Not those on which a simulation fails, or the string would touch an obstacle.
     """
-    every = trusted(rivals, cases, like, *SEGMENTS[:2])
+    every = trusted(rivals, cases, like, *rivals.rough)
     seen = [every.residuals(fit.theory.model, fit.chi[None])[0] for fit in rivals.fits]
     apart = np.min([np.bincount(every.trial, (a - b) ** 2) for a, b in combinations(seen, 2)], axis=0)
     failed = np.bincount(every.trial, np.any(np.array(seen) == LOST, axis=0)) > 0
@@ -210,7 +220,7 @@ def _touches(fit: Fit, case: Case, obstacles: Sequence[Box]) -> bool:
 
 def _first(rivals: Contest, cases: Sequence[Case], like: Case, some: Sequence[int]) -> list[Prospect]:
     """What some motions would say, by few mass points."""
-    return rivals.prospects(trusted(rivals, [cases[i] for i in some], like, *SEGMENTS[:2]))
+    return rivals.prospects(trusted(rivals, [cases[i] for i in some], like, *rivals.rough))
 
 
 def trusted(

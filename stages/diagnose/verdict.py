@@ -148,13 +148,14 @@ def _probability(chances: Mapping[Causes, float], silent: frozenset[str], strang
 
 
 def _groups(chances: Mapping[Causes, float], causes: Causes) -> tuple[tuple[str, ...], ...]:
-    """Effects that could stand in place of one of the causes, with it."""
-    groups = []
-    for cause in sorted(causes):
-        others = [key - (causes - {cause}) for key in chances if causes - {cause} < key and key != causes]
-        alike = [next(iter(o)) for o in others if chances[causes - {cause} | o] > ALIKE * chances[causes]]
-        if alike:
-            groups.append((cause, *sorted(alike)))
+    """Effects that could stand in place of one of the causes, with it; or of several, if only all of these together
+    could be others."""
+    groups: list[tuple[str, ...]] = []
+    likely = [key for key, chance in chances.items() if key != causes and chance > ALIKE * chances[causes]]
+    for gone in sorted({causes - key for key in likely}, key=lambda gone: (len(gone), sorted(gone))):
+        if not gone & {name for group in groups for name in group}:
+            come = frozenset().union(*(key - causes for key in likely if causes - key == gone))
+            groups.append((*sorted(gone), *sorted(come)))
     return tuple(groups)
 
 

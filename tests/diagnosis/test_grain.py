@@ -11,7 +11,9 @@ from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved, swings
 from stages.diagnose import diagnose, grain
 from stages.diagnose.evidence import Evidence
 from stages.diagnose.fit import fitted
-from stages.diagnose.theory import joined
+from stages.diagnose.prepare import Ground, Raw, literal
+from stages.diagnose.theory import Theory, joined
+from stages.diagnose.verdict import COARSE
 from stages.estimate.forward import Case
 from stages.model.hand import joint_motion
 from stages.model.library import library
@@ -41,6 +43,15 @@ def test_equal_points_are_counted(arm, eq1):
     fit = base(resolved(eq1), evidence)
     assert fit.mean_square > 1.2
     assert grain.grain(evidence, fit) == 20
+
+
+def test_other_equal_points_than_those_configured_are_a_matter_of_resolution(arm, eq1):
+    """Where they explain all, it is the configured number that was wrong; where that explains all, nothing was."""
+    evidence, theory = chain(arm, eq1, 20), Theory(eq1, (), eq1.names)
+    plain = fitted(replace(evidence, segments=(9,)), [theory], [theory.at(TRUTH)], 15)[0]
+    ground = Ground(resolved(eq1), evidence, evidence, base(resolved(eq1), evidence), plain, Raw(evidence, True))
+    assert diagnose.coarse(literal(ground, library(), 20)) > COARSE
+    assert diagnose.coarse(literal(ground, library(), 10)) == pytest.approx(1.0)
 
 
 def test_a_string_whose_cause_is_known_has_none(arm, eq1):

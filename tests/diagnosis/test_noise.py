@@ -1,11 +1,13 @@
 """The noise floor of data as trackers tell them: in whole pixels, held at rest, and each point at a time of its own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from stages.diagnose.evidence import Evidence
-from stages.diagnose.noise import alongside, cleaned, estimated, mismatch, rounding, systematic, tracks
+from stages.diagnose.noise import alongside, cleaned, estimated, mismatch, rounding, scattered, systematic, tracks
 from stages.estimate.forward import Case
 
 S = np.linspace(0.1, 0.3, 5)
@@ -121,3 +123,19 @@ def test_outliers_are_found_among_points_of_no_place():
     off[alone[:10]] += 0.03
     _, count = cleaned(Evidence((case,), (10,)), off.ravel() / 1e-3)
     assert count == 10
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_trial_whose_points_are_scattered_is_told_and_not_emptied(seed):
+    """A tip that a tracker lost, six frames of it beside trials that were followed well."""
+    rng = np.random.default_rng(seed)
+    evidence, _ = seen(moving(7e-4, seed)[1], sigma=7e-4)
+    noise = evidence.cases[0].points.ravel() / 7e-4
+    frames = np.arange(6)
+    lost = Case("lost", None, None, frames / 30, frames, np.full(6, 0.3), np.zeros((6, 2)), np.full(6, 7e-4))
+    both = replace(evidence, cases=(*evidence.cases, lost))
+    astray = np.concatenate([noise, 0.05 / 7e-4 * rng.standard_normal(12)])
+    assert scattered(both, np.concatenate([noise, rng.standard_normal(12)])) == []
+    assert scattered(both, astray) == ["lost"]
+    kept, _ = cleaned(both, astray)
+    assert len(kept.cases[1].s) == 6

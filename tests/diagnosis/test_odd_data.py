@@ -8,12 +8,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import TRUTH, ordinary
+from performed import said_of
 
 from data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
+from data.schema import DataError
 from stages.diagnose import choose
 from stages.diagnose.describe import gain, without_nan
 from stages.diagnose.diagnose import coarse
-from stages.diagnose.gain import FRAMES, _rate, thinned
+from stages.diagnose.gain import FRAMES, _rate, _wider, thinned
+from stages.diagnose.missing import _ridge
 from stages.diagnose.prepare import usable
 from stages.estimate.forward import case
 from stages.estimate.matching import Matching
@@ -114,3 +117,28 @@ def test_causes_stay_where_nothing_promises_to_take_the_place_of_one():
     fits = {both: SimpleNamespace(cost=1.0, theory=theory), one: SimpleNamespace(cost=20.0, theory=theory)}
     hypotheses = SimpleNamespace(tried=fits, extended=lambda context: {}, fit=lambda causes, near: fits[causes])
     assert choose._settled(hypotheses, frozenset({"a"}), both) == both
+
+
+def test_frames_that_are_missing_have_no_force():
+    """A pulse that no frame shows explains nothing: it has no amplitude, however many there are like it."""
+    rng = np.random.default_rng(0)
+    done, noise = np.zeros((40, 100)), rng.standard_normal(100)
+    done[:15] = rng.standard_normal((15, 100))
+    done[15:] = 1e-10 * rng.standard_normal((25, 100))  # rounding
+    amplitudes, left = _ridge(done, noise)
+    assert not amplitudes[15:].any()
+    assert 0.7 < np.mean(left**2) / np.mean(noise**2) < 1
+    np.testing.assert_allclose(left, noise + amplitudes @ done)
+
+
+def test_wider_ranges_are_told_to_the_other_stages(model):
+    wide = replace(model.string.parameters[2], high=1e9)
+    wider = replace(model.string, ranges={**model.string.ranges, wide.name: wide})
+    assert _wider(model.string, wider) == {wide.name: {"low": wide.low, "high": 1e9}}
+    assert _wider(model.string, model.string) == {}
+
+
+def test_too_few_points_to_read_positions_from_are_refused(model, begun):
+    few = replace(model, string=replace(model.string, points=3))
+    with pytest.raises(DataError, match=r"string\.points = 3"):
+        said_of(few, [begun], 2)

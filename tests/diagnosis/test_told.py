@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stages.diagnose.verdict import Judgement, _probability, _silent, _told
+from stages.diagnose.verdict import Judgement, _groups, _probability, _silent, _told
 
 A, B, POINTS = "tip_mass", "wind", "equal_points"
 COURT = SimpleNamespace(library={n: SimpleNamespace(of_string=n != POINTS) for n in (A, B, POINTS)})
@@ -34,3 +34,16 @@ def test_everything_named_has_its_probability(causes, others, groups, named, sur
     assert sum(said.probability.values()) == pytest.approx(1.0)
     for name, share in sure.items():
         assert said.probability[name] == pytest.approx(share, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("chances", "groups"),
+    [
+        ({"ab": 0.7, "ac": 0.3}, [("b", "c")]),
+        ({"ab": 0.7, "ac": 0.01, "cd": 0.02}, []),
+        ({"ab": 0.4, "cd": 0.6}, [("a", "b", "c", "d")]),  # only both together could be others
+        ({"ab": 0.5, "bd": 0.2, "ac": 0.3}, [("a", "d"), ("b", "c")]),
+    ],
+)
+def test_what_could_stand_in_place_of_causes_is_in_a_group_with_them(chances, groups):
+    assert list(_groups({frozenset(key): chance for key, chance in chances.items()}, frozenset("ab"))) == groups
