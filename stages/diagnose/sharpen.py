@@ -7,7 +7,6 @@ is a tenth of the noise in each of them moves it by several of its standard devi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import count
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from stages.diagnose.resolve import finer
 
 STEPS = 6
 SHORTER = 2.0  # times, steps in time: what both leave is then a quarter each time
-LEAST = 2  # times that it is made finer
+LEAST, MOST = 2, 4  # times that it is made finer
 FINEST = 40  # segments, from which on it is not made finer for the sake of what still moves
 LITTLE = 0.2  # of the half-width of its interval: what the last of them may have changed of a parameter
 
@@ -45,7 +44,7 @@ class Sharp:
 def sharpened(evidence: Evidence, fit: Fit) -> Sharp:
     """The fit with the next more mass points and steps half as long, and again until its values stay."""
     sharp = Sharp(fit, np.zeros(len(fit.theory.free)))
-    for number in count():
+    for number in range(MOST):
         if number >= LEAST and (sharp.settled(evidence) or evidence.segments[0] >= FINEST):
             break
         evidence = replace(evidence, segments=finer(evidence.segments))

@@ -7,6 +7,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import S, base, measured, resolved
 
+from stages.diagnose import sharpen
 from stages.diagnose.fit import PRIOR, Fit, fitted
 from stages.diagnose.intervals import half_width
 from stages.diagnose.resolve import SEGMENTS, finer
@@ -64,6 +65,18 @@ def test_shorter_steps_take_a_value_to_where_it_belongs(arm, model):
     true = float(theory.model.parameters[place].chi(np.asarray(0.1)))
     assert np.abs(fit.residual).max() < 0.25
     assert abs(sharp.fit.chi[place] - true) < abs(fit.chi[place] - true) / 8
+
+
+@pytest.mark.parametrize(("segments", "times"), [((10, 14), 4), ((20, 28), 2), ((40, 56), 2), ((9,), 4)])
+def test_what_never_stays_is_made_finer_so_often_and_no_more(arm, model, monkeypatch, segments, times):
+    """Beyond 40 segments a round takes a minute; equal points as they are stay as many as they are."""
+    evidence, theory = replace(measured(arm, model, trials=1), segments=segments), Theory(model, (), model.names)
+    asked, far = [], np.ones(len(theory.free))
+    monkeypatch.setattr(sharpen, "_sharper", lambda evidence, fit: asked.append(evidence.segments) or Sharp(fit, far))
+    sharpened(
+        evidence, Fit(theory, theory.at(TRUTH), np.zeros(len(evidence.trial)), np.zeros((len(evidence.trial), 8)))
+    )
+    assert len(asked) == times
 
 
 def test_however_many_mass_points_there_are_some_are_nearer_to_each_other():
