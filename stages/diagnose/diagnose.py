@@ -26,7 +26,7 @@ from stages.diagnose.gain import configured, extended_settings, held_out_table, 
 from stages.diagnose.grain import grain
 from stages.diagnose.hypotheses import Causes, Hypotheses
 from stages.diagnose.leads import astray, beginnings, follow
-from stages.diagnose.missing import missing, unexplained
+from stages.diagnose.missing import Missing, missing, unexplained
 from stages.diagnose.noise import FAR, mismatch
 from stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
 from stages.diagnose.resolve import DOUBTFUL
@@ -266,18 +266,24 @@ def _few(judgement: Judgement, causes: Causes) -> bool:
     return judgement.causes == (RESOLUTION,) and not causes
 
 
-def _written(
-    hypotheses: Hypotheses, ground: Ground, causes: Causes, judgement: Judgement, data: _Data, proposal: Proposal
-) -> Diagnosis:
-    """The artifact."""
+def _left_over(
+    hypotheses: Hypotheses, causes: Causes, judgement: Judgement, data: _Data
+) -> tuple[Missing | None, dict[str, object]]:
+    """What is missing where that is unknown, and what is said of all that is left."""
     fit = hypotheses.tried[causes]
     found = missing(hypotheses, fit) if judgement.verdict == "unknown" else None
     differs = differing(hypotheses, causes) if found else None
     left = unexplained(hypotheses, fit, judgement.left, found, differs)
-    if judgement.verdict == "insufficient":
-        left["sentence"] = ALONE
-    if data.shown:
-        left["sentence"] = " ".join(filter(None, (OPENED.format(", ".join(data.shown)), str(left["sentence"]))))
+    said = ALONE if judgement.verdict == "insufficient" else str(left["sentence"])
+    opened = OPENED.format(", ".join(data.shown)) if data.shown else ""
+    return found, left | {"sentence": " ".join(filter(None, (opened, said)))}
+
+
+def _written(
+    hypotheses: Hypotheses, ground: Ground, causes: Causes, judgement: Judgement, data: _Data, proposal: Proposal
+) -> Diagnosis:
+    """The artifact."""
+    found, left = _left_over(hypotheses, causes, judgement, data)
     gains = _gained(hypotheses, ground, causes, judgement, data) if len(data.observations) > 1 else HELD_OUT.empty()
     named = tables.causes(hypotheses, causes, judgement, data.library)
     base = ground.configured if _few(judgement, causes) else hypotheses.tried[frozenset()]
