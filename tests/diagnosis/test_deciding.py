@@ -96,6 +96,27 @@ def proposal(contest, curves):
     return the_proposal(contest, curves)
 
 
+def test_a_rehearsal_knows_as_little_of_how_old_trials_began_as_the_diagnosis(slow, model, curves):
+    """What other beginnings explain counts for nothing: as if all were known, more would be promised."""
+    rng = np.random.default_rng(0)
+    moving = replace(slow, unsure=tuple(rng.standard_normal((2 * len(case.s), 3)) for case in slow.cases))
+    contest = contest_of(moving, model, ArmLag, TimeOffset)
+    case = imagined(model, curves.only(np.array([0])), slow.cases[0], DESIGN)
+    made = contest.rehearsed(trusted(contest, [case], slow.cases[0], slow.segments, FINER))
+    for one in made:
+        assert len(one.evidence.unsure) == len(one.evidence.cases) == 3
+        for old, fit in zip(contest.fits, one.fits, strict=True):
+            again = one.evidence.residuals(old.theory.model, old.chi[None])[0][: len(old.residual)]
+            np.testing.assert_allclose(again, old.residual, atol=1e-6)
+            assert len(fit.residual) == len(one.evidence.trial)
+
+
+def test_a_chain_as_it_is_configured_is_looked_at_with_its_own_points(contest):
+    literal = replace(contest, evidence=replace(contest.evidence, segments=(9,)))
+    assert literal.rough == ((9,), (9,))
+    assert contest.rough == ((10, 14), (14, 20))
+
+
 def test_motions_are_within_the_arms_limits_and_clear_of_obstacles(model, curves):
     arm = model.arm
     sampled = curves.sampled(arm.tick, float(curves.duration.max()))
