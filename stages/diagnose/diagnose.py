@@ -74,8 +74,7 @@ def diagnose(
     good, faults = usable(model, observations)
     rejected = {**rejected, **faults}
     if not good:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
-        raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
+        raise _none_left(rejected)
     given = _Data(model, good, rejected, held_out, matching, library(), seed, starts)
     data, every = _begun(given, lambda share: progress(share / 3))
     ground, hypotheses, causes = _compared(every, data, lambda share: progress((1 + 2 * share) / 3))
@@ -92,10 +91,16 @@ def diagnose(
 def _begun(data: _Data, progress: Progress) -> tuple[_Data, Ground]:
     """What is given, and what its diagnosis starts from, without trials whose points are scattered."""
     ground = data.ground(data.observations, progress)
-    if not ground.scattered:
+    scattered = ground.scattered
+    if not scattered:
         return data, ground
-    data = data.without(ground.scattered)
+    data = data.without(scattered)
     return data, data.ground(data.observations)
+
+
+def _none_left(rejected: Mapping[str, str]) -> DataError:
+    reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
+    return DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
 
 
 def _compared(ground: Ground, data: _Data, progress: Progress) -> tuple[Ground, Hypotheses, Causes]:
@@ -200,9 +205,10 @@ class _Data:
     def without(self, scattered: Sequence[str]) -> _Data:
         """Without trials whose points are scattered. Raises DataError where no other is left."""
         left = [o for o in self.observations if o.trial not in scattered]
+        rejected = {**self.rejected, **dict.fromkeys(scattered, SCATTERED)}
         if not left:
-            raise DataError(f"there is no trial that can be used: of {', '.join(scattered)} {SCATTERED}.")
-        return replace(self, observations=left, rejected={**self.rejected, **dict.fromkeys(scattered, SCATTERED)})
+            raise _none_left(rejected)
+        return replace(self, observations=left, rejected=rejected)
 
     def opened(self) -> _Data:
         """With the trials that were set aside looked at as well."""
