@@ -5,15 +5,28 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from data.foreign import yaml_block
 from data.schema import DataError
 
 FORMAT = 1
 NAME = "dataset.yaml"
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+WIDEST = 2**20  # [px]: OpenCV reads no wider pictures
+LONGEST = 1000.0  # [m], or mm of a metre: no string is longer, in whichever of the two it was written
+
+
+def _no_truth(value: Any) -> Any:
+    """A value, unless it is true or false, which count as 1 and 0 otherwise."""
+    if isinstance(value, bool):
+        raise ValueError("it must be a number")
+    return value
+
+
+Plain = BeforeValidator(_no_truth)
+Number = Annotated[float, Field(allow_inf_nan=False), Plain]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), Plain]
+Pixels = Annotated[int, Field(ge=16, le=WIDEST), Plain]
 UNSET: Any = None  # of a key that may be left out, but must hold a value where it is there
 MUST = {
     "model_type": "it must hold names and values",
@@ -21,6 +34,8 @@ MUST = {
     "literal_error": "it must be {expected}",
     "greater_than": "it must be above {gt}",
     "greater_than_equal": "it must be {ge} or more",
+    "less_than_equal": "it must be {le} or less",
+    "value_error": "{error}",
     "float_parsing": "it must be a number, without a unit",
     "float_type": "it must be a number",
 }
@@ -35,7 +50,7 @@ class Block(BaseModel):
 class StringBlock(Block):
     """length: grasp to tip [m]. mass: [kg]."""
 
-    length: Positive = UNSET
+    length: Annotated[float, Field(gt=0, le=LONGEST), Plain] = UNSET
     mass: Positive = UNSET
 
 
@@ -57,8 +72,8 @@ class CameraBlock(Block):
     radial, of the squared share of half the picture's width. rotation, tilt: [rad]."""
 
     fps: Positive = UNSET
-    width: Annotated[int, Field(ge=16)] = UNSET
-    height: Annotated[int, Field(ge=16)] = UNSET
+    width: Pixels = UNSET
+    height: Pixels = UNSET
     px_per_m: Positive = UNSET
     origin_px: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
     distortion: Number = UNSET
@@ -92,13 +107,8 @@ def about(folder: Path) -> dict[str, Any]:
     path = folder / NAME
     if not path.exists():
         return {}
-    try:
-        known = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (yaml.YAMLError, ValueError, OSError) as error:
-        raise DataError(f"{path}: not valid YAML ({error}). Correct the line it names.") from error
-    if not isinstance(known, dict):
-        raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
-    if known.get("format", FORMAT) != FORMAT:
+    known = yaml_block(path)
+    if known.get("format", FORMAT) != FORMAT or isinstance(known.get("format"), bool):
         raise DataError(f"{path}: format is {known['format']!r}; this version reads {FORMAT}. Convert it.")
     try:
         About.model_validate(known)

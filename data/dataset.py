@@ -8,7 +8,6 @@ and `masks`, so that estimation from disk sees exactly what it saw in the run.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ import yaml
 from data.about import FORMAT, NAME, about
 from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from data.films import Shots, filmed, listed, videos
+from data.foreign import inside, json_block
 from data.images import ImageFiles, Images
 from data.rows import Rows, from_csv, sifted
 from data.schema import Column, DataError, Table
@@ -195,13 +195,7 @@ def _files(images: Images) -> tuple[str, ...]:
 
 def settings(path: Path) -> dict[str, Any]:
     """The settings of a run of ours, from its config.json; raises DataError where it is damaged."""
-    try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise DataError(f"{path}: damaged ({error}). Restore it, or leave it out to use dataset.yaml.") from error
-    if not isinstance(known, dict):
-        raise DataError(f"{path}: it must hold names and values. Restore it, or leave it out to use dataset.yaml.")
-    return known
+    return json_block(path)
 
 
 def _find(folder: Path, name: str) -> Path | None:
@@ -218,12 +212,20 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
         )
     whole = with_trial(table)
     frame = from_csv(whole, path) if path.suffix == ".csv" else read_table(whole, path)
+    _named_in_print(frame, path)
     if table in (READINGS, MASKS):  # of these NaN is a value
         return frame.sort_values(["trial", "t"], kind="stable").reset_index(drop=True)
     if table is FRAMES:
-        frame = frame.assign(file=frame["file"].where([(folder / str(file)).is_file() for file in frame["file"]]))
+        frame = frame.assign(file=frame["file"].where([inside(folder, str(file)) for file in frame["file"]]))
     kept, rows[path.name] = sifted(whole, frame)
     return kept.reset_index(drop=True)
+
+
+def _named_in_print(frame: pd.DataFrame, path: Path) -> None:
+    """Refuse names of trials that would steer a terminal."""
+    for name in frame["trial"].unique():
+        if not str(name).isprintable():
+            raise DataError(f"{path}: the trial {str(name)!r} has a name that cannot be printed. Give it another.")
 
 
 def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from data.foreign import regular
 from data.images import ImageFiles, Images, Video
 
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv")
@@ -32,4 +33,5 @@ def filmed(folder: Path, fps: float) -> dict[str, Shots]:
 
 def videos(folder: Path) -> list[Path]:
     """Video files of a dataset, in the order of their names."""
-    return sorted(p for p in (folder / "videos").glob("*") if p.suffix.lower() in VIDEOS)
+    found = sorted(p for p in (folder / "videos").glob("*") if p.suffix.lower() in VIDEOS)
+    return [regular(path) for path in found]

@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import ARM, GRASP
+from data.foreign import MOST_TABLE, regular
 from data.schema import DataError, Table
 from data.spikes import spikes
 
+FAR = 1e9  # a metre in nanometres: nothing measured is further off, in whichever unit it was written
 ROUNDING = 1e-6  # [m] below which an arc length under zero is one
 MOTIONS = (ARM.name, GRASP.name)
 
@@ -34,7 +36,7 @@ def from_csv(table: Table, path: Path) -> pd.DataFrame:
     """
     texts = [column.name for column in table.columns if column.kind == "text"]
     try:
-        names = pd.read_csv(path, nrows=0).columns
+        names = pd.read_csv(regular(path, MOST_TABLE), nrows=0).columns
         kinds = {name: str for name in names if name.strip() in texts}
         frame = pd.read_csv(path, dtype=kinds, skipinitialspace=True, index_col=False)  # lines may end with a comma
     except (ValueError, OSError) as error:
@@ -80,6 +82,7 @@ def sifted(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
     numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional]
     for name in numbers:
         sieve.drop(f"{name} is not a finite number", ~np.isfinite(sieve.frame[name]))
+        sieve.drop(f"{name} is beyond {FAR:.0e}", sieve.frame[name].abs() > (np.inf if name == "t" else FAR))
     if "s" in numbers:
         sieve.drop("s is below 0", sieve.frame["s"] < -ROUNDING)
     if "sigma" in sieve.frame:

@@ -22,7 +22,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from data import disk
+from data import disk, foreign
 from data.images import ImageFiles, png
 from data.schema import DataError, Table
 
@@ -87,7 +87,9 @@ def write_table(table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[s
 def read_table(table: Table, path: Path) -> pd.DataFrame:
     """Read and check one table; raises DataError naming the file, the column and the remedy."""
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        if not path.exists():
+            raise FileNotFoundError(path)
+        with pq.ParquetFile(foreign.parquet(path), page_checksum_verification=True) as file:
             name = (file.schema_arrow.metadata or {}).get(b"table", table.name.encode()).decode()
             frame = file.read().to_pandas()
     except FileNotFoundError as error:

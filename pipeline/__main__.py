@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from data import store
 from data.schema import DataError
-from pipeline.brought import check_bench, with_brought_settings
+from pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
 from pipeline.commands import NAMES, command, listed
 from pipeline.keep import forget
 from pipeline.perform import perform
@@ -53,7 +53,7 @@ def main(config: DictConfig) -> float | None:
         sys.exit(1)
     except KeyboardInterrupt:
         place = HydraConfig.get().runtime.output_dir
-        console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True)
+        console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True, markup=False)
         sys.exit(INTERRUPTED)
     last = result.iterations[-1].done.get("estimate") if result.iterations else None
     return None if last is None else float(last.fit["after"].iloc[0])
@@ -64,7 +64,9 @@ def run(config: DictConfig, console: Console) -> Result:
     given = names_given(HydraConfig.get().overrides.task)
     if config.trials is not None and "execute" in config.steps:
         check_bench(Path(config.trials), given)
-    here = world(with_brought_settings(config, given), where)
+    settings = with_brought_settings(config, given)
+    refuse_brought_limits(settings, OmegaConf.to_container(config, resolve=True), f"trials={config.trials}")
+    here = world(settings, where)
     return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
 
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from data import dataset
-from pipeline.settings import UserError, flat
+from data.foreign import yaml_block
+from data.schema import DataError
+from pipeline.settings import UserError, flat, leaves
+from pipeline.targets import moves_a_real_arm
 
 EXTENDED = "extended.yaml"  # the model that a diagnosis made, or an alignment
 CAMERA = "camera.yaml"  # the camera that a calibration measured
+OF_MODEL = ("string", "effects", "known")  # what an extended model may set
+MOVING = ("arm", "hardware", "execute")  # how an arm may move: a person's own word, where it is real
 LENGTH = "string.length"  # that of the string that was measured, however it is simulated
 FROM_DATASETS = {
     "string": ("length",),
@@ -59,26 +63,51 @@ def with_brought_settings(config: DictConfig, given: set[str]) -> dict[str, Any]
     return dict(settings)
 
 
+def refuse_brought_limits(settings: Any, own: Any, source: str, word: str = "accept_limits=true") -> None:
+    """Refuse to move a real arm by what a folder says of its limits, unless a person has agreed to it.
+
+    settings: of the run; own: as they are configured here. word: how to agree. Raises UserError with what differs.
+    """
+    if not moves_a_real_arm(settings) or own["accept_limits"]:
+        return
+    theirs, ours = ({name: leaves(block[name]) for name in MOVING} for block in (settings, own))
+    differing = [
+        f"{name}.{key}: {ours[name].get(key, 'absent')} here, {theirs[name].get(key, 'absent')} there"
+        for name in MOVING
+        for key in sorted({*theirs[name], *ours[name]})
+        if ours[name].get(key) != theirs[name].get(key)
+    ]
+    if differing:
+        listed = "\n  ".join(differing)
+        raise UserError(
+            f"{source}: a real arm would move by limits and driving that this folder brings along:\n  {listed}\n"
+            f"Nothing was moved. Look at them; then give {word}, or name your own (arm=..., hardware=..., execute=...)."
+        )
+
+
 def extended_model(folder: Path) -> dict[str, Any]:
     """Settings of the model that a run made: `string`, `effects`, `known`. folder: of a diagnosis or an alignment."""
-    return _left(folder, EXTENDED, "extended", "settings", "Name the run folder of a diagnosis or an alignment.")
+    made = _left(folder, EXTENDED, "extended", "Name the run folder of a diagnosis or an alignment.")
+    for name in made:
+        if name not in OF_MODEL:
+            raise UserError(
+                f"extended={folder}: {EXTENDED} sets {name!r}; it may set {', '.join(OF_MODEL)}. Remove it."
+            )
+    return made
 
 
 def measured_camera(folder: Path) -> dict[str, Any]:
     """The camera that a calibration measured, as settings. folder: the calibration's run, or the file itself."""
-    return _left(folder, CAMERA, "calibrated", "a camera's settings", "Name the run folder of a good calibration.")
+    return _left(folder, CAMERA, "calibrated", "Name the run folder of a good calibration.")
 
 
-def _left(folder: Path, file: str, setting: str, what: str, remedy: str) -> dict[str, Any]:
+def _left(folder: Path, file: str, setting: str, remedy: str) -> dict[str, Any]:
     """Settings that a run left in a file, given by a setting as its folder or the file itself. Raises UserError."""
     path = folder / file if folder.is_dir() else folder
     try:
-        made = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
-        raise UserError(f"{setting}={folder}: {path} cannot be read ({error}). {remedy}") from error
-    if not isinstance(made, dict):
-        raise UserError(f"{setting}={folder}: {path} must hold {what}. {remedy}")
-    return made
+        return yaml_block(path)
+    except DataError as error:
+        raise UserError(f"{setting}={folder}: {error} {remedy}") from error
 
 
 def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from typing import Any
 from data import store
 from data.schema import DataError
 from pipeline.origin import origin
+from pipeline.settings import UserError, leaves
 from pipeline.sources import sources
 from pipeline.steps import STEPS, Past, step_seed
 from pipeline.world import World
@@ -54,6 +55,29 @@ def look(world: World, folder: Path, name: str, past: Past) -> Found:
     return Found(artifact, tuple(changes(made[0], made_now(world, folder, name, past), STEPS[name].uses)))
 
 
+def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Why a stored step would be made again, by its files and the run's settings alone: no model is built of these."""
+    try:
+        made = store.origin_of(sorted(place.glob("*.parquet"))[0])
+        step = STEPS[made["step"]]
+        store.load(step.kind, place)
+        config = {key: settings[key] for key in step.uses}
+        now = origin(config, made["step"], made["seed"], _there(folder, made["inputs"], settings["trials"]))
+        return tuple(changes(made, now | {"sources": sources(config)}, step.uses))
+    except KeyError as error:
+        return (f"it or the settings lack {error}: another version of this code made the run",)
+    except (DataError, UserError, *store.UNREADABLE) as error:
+        return (str(error),)
+
+
+def _there(folder: Path, paths: Mapping[str, str], trials: str | None) -> dict[str, str]:
+    """Content hashes of those of the paths that lie in the run's folder or that of its stored trials."""
+    homes = [Path(home).resolve() for home in (folder, trials) if home is not None]
+    places = {path: (folder / path).resolve() for path in paths}
+    known = {path: place for path, place in places.items() if any(place.is_relative_to(home) for home in homes)}
+    return {path: store.content_hash(place) for path, place in known.items() if place.is_dir() or place.is_file()}
+
+
 def made_now(world: World, folder: Path, name: str, past: Past) -> dict[str, Any]:
     """The origin that a step would have if it were made now."""
     config = {key: world.config[key] for key in STEPS[name].uses}
@@ -86,17 +110,6 @@ def _differing(what: str, a: Mapping[str, str], b: Mapping[str, str], words: str
     """The same of hashes, which say nothing to people."""
     for name, one, other in pairs(a, b):
         yield f"{what} {name} {'is new' if one == 'absent' else 'is gone' if other == 'absent' else words}"
-
-
-def leaves(block: Any, place: str = "") -> dict[str, Any]:
-    """Every value of nested settings by its full name."""
-    if not isinstance(block, dict) or not block:
-        return {place: block}
-    return {
-        name: value
-        for key, inside in block.items()
-        for name, value in leaves(inside, f"{place}.{key}" if place else key).items()
-    }
 
 
 def inputs(folder: Path, name: str, past: Past) -> dict[str, str]:

@@ -74,5 +74,5 @@ def studied(here: World, folder: Path, console: Console) -> Result:
     study = module(STUDIES[here.config["steps"][0]])
     with bars(console) as bar, bar(here.config["name"]) as progress:
         sentence = study.run(here, folder, progress)
-    console.print(sentence, soft_wrap=True)
+    console.print(sentence, soft_wrap=True, markup=False)
     return Result(folder, (), sentence)

@@ -15,6 +15,8 @@ from hydra.utils import get_object
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
+from pipeline.targets import ROLES
+
 Built = TypeVar("Built")
 CONF = Path(__file__).resolve().parents[1] / "conf"
 FROM_THE_RUN = ("seed", "manipulation", "trial", "progress")
@@ -43,13 +45,24 @@ def flat(block: Any, place: str = "") -> Iterator[str]:
             yield from flat(value, f"{place}{name}.")
 
 
+def leaves(block: Any, place: str = "") -> dict[str, Any]:
+    """Every value of nested settings by its full name."""
+    if not isinstance(block, dict) or not block:
+        return {place: block}
+    return {
+        name: value
+        for key, inside in block.items()
+        for name, value in leaves(inside, f"{place}.{key}" if place else key).items()
+    }
+
+
 def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any]:
     """The function a block names, with the block's settings checked and bound.
 
     place: name of the block; where: the file it comes from. The settings must be exactly the
     function's keyword-only arguments, less those that the run itself supplies.
     """
-    function = get_object(block["_target_"])
+    function = loaded(block["_target_"], place, where)
     hints = get_type_hints(function, include_extras=True)
     wanted = {
         name: hints[name]
@@ -87,9 +100,20 @@ def _check_names(given: Mapping[str, Any], wanted: Mapping[str, Any], place: str
             raise UserError(f"{place}.{name} ({where}): the setting is missing. Give it a value.")
 
 
+def loaded(target: Any, place: str, where: str) -> Any:
+    """The function or class that fills a role. place: of the setting, whose last name is the role, such as
+    `string.integrator`; where: the file it comes from. Raises UserError for a name that the role does not list."""
+    allowed = ROLES.get(place.rpartition(".")[2], ())
+    if target not in allowed:
+        choices = f"Choose {' or '.join(allowed)}" if allowed else "Remove it: no code is chosen here"
+        raise UserError(f"{place}._target_ = {target!r} ({where}): it may not be named here. {choices}.")
+    return get_object(target)
+
+
 def chosen(block: Mapping[str, Any], place: str, where: str) -> Any:
     """The object of a class that a block names, one of several that fill the same role."""
-    return build(get_object(block["_target_"]), {k: v for k, v in block.items() if k != "_target_"}, place, where)
+    kind = loaded(block["_target_"], place, where)
+    return build(kind, {name: value for name, value in block.items() if name != "_target_"}, place, where)
 
 
 def _checked(kind: Any, value: Any, place: str, where: str) -> Any:

@@ -21,7 +21,7 @@ Bar = Callable[[str], AbstractContextManager[Report]]
 @contextmanager
 def bars(console: Console) -> Iterator[Bar]:
     """A bar for each step; one that reports no share pulses."""
-    columns = (TextColumn("{task.description:<14}"), BarColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description:<14}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
 
         @contextmanager
@@ -50,7 +50,7 @@ def summary(result: Result) -> Group:
     ended, _, more = result.sentence.partition(". ")
     title = f"[bold {colour}]{escape(ended)}"
     below = [Text(more)] if more else []
-    said = Panel(Group(table, "", words, *below), title=title, border_style=colour)
+    said = Panel(Group(table, "", Text(words), *below), title=title, border_style=colour)
     page = result.folder / "report.html"
     place = page if page.exists() else result.folder
     return Group(said, *map(Text, faults(result)), Text(str(place), overflow="fold"))

@@ -10,9 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from hydra.utils import get_object
-
 from pipeline.origin import CODE, ROOT
+from pipeline.settings import loaded
 from stages.model.library import library, named
 
 GLUE = ("pipeline/steps.py", "pipeline/world.py")  # they hand every stage what it is given
@@ -22,7 +21,7 @@ MODEL = "stages.model.model"
 
 def sources(settings: Mapping[str, Any]) -> dict[str, str]:
     """Hashes of the files behind a step, by path. settings: those that the step uses."""
-    modules = {get_object(target).__module__ for target in targets(settings)}
+    modules = {loaded(target, role, "config.json").__module__ for role, target in targets(settings)}
     modules |= {MODEL} if "string" in settings else set()
     effects = {Path(inspect.getfile(effect)) for effect in named(settings.get("effects", []))}
     files = closure({root for root in map(_file, modules) if root is not None} | effects) | {
@@ -31,13 +30,13 @@ def sources(settings: Mapping[str, Any]) -> dict[str, str]:
     return {_short(file): _digest(file) for file in sorted(files)}
 
 
-def targets(block: Any) -> Iterator[str]:
-    """Every `_target_` in a block of settings."""
+def targets(block: Any, role: str = "") -> Iterator[tuple[str, Any]]:
+    """Every `_target_` in a block of settings, behind the name of the block that holds it."""
     if isinstance(block, Mapping):
         if "_target_" in block:
-            yield block["_target_"]
-        for value in block.values():
-            yield from targets(value)
+            yield role, block["_target_"]
+        for name, value in block.items():
+            yield from targets(value, name)
 
 
 def closure(files: Iterable[Path]) -> set[Path]:

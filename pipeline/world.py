@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from hydra.utils import instantiate
 
-from pipeline.settings import UserError, build, stage
+from pipeline.settings import UserError, build, loaded, stage
 from stages.generate import Box, check_reach
 from stages.generate.curves import plain_cast
 from stages.model.accuracy import ToleranceError, accurate
@@ -141,11 +140,19 @@ def _range(name: str, value: float, low: float, high: float, where: str) -> tupl
 
 def _string(block: Mapping[str, Any], where: str) -> String:
     """The string model, with the ranges of its parameters."""
-    parts = {part: instantiate(block[part]) for part in ("integrator", "precision")}
+    parts = {part: _part(block[part], f"string.{part}", where) for part in ("integrator", "precision")}
     settings = {key: value for key, value in block.items() if key not in ("ranges", "tolerance", *parts)}
     plain = build(String, settings, "string", where)
     known = {p.name: p for p in plain.parameters}
     return replace(plain, ranges=_ranges(block["ranges"], known, where), **parts)
+
+
+def _part(block: Mapping[str, Any], place: str, where: str) -> Any:
+    """The integrator or the precision; neither has settings."""
+    kind = loaded(block["_target_"], place, where)
+    if len(block) > 1:
+        raise UserError(f"{place} = {dict(block)} ({where}): it must hold `_target_` and nothing else. Change it.")
+    return kind()
 
 
 def _accurate(string: String, arm: Arm, config: Mapping[str, Any], where: str) -> String:

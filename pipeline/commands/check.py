@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from data import dataset
 from data.schema import DataError
@@ -70,7 +71,7 @@ def unreadable(folder: Path, reason: str) -> dict[str, Any]:
 def show(found: Mapping[str, Any], console: Console) -> None:
     """In plain words on the terminal."""
     if found["trials"]:
-        console.print(f"{found['folder']}: a string of {found['string_length_m']:.3f} m", soft_wrap=True)
+        console.print(f"{found['folder']}: a string of {found['string_length_m']:.3f} m", soft_wrap=True, markup=False)
         console.print(trials(found["trials"]))
     for finding in found["findings"]:
         place = " ".join(filter(None, (finding["file"], finding["field"])))
@@ -108,7 +109,7 @@ def trials(rows: Sequence[Mapping[str, Any]]) -> Table:
         rates = (number(each[name], "{:.0f}") for name in ("fps", "hand_rate", "points"))
         noise = number(None if each["noise"] is None else each["noise"] * 1e3, "{:.2f}")
         times = (f"{each['duration']:.2f}", f"{each['common']:.2f}", str(each["frames"]))
-        table.add_row(each["trial"], *times, *rates, noise, f"{each['path']:.2f}", each["begins"])
+        table.add_row(Text(each["trial"]), *times, *rates, noise, f"{each['path']:.2f}", each["begins"])
     return table
 
 

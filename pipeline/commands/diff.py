@@ -11,8 +11,8 @@ from data import dataset, store
 from data.schema import DataError
 from pipeline import keep
 from pipeline.compare import differing_files
-from pipeline.fresh import leaves, pairs
-from pipeline.settings import UserError
+from pipeline.fresh import pairs
+from pipeline.settings import UserError, leaves
 
 DRAWN = frozenset({"config.json", keep.ENDED, keep.FAILED, "report.html"})  # compared by another heading, or drawn
 Parts = list[str]

@@ -22,7 +22,9 @@ def main(arguments: Sequence[str]) -> int:
         bench = draw(asked.seed, *bench_of_conf())
     bench.write(asked.folder)
     bench.envelope(asked.envelope)
-    console.print(f"{asked.folder}: {len(bench.scene.casts)} trials. What they hide is in {asked.envelope}.")
+    console.print(
+        f"{asked.folder}: {len(bench.scene.casts)} trials. What they hide is in {asked.envelope}.", markup=False
+    )
     return 0
 
 

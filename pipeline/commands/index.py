@@ -19,8 +19,7 @@ from data import dataset, store
 from data.artifacts import FIT
 from data.schema import Column, DataError, Table
 from pipeline import keep
-from pipeline.commands.stored import stored_world
-from pipeline.commands.why import states_of
+from pipeline.fresh import reasons_of
 from pipeline.origin import PACKAGES, code, versions
 from pipeline.settings import UserError
 
@@ -138,8 +137,7 @@ def _steps(run: Path) -> dict[str, Any]:
 
 def _stale(run: Path) -> str:
     """The first reason why a step would be made again."""
-    try:
-        states = states_of(stored_world(run), run)
-    except (UserError, DataError) as error:
-        return str(error)
-    return next((f"{state.place}: {state.reasons[0]}" for state in states if state.there and state.reasons), "")
+    settings = dataset.settings(run / "config.json")
+    places = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
+    reasons = ((place.relative_to(run).as_posix(), reasons_of(run, place, settings)) for place in places)
+    return next((f"{place}: {words[0]}" for place, words in reasons if words), "")

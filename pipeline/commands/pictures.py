@@ -57,7 +57,9 @@ def main(arguments: Sequence[str]) -> int:
     disk.make_folder(asked.folder)
     for name, content in pictures(asked.page.read_text(encoding="utf-8")):
         (asked.folder / name).write_bytes(content)
-        Console(stderr=True).print(f"{asked.folder / name}  {len(content) / 1000:.0f} kB", highlight=False)
+        Console(stderr=True).print(
+            f"{asked.folder / name}  {len(content) / 1000:.0f} kB", highlight=False, markup=False
+        )
     return 0
 
 

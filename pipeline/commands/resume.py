@@ -7,14 +7,20 @@ from pathlib import Path
 
 from rich.console import Console
 
+from pipeline.brought import refuse_brought_limits
 from pipeline.commands.stored import stored_world
 from pipeline.perform import perform
+from pipeline.settings import composed
 
 
 def main(arguments: list[str]) -> int:
     """Go on; 0 when the run has ended."""
     parser = argparse.ArgumentParser("python -m pipeline resume", description=__doc__)
     parser.add_argument("run", type=Path, help="the run's folder")
-    folder = parser.parse_args(arguments).run
-    perform(stored_world(folder), folder, Console(stderr=True))
+    parser.add_argument("--accept-limits", action="store_true", help="move a real arm by the limits stored there")
+    asked = parser.parse_args(arguments)
+    here = stored_world(asked.run)
+    own = composed() | {"accept_limits": asked.accept_limits}
+    refuse_brought_limits(here.config, own, str(asked.run), "--accept-limits")
+    perform(here, asked.run, Console(stderr=True))
     return 0

@@ -16,11 +16,10 @@ from typing import Any
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
-from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from pipeline.settings import UserError, stage
+from pipeline.settings import UserError, loaded, stage
 from pipeline.show import bars
 from pipeline.sweep.attempt import Attempt
 from pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
@@ -56,7 +55,7 @@ class LedgerLauncher(Launcher):
         jobs = [self._job(overrides, initial_job_idx + i) for i, overrides in enumerate(job_overrides)]
         for job in jobs:
             ledger.add(job)
-        LedgerLauncher.launched = ledger.folder, get_object(self.finish)
+        LedgerLauncher.launched = ledger.folder, loaded(self.finish, "hydra.launcher.finish", WHERE)
         keys = [job.key for job in jobs]
         self._run(ledger, keys)
         ledger.settle(keys)  # not after an interruption, which is no failure

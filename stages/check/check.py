@@ -20,6 +20,7 @@ CHECKS: tuple[Check, ...] = (
     contents.rejected,
     contents.length,
     contents.arm,
+    contents.camera,
     contents.names,
     contents.roles,
     contents.one_trial,

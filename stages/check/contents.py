@@ -19,6 +19,7 @@ NEAR = 0.75  # likeness of names
 LOUD, QUIET = 5.0, 3.0  # times the noise that is stated, and a fraction of it
 COARSE = 0.1  # of the length: no point is measured so badly
 OTHER = 1.1  # times as long is another string
+FASTEST = 1e7  # [1/s]: no camera films faster
 SHORT = 0.5  # of the length: if nothing is seen beyond, the tip was not
 BLOCKS: Mapping[str, type[Block]] = {"string": StringBlock, "noise": NoiseBlock, "arm": ArmBlock, "camera": CameraBlock}
 
@@ -86,6 +87,14 @@ def arm(measured: Measured) -> Iterator[Finding]:
             yield Finding(Severity.WARNING, NAME, f"arm.{key}", said, "Write what your arm has, in metres")
 
 
+def camera(measured: Measured) -> Iterator[Finding]:
+    """A frame rate that no camera has."""
+    fps = (measured.data.about.get("camera") or {}).get("fps")
+    if fps is not None and fps > FASTEST:
+        said = f"it is {float(fps):.3g} frames a second, more than any camera takes"
+        yield Finding(Severity.WARNING, NAME, "camera.fps", said, "Write how many it took in a second")
+
+
 def noise(measured: Measured) -> Iterator[Finding]:
     """Noise that is stated in another unit, or that points do not have."""
     for seen in measured.with_points():
@@ -135,6 +144,10 @@ def roles(measured: Measured) -> Iterator[Finding]:
     there = {seen.name for seen in measured.trials}
     for name in sorted(set(spoken) - there - set(measured.data.rejected)):
         yield Finding(Severity.WARNING, NAME, f"trials.{name}", "there is no such trial", "Correct the name")
+    for name, own in spoken.items():
+        if own.get("role") not in (None, "held_out"):
+            said = f"{own['role']!r} is no role, and counts for nothing; 'held_out' is one"
+            yield Finding(Severity.WARNING, NAME, f"trials.{name}.role", said, "Write held_out, or leave it out")
     held_out = {name for name, own in spoken.items() if own.get("role") == "held_out"}
     if there and there <= held_out:
         said = "all trials are held out: none is left to learn from, and so none is held out"

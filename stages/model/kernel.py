@@ -20,15 +20,18 @@ turned since the last, so that hinges may wind through +-pi.
 
 from __future__ import annotations
 
+import getpass
 import hashlib
 import importlib.util
 import inspect
 import math
 import os
+import stat
 import sys
 import tempfile
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -230,7 +233,26 @@ def cache_folder() -> Path:
     chosen = os.environ.get("STRINGCAST_CACHE")
     folder = Path(chosen) if chosen else Path(__file__).resolve().parents[2] / ".numba_cache"
     usable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
-    return folder if usable else Path(tempfile.gettempdir()) / f"stringcast-{os.getuid()}"
+    return folder if usable else _temporary_folder()
+
+
+@cache
+def _temporary_folder() -> Path:
+    """A folder into which nobody else can have put code: others write where temporary files go, too."""
+    folder = Path(tempfile.gettempdir()) / f"stringcast-{getpass.getuser()}"
+    with suppress(OSError):
+        folder.mkdir(mode=0o700)
+    return folder if _ours_alone(folder) else Path(tempfile.mkdtemp(prefix="stringcast-"))
+
+
+def _ours_alone(folder: Path) -> bool:
+    """Whether it is a folder, no link to one, that belongs to this user and is open to nobody else."""
+    try:
+        about = folder.lstat()
+    except OSError:
+        return False
+    user = os.getuid() if hasattr(os, "getuid") else about.st_uid  # Windows has a temporary folder for each user
+    return stat.S_ISDIR(about.st_mode) and about.st_uid == user and not about.st_mode & 0o077
 
 
 # The parts of a pass: k is the row of the segment that is measured, p = k - NEXT that of the

@@ -1,0 +1,99 @@
+"""Files that others made: each is looked at before it is read, so that none blocks, fills the memory or runs on."""
+
+from __future__ import annotations
+
+import json
+import stat
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import yaml
+
+from data.schema import DataError
+
+MOST_TEXT = 2**20  # [bytes] of settings: ours have 10 kB, and YAML takes a second for a hundred times that
+MOST_TABLE = (
+    2**28
+)  # [bytes] of a table: an hour of 11 points at 240 frames a second has 2**28, and what reads it, twice
+CELL = 8  # [bytes] of a number
+
+
+def regular(path: Path, most: int | None = None) -> Path:
+    """The path, if it is a plain file of at most `most` bytes: a pipe blocks its reader, a device may never end."""
+    try:
+        about = path.stat()
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror}). Restore it, or look at its permissions."
+        ) from error
+    if not stat.S_ISREG(about.st_mode):
+        raise DataError(f"{path}: it is no plain file (a folder, a pipe or a device). Put a file there.")
+    if most is not None and about.st_size > most:
+        raise DataError(f"{path}: it has {about.st_size} bytes, at most {most} are read. Make it smaller, or split it.")
+    return path
+
+
+def inside(folder: Path, file: str) -> bool:
+    """Whether a path that a file names is a plain file in this folder, links followed."""
+    whole = folder / file
+    return whole.is_file() and whole.resolve().is_relative_to(folder.resolve())
+
+
+def yaml_block(path: Path) -> dict[str, Any]:
+    """The names and values of a YAML file: plain values only. Raises DataError naming the file and the remedy."""
+    return _block(path, yaml.load, _Plain, "YAML")
+
+
+def json_block(path: Path) -> dict[str, Any]:
+    """The names and values of a JSON file. Raises DataError naming the file and the remedy."""
+    return _block(path, lambda text, kind: json.loads(text), None, "JSON")
+
+
+def _block(path: Path, parse: Any, kind: Any, language: str) -> dict[str, Any]:
+    try:
+        known = parse(regular(path, MOST_TEXT).read_text(encoding="utf-8"), kind)
+    except (yaml.YAMLError, ValueError, OSError) as error:
+        raise DataError(f"{path}: not valid {language} ({error}). Correct the line it names, or restore it.") from error
+    except RecursionError as error:
+        raise DataError(f"{path}: its blocks lie too deep in one another. Make it flat.") from error
+    if known is not None and not isinstance(known, dict):
+        raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
+    fault = _live(known or {})
+    if fault:
+        raise DataError(f"{path}: {fault} holds '${{', which would be looked up elsewhere. Write the value itself.")
+    return known or {}
+
+
+class _Plain(yaml.SafeLoader):
+    """YAML without aliases of lists and blocks: nine lines of them can stand for 1e9 values."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """A node, as yaml composes it."""
+        event: Any = self.check_event(yaml.AliasEvent) and self.peek_event()
+        if event and not isinstance(self.anchors.get(event.anchor), yaml.ScalarNode):
+            raise yaml.YAMLError(f"*{event.anchor} stands for a list or a block, which is not taken{event.start_mark}")
+        return super().compose_node(parent, index)
+
+
+def _live(value: Any, place: str = "") -> str:
+    """The name of the first text that Hydra would resolve, such as ${oc.env:HOME}; empty if there is none."""
+    if isinstance(value, str):
+        return place if "${" in value else ""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    found = (_live(name, place or "a name") or _live(inner, f"{place}.{name}".lstrip(".")) for name, inner in items)
+    return next(filter(None, found), "")
+
+
+def parquet(path: Path) -> Path:
+    """The path, if it is a Parquet file that fits into memory: a few bytes of it may stand for 4e8 rows."""
+    with pq.ParquetFile(regular(path)) as file:
+        about = file.metadata
+        groups = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
+        size = max(groups, about.num_rows * about.num_columns * CELL)
+    if size > MOST_TABLE:
+        raise DataError(
+            f"{path}: {about.num_rows} rows of {about.num_columns} columns would take {size / 1e9:.1f} GB, at most "
+            f"{MOST_TABLE / 1e9:.1f} are read. Split it into datasets of fewer trials."
+        )
+    return path

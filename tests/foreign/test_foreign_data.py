@@ -1,0 +1,133 @@
+"""Measured data of others: nothing in them blocks, fills the memory, leaves its folder or steers the terminal."""
+
+import io
+import os
+import time
+
+import cv2
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from rich.console import Console
+
+from data import dataset, foreign
+from data.about import about
+from data.schema import DataError
+from pipeline.commands import check
+from stages.check import contents
+from stages.check.measured import Measured
+from tests.store.test_dataset import CAMERA, T, given, grasp, points, shade
+
+BOMB = "a: &a [1, 2]\n" + "".join(
+    f"{b}: &{b} [{', '.join(['*' + a] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+REFUSED = {
+    "bomb": (BOMB, "stands for a list or a block"),
+    "deep": ("string: " + "[" * 1500 + "]" * 1500, "too deep"),
+    "deep blocks": ("".join(" " * i + "a:\n" for i in range(1300)), "too deep"),
+    "resolver": ("name: ${oc.env:HOME}", r"name holds '\$\{'"),
+    "resolver in a name": ("'${oc.env:HOME}': 1", r"holds '\$\{'"),
+    "object": ("name: !!python/object/apply:os.getcwd []", "not valid YAML"),
+    "large": ("# " + "x" * foreign.MOST_TEXT, "at most"),
+    "true format": ("format: true", "format is True"),
+    "true length": ("string: {length: true}", r"string\.length is True"),
+    "long": ("string: {length: 1e300}", r"string\.length is '1e300'; it must be 1000\.0 or less"),
+    "wide": ("camera: {width: 10000000000}", r"camera\.width is 10000000000; it must be 1048576 or less"),
+    "true width": ("camera: {width: true}", r"camera\.width is True"),
+    "list": ("[1, 2]", "must hold names and values"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_bad_dataset_yaml_is_refused_at_once(tmp_path, case):
+    text, message = REFUSED[case]
+    (tmp_path / "dataset.yaml").write_text(text)
+    begun = time.monotonic()
+    with pytest.raises(DataError, match=rf"dataset\.yaml[\s\S]*{message}"):
+        about(tmp_path)
+    assert time.monotonic() - begun < 5
+
+
+def test_a_scalar_may_stand_for_itself_again(tmp_path):
+    (tmp_path / "dataset.yaml").write_text("camera: {width: &side 64, height: *side}")
+    assert about(tmp_path)["camera"] == {"width": 64, "height": 64}
+
+
+@pytest.mark.parametrize("file", ["dataset.yaml", "grasp.csv", "points.parquet", "videos/a.mp4"])
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
+    given(tmp_path, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), points=points())
+    path = tmp_path / file
+    path.parent.mkdir(exist_ok=True)
+    path.unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(DataError, match=rf"{path.name}: it is no plain file"):
+        dataset.read(tmp_path)
+
+
+def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
+    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    pd.concat([points()] * 20).to_parquet(tmp_path / "points.parquet")
+    monkeypatch.setattr(foreign, "MOST_TABLE", 1000)
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
+    with pytest.raises(DataError, match=r"points\.parquet: 1000 rows of .* columns would take .*Split it"):
+        dataset.read(tmp_path)
+
+
+@pytest.mark.parametrize("way", ["absolute", "up", "link"])
+def test_frames_outside_the_folder_are_not_read(tmp_path, way):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    outside = tmp_path / "secret.png"
+    outside.write_bytes(cv2.imencode(".png", shade(0))[1].tobytes())
+    (folder / "link.png").symlink_to(outside)
+    named = {"absolute": str(outside), "up": "../secret.png", "link": "link.png"}[way]
+    frames = pd.DataFrame({"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named})
+    given(folder, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), frames=frames, points=points())
+    found = dataset.read(folder)
+    assert not found.films
+    assert found.rows["frames.csv"].dropped == {"no file": 5}
+
+
+@pytest.mark.parametrize("name", ["[/]", "[bold]", "<script>", "a b"])
+def test_names_are_text_and_no_markup(tmp_path, name):
+    folder = tmp_path / "[bold]"
+    given(folder, {"name": "[/]", "string": {"length": 0.3}}, grasp=grasp(name), points=points(name))
+    out = io.StringIO()
+    check.show(check.overview(check.measured(folder, ())), Console(file=out, width=200))
+    assert name in out.getvalue()
+
+
+def test_names_that_steer_a_terminal_are_refused(tmp_path):
+    given(tmp_path, {}, grasp=grasp("a\x1b[2J"), points=points("a\x1b[2J"))
+    with pytest.raises(DataError, match=r"grasp\.csv: the trial 'a\\x1b\[2J' has a name that cannot be printed"):
+        dataset.read(tmp_path)
+
+
+def looked_at(folder):
+    read = dataset.read(folder)
+    return Measured(read, None, None, 0.3)
+
+
+def test_what_cannot_be_is_warned_of(tmp_path):
+    far = points()
+    far.loc[3, "x"] = 1e308
+    about_it = {"strng": {"length": 0.3}, "camera": {**CAMERA, "fps": 1e12}, "trials": {"a": {"role": "heldout"}}}
+    given(tmp_path, about_it, grasp=grasp(), points=far)
+    data = looked_at(tmp_path)
+    assert data.data.rows["points.csv"].dropped == {"x is beyond 1e+09": 1}
+    said = {f.field: f.said for look in (contents.names, contents.camera, contents.roles) for f in look(data)}
+    assert "'string' is one" in said["strng"]
+    assert "more than any camera" in said["camera.fps"]
+    assert "'heldout' is no role" in said["trials.a.role"]
+
+
+def test_what_we_write_ourselves_can_be_read(tmp_path):
+    known = {"format": 1, "string": {"length": 0.3}, "camera": {"tilt": [0.0, 0.0], "origin_px": [0.0, 0.0]}}
+    (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(known))
+    assert about(tmp_path) == known

@@ -1,0 +1,207 @@
+"""Settings in folders of others choose among what the project has, and run nothing."""
+
+import json
+import os
+import pickle
+
+import numpy as np
+import pytest
+import yaml
+from omegaconf import OmegaConf
+
+from data.schema import DataError
+from pipeline import targets
+from pipeline.brought import extended_model, measured_camera, refuse_brought_limits, with_brought_settings
+from pipeline.commands import command
+from pipeline.settings import CONF, UserError, composed, loaded
+from pipeline.world import world
+from stages.model import kernel
+
+
+class Touch:
+    """What a pickle does when it is read."""
+
+    def __init__(self, path):
+        self.path = str(path)
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)
+
+
+@pytest.fixture
+def canary(tmp_path):
+    return tmp_path / "canary"
+
+
+def poisons(canary):
+    """Settings by their place, each of which makes `canary` where it is followed."""
+    pickled = canary.with_suffix(".npy")
+    pickled.write_bytes(pickle.dumps(Touch(canary)))
+    return {
+        "string.integrator": {"_target_": "stages.model.kernel._load", "text": f"import os; os.mkdir({str(canary)!r})"},
+        "string.precision": {"_target_": "numpy.load", "file": str(pickled), "allow_pickle": True},
+        "estimate": {"_target_": "builtins.open", "file": str(canary), "mode": "w"},
+        "hardware": {"_target_": "pathlib.Path.write_text", "self": str(canary), "data": ""},
+        "generate": {"_target_": "os.mkdir", "path": str(canary)},
+        "source": {"_target_": "os.mkdir", "path": str(canary)},
+    }
+
+
+PLACES = tuple(place for place in ("string.integrator", "string.precision", "estimate", "hardware", "generate"))
+
+
+def resolved(*overrides):
+    return OmegaConf.to_container(OmegaConf.create(composed(("hydra.run.dir=.", *overrides))), resolve=True)
+
+
+@pytest.fixture(scope="module")
+def settings():
+    return resolved("+experiment=quick")
+
+
+def poisoned(settings, place, poison):
+    whole = OmegaConf.create(settings)
+    OmegaConf.update(whole, place, poison, merge=False)
+    return OmegaConf.to_container(whole)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("asked", ["why", "verify", "resume", "index"])
+def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
+    run = tmp_path / "outputs" / "run"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text(json.dumps(poisoned(settings, place, poisons(canary)[place])))
+    if asked == "index":
+        assert command(asked).main([str(run.parent)]) == 0
+    else:
+        with pytest.raises(UserError, match=rf"{place}._target_ = .*config\.json.*may not be named here\. Choose"):
+            command(asked).main([str(run)])
+    assert not canary.exists()
+    assert [path.name for path in run.iterdir()] == ["config.json"]
+
+
+def test_index_builds_no_model(settings, tmp_path, monkeypatch):
+    (tmp_path / "config.json").write_text(json.dumps(settings))
+    monkeypatch.setattr("stages.model.string.String.__init__", None)
+    assert command("index").main([str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize("place", ["string.integrator", "string.precision"])
+def test_an_extended_model_runs_no_code(settings, canary, tmp_path, place):
+    _, part = place.split(".")
+    made = {"string": {part: poisons(canary)[place]}}
+    (tmp_path / "extended.yaml").write_text(yaml.safe_dump(made))
+    config = OmegaConf.create({**settings, "extended": str(tmp_path)})
+    with pytest.raises(UserError, match=place):
+        world(with_brought_settings(config, set()), lambda block: "extended.yaml")
+    assert not canary.exists()
+
+
+def test_stored_trials_run_no_code(settings, canary, tmp_path):
+    poison = poisons(canary)["estimate"]
+    (tmp_path / "config.json").write_text(json.dumps(poisoned(settings, "estimate", poison)))
+    config = OmegaConf.create({**settings, "trials": str(tmp_path), "steps": ["estimate"]})
+    with pytest.raises(UserError, match=r"estimate\._target_"):
+        world(with_brought_settings(config, set()), lambda block: "config.json")
+    assert not canary.exists()
+
+
+@pytest.mark.parametrize("name", ["steps", "hardware", "arm", "trials", "_target_"])
+def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
+    (tmp_path / "extended.yaml").write_text(yaml.safe_dump({"effects": [], name: "x"}))
+    with pytest.raises(UserError, match=rf"extended\.yaml sets '{name}'; it may set string, effects, known"):
+        extended_model(tmp_path)
+
+
+@pytest.mark.parametrize("read", [extended_model, measured_camera])
+def test_what_refers_elsewhere_is_refused(tmp_path, read):
+    for file in ("extended.yaml", "camera.yaml"):
+        (tmp_path / file).write_text("known: {a: [1, '${oc.env:HOME}']}\n")
+    with pytest.raises(UserError, match=r"known\.a\.1 holds '\$\{'"):
+        read(tmp_path)
+
+
+def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({**settings, "estimate": {"beta": "${oc.env:HOME}"}}))
+    config = OmegaConf.create({**settings, "trials": str(tmp_path)})
+    with pytest.raises(DataError, match=r"estimate\.beta holds"):
+        with_brought_settings(config, set())
+
+
+def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
+    for role, names in targets.ROLES.items():
+        for name in names:
+            assert callable(loaded(name, role, ""))
+    for file in CONF.rglob("*.yaml"):
+        group = file.parent.relative_to(CONF).as_posix()
+        chosen = yaml.safe_load(file.read_text()) or {}
+        if group in targets.ROLES and "_target_" in chosen:
+            assert chosen["_target_"] in targets.ROLES[group], file
+
+
+@pytest.mark.parametrize("target", ["os.system", "stages.generate", None, ["x"], {"a": 1}])
+def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch):
+    monkeypatch.setattr("pipeline.settings.get_object", lambda name: pytest.fail(f"{name} was looked up"))
+    for role in (*targets.ROLES, "unheard_of"):
+        with pytest.raises(UserError, match="may not be named here"):
+            loaded(target, f"a.{role}", "file")
+
+
+def test_a_real_arm_does_not_move_by_limits_of_others(settings):
+    real = resolved("hardware=serial")
+    faster = {**real, "arm": {**real["arm"], "hand_speed": 99.0}}
+    with pytest.raises(UserError, match=r"arm\.hand_speed: 21\.8 here, 99\.0 there\n.*accept_limits=true"):
+        refuse_brought_limits(faster, real, "trials=x")
+    refuse_brought_limits(faster, {**real, "accept_limits": True}, "trials=x")
+    refuse_brought_limits({**faster, "steps": ["estimate"]}, real, "trials=x")
+    refuse_brought_limits(real, real, "trials=x")
+
+
+def test_a_virtual_arm_asks_nobody(settings):
+    faster = {**settings, "arm": {**settings["arm"], "hand_speed": 99.0}}
+    refuse_brought_limits(faster, settings, "trials=x")
+
+
+def test_resume_of_a_real_arm_asks_for_a_word(settings, tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps(resolved("hardware=serial")))
+    with pytest.raises(UserError, match=r"hardware\.port: .*/dev/ttyUSB0 there[\s\S]*--accept-limits"):
+        command("resume").main([str(tmp_path)])
+    assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
+
+
+@pytest.fixture
+def shared_folder(tmp_path, monkeypatch):
+    """Where temporary files go, and the folder of ours that anybody could have made there."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr("getpass.getuser", lambda: "ann")
+    kernel._temporary_folder.cache_clear()
+    yield tmp_path / "stringcast-ann"
+    kernel._temporary_folder.cache_clear()
+
+
+def test_machine_code_is_kept_where_only_we_can_write(shared_folder):
+    assert kernel._temporary_folder() == shared_folder
+    assert shared_folder.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("fault", ["open", "link", "others"])
+def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch, fault):
+    if fault == "link":
+        (tmp_path / "elsewhere").mkdir(mode=0o700)
+        shared_folder.symlink_to(tmp_path / "elsewhere")
+    else:
+        shared_folder.mkdir()
+        shared_folder.chmod(0o777 if fault == "open" else 0o700)
+    if fault == "others":
+        monkeypatch.setattr("os.getuid", lambda: 4321, raising=False)
+    used = kernel._temporary_folder()
+    assert used != shared_folder
+    assert used.stat().st_mode & 0o777 == 0o700
+    assert not list(used.iterdir())
+    assert kernel._temporary_folder() == used  # one for a process
+
+
+def test_numpy_would_have_run_the_pickle(canary):
+    """The control: the poison is one."""
+    np.load(poisons(canary)["string.precision"]["file"], allow_pickle=True)
+    assert canary.exists()
