@@ -2,6 +2,7 @@
 
 run [OVERRIDES]    the main job: `python -m pipeline OVERRIDES`, by default +experiment=stringB
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
+test --all         ... with the long ones
 bench              how fast strings are simulated, beside MuJoCo and PyElastica; see tests/speed
 setup              only make the environment
 
@@ -22,6 +23,7 @@ ENVIRONMENT = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
 BENCH_LOCK = ROOT / "tests" / "speed" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
 TIMED = "tests/drivers"  # by real clocks: they run alone
 CHECKS = (
     ("ruff", "check", "."),
@@ -88,12 +90,17 @@ def run(rest: list[str]) -> int:
 def test(rest: list[str]) -> int:
     """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run side by side, on all cores."""
     results = [call(*check) for check in CHECKS]
-    if rest:
-        return max(*results, call("pytest", *rest))
-    results.append(
-        call("pytest", "--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder", f"--ignore={TIMED}")
-    )
-    return max(*results, call("pytest", TIMED))
+    if rest not in ([], ["--all"]):
+        return worst(*results, call("pytest", *rest))
+    which = ["-m", ""] if rest else []
+    results.append(call("pytest", *SIDE_BY_SIDE, f"--ignore={TIMED}", *which))
+    return worst(*results, call("pytest", TIMED, *which))
+
+
+def worst(*codes: int) -> int:
+    """0 if every command ended with 0, else 1: what a signal ended has a negative code, and pytest ends with 5 where
+    it found no test."""
+    return int(any(codes))
 
 
 def bench(rest: list[str]) -> int:

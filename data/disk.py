@@ -62,6 +62,8 @@ def locked(path: Path) -> Iterator[None]:
     """
     with open(path, "a+b") as file:
         _lock(file)
+        if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            raise BlockingIOError(f"{path} was removed by another process")  # which held it until now
         yield
 
 

@@ -27,7 +27,7 @@ from pipeline.commands import NAMES, command, listed
 from pipeline.keep import forget
 from pipeline.perform import perform
 from pipeline.run import Result
-from pipeline.settings import UserError, composed, flat, names_given
+from pipeline.settings import UserError, composed, flat, names_given, refuse_twice
 from pipeline.sweep.launcher import ended as sweep_ended
 from pipeline.world import world
 from stages.generate import MotionNotFoundError
@@ -101,6 +101,7 @@ def called() -> None:
     try:
         if sys.argv[1:] and sys.argv[1] in NAMES:
             sys.exit(asked(sys.argv[1], sys.argv[2:]))
+        refuse_twice(word for word in sys.argv[1:] if "=" in word and not word.startswith("-"))
         main()
         sys.exit(sweep_ended())
     except EXPECTED as error:

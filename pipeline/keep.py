@@ -82,7 +82,10 @@ class Keeper:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[None]:
-    """Nobody else works in a run's folder meanwhile; raises DataError where somebody does, or it cannot be written."""
+    """Nobody else works in a run's folder meanwhile; raises DataError where somebody does, or it cannot be written.
+
+    A folder in which a run that failed made nothing is removed again, unless something lay in it before.
+    """
     with ExitStack() as held:
         try:
             disk.make_folder(folder)
@@ -93,7 +96,18 @@ def alone(folder: Path) -> Iterator[None]:
             ) from error
         except OSError as error:
             raise DataError(f"{folder}: cannot be written ({error.strerror}). {store.remedy_for(error)}.") from error
-        yield
+        new = _names(folder) <= {LOCK}
+        try:
+            yield
+        except Exception:
+            if new and _names(folder) <= NOTHING:
+                disk.remove(folder)
+            raise
+
+
+def _names(folder: Path) -> set[str]:
+    """Names of what lies in a folder."""
+    return {file.name for file in folder.iterdir()}
 
 
 def begin(world: World, folder: Path) -> None:
@@ -161,9 +175,10 @@ def failing(folder: Path) -> Iterator[None]:
 
 
 def forget(folder: Path) -> None:
-    """Remove the folder of a run that was refused before it made anything."""
-    if folder.is_dir() and {file.name for file in folder.iterdir()} <= NOTHING:
-        disk.remove(folder)
+    """Remove the folder of a run that was refused before it began. One with anything in it, which may be another
+    run's, stays."""
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def publish(world: World, made_of: Mapping[str, str], to: Path, iterations: list[Iteration]) -> None:

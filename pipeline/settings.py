@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.utils import get_object
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
@@ -28,6 +29,7 @@ class UserError(Exception):
 
 def composed(overrides: Sequence[str] = ()) -> Any:
     """All settings as configured, as plain values, outside a run. overrides: as on the command line."""
+    refuse_twice(overrides)
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return OmegaConf.to_container(compose("config", list(overrides)))
 
@@ -35,6 +37,20 @@ def composed(overrides: Sequence[str] = ()) -> Any:
 def names_given(overrides: Iterable[str]) -> set[str]:
     """Names of the settings that overrides give."""
     return {override.split("=")[0].lstrip("+~") for override in overrides}
+
+
+def refuse_twice(overrides: Iterable[str]) -> None:
+    """Refuse a setting or a group that is given twice, of which Hydra would take the last in silence."""
+    seen: dict[tuple[str, str | None], str] = {}
+    for override in OverridesParser.create().parse_overrides(list(overrides)):
+        place = override.key_or_group, override.package
+        if override.is_delete():
+            continue
+        if place in seen:
+            raise UserError(
+                f"{seen[place]} and {override.input_line} (command line): the setting is given twice. Leave one out."
+            )
+        seen[place] = str(override.input_line)
 
 
 def flat(block: Any, place: str = "") -> Iterator[str]:

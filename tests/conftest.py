@@ -41,6 +41,20 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: order.index(item.path) if item.path in order else len(order))
 
 
+def executed(stats):
+    """Whether any test was run to its end. stats: reports by outcome."""
+    return any(stats.get(outcome) for outcome in ("passed", "failed", "error", "xfailed", "xpassed"))
+
+
+def pytest_sessionfinish(session, exitstatus):
+    """A run in which every test was skipped has shown nothing, and is not clean."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    worker = hasattr(session.config, "workerinput")
+    asked = exitstatus == 0 and reporter and not worker and not session.config.option.collectonly
+    if asked and not executed(reporter.stats):
+        session.exitstatus = pytest.ExitCode.NO_TESTS_COLLECTED
+
+
 @pytest.fixture(autouse=True, scope="session")
 def cores_are_shared():
     """Side by side, each worker has its share of the cores: with all of them each, they would wait for one another."""

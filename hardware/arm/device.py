@@ -97,7 +97,12 @@ class VelocityArm:
 
     def angles(self) -> np.ndarray:
         """Joint angles as the device reports them now, (J,) [rad]."""
-        return np.array(self.wire.angles())
+        here = np.array(self.wire.angles())
+        if not np.isfinite(here).all():
+            raise HardwareError(
+                f"arm on {self.wire.name}: an encoder reports no number. Look at it before the next try."
+            )
+        return here
 
     def move_to(self, angles: Sequence[float]) -> None:
         """Go to joint angles with a smooth, slow movement, through the same checks as any other."""
@@ -121,7 +126,7 @@ class VelocityArm:
         self._refuse_latched()
         angles = commands[list(JOINTS)].to_numpy()
         off = np.abs(self.angles() - angles[0]).max()
-        if off > START_TOLERANCE:
+        if not off <= START_TOLERANCE:
             raise HardwareError(
                 f"arm on {self.wire.name}: it reports a pose {np.degrees(off):.1f} degrees from the movement's start. "
                 "Move it there first (move_to), or check the encoders."
@@ -162,13 +167,13 @@ class VelocityArm:
             self.wire.angles()
             trips.append(time.monotonic() - begun)
         self.trips = np.array(trips)
-        if np.median(self.trips) > self.driving.round_trip:
+        if not np.median(self.trips) <= self.driving.round_trip:
             p50, p99, most = np.percentile(self.trips, [50, 99, 100]) * 1e3
             raise HardwareError(
                 f"arm on {self.wire.name}: a round trip takes {p50:.1f} ms (99 %: {p99:.1f}, longest: {most:.1f} ms), "
                 f"allowed are {self.driving.round_trip * 1e3:.1f}. Lower the adapter's latency timer, or change ports."
             )
-        if self.wire.watchdog < 2 * self.arm.tick:
+        if not self.wire.watchdog >= 2 * self.arm.tick:
             raise HardwareError(
                 f"arm on {self.wire.name}: its watchdog of {self.wire.watchdog * 1e3:.0f} ms is shorter than two "
                 "ticks. Lengthen it in the device."

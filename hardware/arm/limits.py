@@ -21,12 +21,12 @@ class Workspace:
 
     def __post_init__(self) -> None:
         """Refuse a rectangle inside out."""
-        if any(low >= high for low, high in zip(self.low, self.high, strict=True)):
+        if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
             raise ValueError("each of workspace.low must be below its workspace.high")
 
     def left(self, points: np.ndarray) -> np.ndarray:
         """Whether any of the points lies outside. points: (..., P, 2) [m]. Returns (...)."""
-        return np.any((points < self.low) | (points > self.high), axis=(-2, -1))
+        return ~np.all((points >= self.low) & (points <= self.high), axis=(-2, -1))
 
 
 def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:
@@ -37,12 +37,12 @@ def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:
     change = np.diff(speeds, axis=0, prepend=0.0) / arm.tick
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[:, :2], axis=1)
     checks = {
-        "arm.lowest or arm.highest (range)": ((angles < arm.lowest) | (angles > arm.highest)).any(axis=1),
-        "arm.speed": (np.abs(speeds) > SLACK * np.asarray(arm.speed)).any(axis=1),
-        "arm.hand_speed": hand > SLACK * arm.hand_speed,
-        "arm.acceleration": (np.abs(change) > SLACK * np.asarray(arm.acceleration)).any(axis=1),
+        "arm.lowest or arm.highest (range)": ~((angles >= arm.lowest) & (angles <= arm.highest)).all(axis=1),
+        "arm.speed": ~(np.abs(speeds) <= SLACK * np.asarray(arm.speed)).all(axis=1),
+        "arm.hand_speed": ~(hand <= SLACK * arm.hand_speed),
+        "arm.acceleration": ~(np.abs(change) <= SLACK * np.asarray(arm.acceleration)).all(axis=1),
         "hardware.driving.workspace": workspace.left(arm.joints(angles)),
-    }
+    }  # each true where the limit is not known to hold: no comparison with NaN does
     for limit, bad in checks.items():
         if bad.any():
             at = float(np.argmax(bad)) * arm.tick

@@ -74,14 +74,16 @@ class Guard:
     def _wrong(self, log: Log) -> str:
         """What the last measured angles betray."""
         at, before = log.last, log.previous
+        if at >= 0 and not np.isfinite(log.angles[at]).all():
+            return "an encoder reports no number"
         if before < 0:
             return ""
         leap = np.abs(log.angles[at] - log.angles[before]) - NOISE
         most = 2 * np.asarray(self.arm.speed) * max(log.clock[at] - log.clock[before], self.arm.tick)
-        if (leap > most).any():
+        if not (leap <= most).all():  # so that what is no number is a reason, too
             return f"the encoder of joint {(leap - most).argmax() + 1} jumped"
         off = np.abs(log.angles[at] - log.expected[at])
-        if off.max() > self.astray:
+        if not off.max() <= self.astray:
             return f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent"
         return ""
 

@@ -20,7 +20,7 @@ def performance(log: Log, start: float, late: float, most_missed: float, trips: 
     test, (N,) [s].
     """
     lateness = log.sent - log.due
-    missed = (lateness > late) | np.isnan(log.acknowledged)
+    missed = ~(lateness <= late) | np.isnan(log.acknowledged)
     share = missed.mean()
     reason = f"{share:.1%} of the ticks were late or lost, allowed are {most_missed:.1%}" if share > most_missed else ""
     link = {"valid": not reason, "reason": reason, "ticks": len(log.due), "missed": int(missed.sum())}

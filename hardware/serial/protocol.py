@@ -103,11 +103,13 @@ def encode_answer(answer: Report | Greeting) -> bytes:
 
 
 def decode_answer(frame: bytes) -> Report | Greeting:
-    """An answer from the bytes between two delimiters; raises FrameError."""
+    """An answer from the bytes between two delimiters; raises FrameError, also where an angle is no number."""
     kind, sequence, body = _unframed(frame)
     try:
         if kind is Kind.ANSWER:
             micros, state, *angles = _ANSWER.unpack(body)
+            if not all(map(math.isfinite, angles)):
+                raise FrameError("an encoder reports no number")
             return Report(sequence, micros, State(state), tuple(angles))
         if kind is Kind.GREETING:
             version, joints, watchdog, state = _GREETING.unpack(body)

@@ -45,6 +45,7 @@ class SerialWire:
     watchdog: float = 0.0
     link: serial.Serial | None = None
     deframer: Deframer = field(default_factory=Deframer)
+    refused: str = ""  # what was wrong with the last answer that could not be used
     micros: int | None = None  # device clock as last reported, unwrapped [us]
 
     @property
@@ -147,7 +148,10 @@ class SerialWire:
                     if answer.sequence == number and isinstance(answer, Greeting) == (kind is Kind.HELLO):
                         return answer
                 time.sleep(0.0002)
-        raise HardwareError(f"arm on {self.port}: the device does not answer. Is it switched on, and this its port?")
+        refused = f" with anything that can be used ({self.refused})" if self.refused else ""
+        raise HardwareError(
+            f"arm on {self.port}: the device does not answer{refused}. Is it switched on, and this its port?"
+        )
 
     def _send(self, kind: Kind, values: tuple[float, ...] = ()) -> int:
         if self.link is None:
@@ -170,8 +174,8 @@ class SerialWire:
         for frame in self.deframer.frames(data):
             try:
                 answers.append(decode_answer(frame))
-            except FrameError:
-                continue
+            except FrameError as error:
+                self.refused = str(error)
         return answers
 
     def _gone(self, error: Exception) -> HardwareError:

@@ -154,14 +154,52 @@ def test_only_what_is_for_information_reads_the_wall_clock():
     assert found == {"keep.py"}, "only `made at` in a footer may be a time of day; nothing reads it but people"
 
 
+def refused(folder):
+    with keep.alone(folder), keep.failing(folder):
+        keep.begin(toy_world(), folder)
+        raise ValueError("refused")
+
+
 def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
-    keep.begin(toy_world(), tmp_path / "run")
-    (tmp_path / "run" / ".lock").touch()
+    with pytest.raises(ValueError, match="refused"):
+        refused(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    (tmp_path / "run").mkdir()
     keep.forget(tmp_path / "run")
     assert not (tmp_path / "run").exists()
     toy_run(tmp_path / "run", toy_world(1))
     keep.forget(tmp_path / "run")
     assert (tmp_path / "run" / "run.json").exists()
+
+
+HOLDING = """
+import sys
+from pathlib import Path
+from pipeline import keep
+with keep.alone(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("working", [True, False])
+def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
+    """Two runs on one folder: the other works in it, or was killed before it had made anything."""
+    command = [sys.executable, "-c", HOLDING, str(tmp_path)]
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT)
+    try:
+        assert other.stdout.readline() == b"held\n"
+        (tmp_path / "config.json").write_text("{}")
+        if not working:
+            other.kill()
+            other.wait()
+        with pytest.raises(DataError, match="another process" if working else "other settings"):
+            toy_run(tmp_path, toy_world(1))
+        keep.forget(tmp_path)
+        assert {file.name for file in tmp_path.iterdir()} - {"failed.txt"} == {"config.json", ".lock"}
+    finally:
+        other.kill()
+        other.communicate()
 
 
 def test_a_study_may_be_asked_for_more_in_its_folder_but_not_for_something_else(tmp_path):

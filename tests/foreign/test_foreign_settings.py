@@ -13,7 +13,7 @@ from data.schema import DataError
 from pipeline import targets
 from pipeline.brought import extended_model, measured_camera, refuse_brought_limits, with_brought_settings
 from pipeline.commands import command
-from pipeline.settings import CONF, UserError, composed, loaded
+from pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
 from pipeline.world import world
 from stages.model import kernel
 
@@ -205,3 +205,20 @@ def test_numpy_would_have_run_the_pickle(canary):
     """The control: the poison is one."""
     np.load(poisons(canary)["string.precision"]["file"], allow_pickle=True)
     assert canary.exists()
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("execute=dry", "execute=slow"),
+        ("+experiment=quick", "+experiment=stringB"),
+        ("seed=1", "estimate.beta=0.9", "seed=2"),
+        ("source@plane=images", "source@plane=video"),
+    ],
+)
+def test_a_setting_given_twice_is_refused_with_both_words(given):
+    with pytest.raises(UserError, match=f"{given[0]} and {given[-1]} .*given twice".replace("+", r"\+")):
+        refuse_twice(given)
+    with pytest.raises(UserError, match="given twice"):
+        composed(given)
+    refuse_twice(["source=images", "source@plane=video", "seed=1", "source.folder=x", "~obstacles", "obstacles=none"])

@@ -73,3 +73,26 @@ def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
     behind = judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (Box(0.57, 0.35, 0.021, 0.02),), 0.1)
     assert (behind.hit, behind.touched) == (True, 1)  # only after it had hit
     assert judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1).hit
+
+
+def crossing(moment):
+    """A tip that enters the box between the fine times 94 and 95, and a string that touches an obstacle at a moment."""
+    t = np.arange(201) * 0.0005
+    rows = pd.DataFrame([{"t": moment(t), "s": s, "x": 0.2 + s, "y": 0.0} for s in (0.0, 0.1)])
+    return judge(seen(t, 0.301 + 4 * t, 0.5 + 0 * t, rows), BOX, (Box(0.25, 0.0, 0.02, 0.02),), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("moment", "hit", "touched"),
+    [
+        (lambda t: t[95], False, 1),  # at the very moment of entry it is not clear
+        (lambda t: t[96], True, 1),
+        (lambda t: -0.0005, True, 0),  # before the movement nothing counts
+        (lambda t: 0.0, False, 1),
+        (lambda t: 0.1, True, 1),  # the movement's last moment is one
+        (lambda t: 0.1005, True, 0),
+    ],
+)
+def test_an_obstacle_counts_from_the_start_to_the_moment_of_entry(moment, hit, touched):
+    verdict = crossing(moment)
+    assert (verdict.hit, verdict.touched) == (hit, touched)

@@ -11,7 +11,7 @@ import numpy as np
 from stages.model.string import simulate
 from tests.speed.mujoco_chain import Chain
 from tests.speed.pyelastica_rod import Rods
-from tests.speed.trial import PIXEL, TIMES, cord_string, engine_tip, hand, limit, tip_error
+from tests.speed.trial import TIMES, cord_string, engine_tip, hand, limit, tip_error
 
 Resolution = tuple[int, float]  # points, links or elements; step [s]
 
@@ -21,7 +21,7 @@ class Contender:
     """One way to simulate the cord.
 
     tip: at a resolution, (F, 2) [m]. converged: two resolutions for its limit. choices: to
-    choose from. work: simulate so many cords at a resolution on so many threads. count: how
+    choose from. work: simulate so many cords at a resolution on so many threads. counts: how
     many at once.
     """
 
@@ -30,7 +30,7 @@ class Contender:
     converged: tuple[Resolution, Resolution]
     choices: Sequence[Resolution]
     work: Callable[[Resolution, int, int], object]
-    count: int
+    counts: Sequence[int]
 
     def limit(self) -> np.ndarray:
         """(F, 2) the tip that it converges to [m]."""
@@ -46,14 +46,9 @@ class Entry:
     error: float
     apart: float
 
-    def run(self, threads: int = 1) -> None:
-        """Simulate its cords."""
-        self.contender.work(self.resolution, self.contender.count, threads)
-
-    @property
-    def cord_seconds(self) -> float:
-        """Simulated in one run [s]."""
-        return self.contender.count * float(TIMES[-1])
+    def run(self, count: int, threads: int = 1) -> None:
+        """Simulate so many cords."""
+        self.contender.work(self.resolution, count, threads)
 
 
 def _engine(resolution: Resolution, count: int, threads: int) -> object:
@@ -61,44 +56,45 @@ def _engine(resolution: Resolution, count: int, threads: int) -> object:
     return simulate(string, hand(), np.tile(values, (count, 1)), TIMES)
 
 
+COUNTS = (1, 16, 256)
 STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)
 ENGINE = Contender(
     "engine",
     engine_tip,
     ((25, 5e-5), (49, 5e-5)),
-    list(product(range(12, 33, 2), (2e-3, *STEPS))),
+    list(product(range(12, 41, 2), (2e-3, *STEPS))),
     _engine,
-    256,
+    COUNTS,
 )
 MUJOCO = Contender(
     "MuJoCo",
     lambda links, step: Chain(links, step).rollout(1, 1)[0],
     ((20, 2.5e-5), (40, 2.5e-5)),
-    list(product(range(12, 33, 2), STEPS)),
+    list(product(range(12, 41, 2), (2.5e-3, *STEPS))),
     lambda resolution, count, threads: Chain(*resolution).rollout(count, threads),
-    16,
+    COUNTS,
 )
 PYELASTICA = Contender(
     "PyElastica",
     lambda elements, step: Rods(elements, step).rollout(1)[0],
     ((20, 5e-5), (40, 5e-5)),
-    list(product(range(6, 17, 2), STEPS[2:])),
+    list(product(range(6, 33, 2), STEPS[2:])),
     lambda resolution, count, threads: Rods(*resolution).rollout(count),
-    8,
+    (8,),
 )
 
 
-def entries() -> list[Entry]:
-    """Engine, MuJoCo and PyElastica, each at its cheapest resolution with a tip error of at most PIXEL."""
+def entries(most: float) -> list[Entry]:
+    """Engine, MuJoCo and PyElastica, each at its cheapest resolution with a tip error of at most `most` [m]."""
     common = ENGINE.limit()
-    return [_entered(contender, common) for contender in (ENGINE, MUJOCO, PYELASTICA)]
+    return [_entered(contender, common, most) for contender in (ENGINE, MUJOCO, PYELASTICA)]
 
 
-def _entered(contender: Contender, common: np.ndarray) -> Entry:
+def _entered(contender: Contender, common: np.ndarray, most: float) -> Entry:
     """The first choice, in order of parts times steps, that is accurate enough."""
     own = contender.limit()
     for resolution in sorted(contender.choices, key=lambda r: r[0] / r[1]):
         error = tip_error(contender.tip(*resolution), own)
-        if error <= PIXEL:
+        if error <= most:
             return Entry(contender, resolution, error, tip_error(own, common))
-    raise RuntimeError(f"{contender.name}: no resolution shows the tip within {PIXEL * 1e3:.0f} mm; offer finer ones")
+    raise RuntimeError(f"{contender.name}: no resolution shows the tip within {most * 1e3:.0f} mm; offer finer ones")

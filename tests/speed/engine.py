@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from unittest.mock import patch
 
@@ -16,15 +16,17 @@ from stages.model.string import String, simulate
 
 @dataclass(frozen=True)
 class StepLoop:
-    """A compiled step loop and the arguments it was called with. point_steps: how many mass points it moves one step."""
+    """A compiled step loop, the state it began from and what else it was called with. point_steps: how many mass
+    points it moves one step."""
 
     run: Callable[..., None]
-    arguments: tuple[object, ...]
+    start: np.ndarray
+    arguments: Mapping[str, object]
     point_steps: int
 
     def __call__(self) -> None:
-        """Run it from the initial state, which lies in the first argument and is overwritten."""
-        self.run(_copied(self.arguments[0]), *self.arguments[1:])
+        """Run it from the initial state."""
+        self.run(_copied(self.start), **self.arguments)
 
 
 def step_loop(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> StepLoop:
@@ -35,16 +37,16 @@ def step_loop(string: String, hand: HandMotion, values: np.ndarray, times: np.nd
     def caught(*key: object) -> Callable[..., None]:
         run = compiled(*key)
 
-        def noted(buffers: np.ndarray, *rest: object) -> None:
-            calls.append((run, (_copied(buffers), *rest)))
-            run(buffers, *rest)
+        def noted(buffers: np.ndarray, **rest: object) -> None:
+            calls.append((run, _copied(buffers), rest))
+            run(buffers, **rest)
 
         return noted
 
     with patch.object(kernel, "kernel_for", caught):
         simulate(string, hand, values, times)
-    ((run, arguments),) = calls
-    return StepLoop(run, arguments, point_steps(string, hand, values, times))
+    ((run, start, arguments),) = calls
+    return StepLoop(run, start, arguments, point_steps(string, hand, values, times))
 
 
 def point_steps(string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray) -> int:

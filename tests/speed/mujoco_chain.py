@@ -76,9 +76,12 @@ class Chain:
 
     @cached_property
     def pushes(self) -> np.ndarray:
-        """(1, steps, 3) forces that land the carriage on its poses: M (p_+1 - 2 p + p_-1) / dt^2."""
+        """(1, steps + 1, 3) forces that land the carriage on its poses: M (p_+1 - 2 p + p_-1) / dt^2.
+
+        One step more than the time takes, for a sensor tells of the moment at which a step begins.
+        """
         steps = round(TIMES[-1] / self.step)
-        poses = pose(np.arange(-1, steps + 1) * self.step)
+        poses = pose(np.arange(-1, steps + 2) * self.step)
         return CARRIAGE * np.diff(poses, n=2, axis=0)[None] / self.step**2
 
     @cached_property
@@ -98,4 +101,4 @@ class Chain:
             start = np.tile(self.start, (count, 1))
             _, seen = pool.rollout(self.model, data, start, self.pushes)
         every = round((TIMES[1] - TIMES[0]) / self.step)
-        return np.concatenate([seen[:, :1], seen[:, every - 1 :: every]], axis=1)[..., :2]
+        return seen[:, ::every, :2]

@@ -12,6 +12,7 @@ import pytest
 from data import store
 from data.artifacts import Points, Trial
 from data.images import Held, Images
+from data.schema import DataError
 
 AWKWARD = [0.1, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1 / 3, np.nextafter(1.0, 2.0)]
 
@@ -125,3 +126,20 @@ def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
     for index in (0, 1, 0, 1, 2, 1, 0):
         assert held[index] is pictures[index]
     assert read == [0, 0, 1, 2, 0]
+
+
+def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
+    """A kill between the two renames of a replacement leaves the old one under its other name alone."""
+    path, kept = tmp_path / "a.txt", tmp_path / ".a.txt.0123abcd.replaced"
+    kept.write_text("the only one")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(store.disk, "write", full)
+        with pytest.raises(DataError, match="Free space"):
+            store.write_text(path, "new")
+    assert kept.read_text() == "the only one"
+    store.write_text(path, "new")
+    assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]

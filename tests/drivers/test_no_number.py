@@ -1,0 +1,127 @@
+"""What is no number stops an arm: every comparison of guard and start check fails safe. Nothing here waits for a clock."""
+
+import math
+import struct
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rig import ARM, DRIVING, WORKSPACE, movement
+
+from data.artifacts import JOINTS
+from hardware.arm import VelocityArm
+from hardware.arm.limits import Workspace, check_movement
+from hardware.arm.loop import Guard, blank
+from hardware.arm.record import performance
+from hardware.serial.protocol import FrameError, Report, State, decode_answer, encode_answer
+from stages.roles import HardwareError
+
+BAD = [float("nan"), float("inf"), -float("inf")]
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_an_angle_that_is_no_number_is_refused_where_it_is_decoded(bad):
+    good = Report(7, 5000, State.MOVING, (0.1, 0.2, 0.3))
+    assert decode_answer(encode_answer(good)[:-1]).sequence == 7
+    with pytest.raises(FrameError, match="encoder reports no number"):
+        decode_answer(encode_answer(replace(good, angles=(0.1, bad, 0.3)))[:-1])
+
+
+def guarded(angles, astray=0.5, before=(0.0, 0.0, 0.0)):
+    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.clock[:3] = [0.0, 0.005, 0.010]
+    log.angles[1], log.angles[2] = before, angles
+    log.previous, log.last = 1, 2
+    return Guard(ARM, 4, astray, lambda: "").reason(log, 3)
+
+
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("bad", BAD)
+def test_the_guard_stops_for_what_is_no_number(bad, joint):
+    angles = np.zeros(3)
+    assert guarded(angles) == ""
+    angles[joint] = bad
+    assert guarded(angles) == "an encoder reports no number"
+    assert guarded(np.zeros(3), before=angles).startswith(f"the encoder of joint {joint + 1} jumped") or not np.isnan(
+        bad
+    )
+    assert guarded(np.zeros(3), astray=float("nan")) != ""
+
+
+def test_the_guard_looks_at_the_first_answer_too():
+    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.angles[0], log.last = np.nan, 0
+    assert Guard(ARM, 4, 0.5, lambda: "").reason(log, 0) == "an encoder reports no number"
+
+
+class Wire:
+    """A wire that reports a pose, and must not be sent anything."""
+
+    name, watchdog = "here", 0.25
+
+    def __init__(self, pose, watchdog=0.25):
+        self.pose, self.watchdog = pose, watchdog
+
+    def angles(self):
+        return tuple(self.pose)
+
+    def send(self, speeds):
+        raise AssertionError("it was moved")
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_no_movement_starts_from_what_is_no_number(bad):
+    arm = VelocityArm(ARM, Wire([0.0, bad, 0.0]), DRIVING)
+    for begin in (lambda: arm.perform(movement()), lambda: arm.move_to([0.1, 0.1, 0.1])):
+        with pytest.raises(HardwareError, match="encoder reports no number"):
+            begin()
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"lowest": (math.nan,) * 3},
+        {"highest": (math.nan,) * 3},
+        {"speed": (math.nan,) * 3},
+        {"acceleration": (math.nan,) * 3},
+        {"hand_speed": math.nan},
+    ],
+)
+def test_a_limit_that_is_no_number_lets_nothing_pass(limits):
+    angles = movement()[list(JOINTS)].to_numpy()
+    check_movement(ARM, WORKSPACE, angles)
+    values = SimpleNamespace(
+        **{**{f: getattr(ARM, f) for f in ("lowest", "highest", "speed", "acceleration")}, **limits}
+    )
+    arm = SimpleNamespace(
+        **vars(values) | {"tick": ARM.tick, "hand_speed": limits.get("hand_speed", ARM.hand_speed)},
+        commanded=ARM.commanded,
+        grasp_velocity=ARM.grasp_velocity,
+        joints=ARM.joints,
+    )
+    with pytest.raises(HardwareError, match=r"leaves arm\."):
+        check_movement(arm, WORKSPACE, angles)
+
+
+def test_a_workspace_that_is_no_number_is_refused():
+    with pytest.raises(ValueError, match="below"):
+        Workspace((math.nan, -0.4), (0.8, 0.8))
+    assert WORKSPACE.left(np.array([[0.0, math.nan]]))
+
+
+def test_a_link_whose_times_are_no_numbers_is_refused():
+    for driving, watchdog in ((replace(DRIVING, round_trip=math.nan), 0.25), (DRIVING, math.nan)):
+        with pytest.raises(HardwareError, match=r"round trip|watchdog"):
+            VelocityArm(ARM, Wire([0.0] * 3, watchdog), driving)._test_link()
+
+
+def test_a_tick_that_was_never_sent_counts_as_missed():
+    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.sent[:], log.acknowledged[:], log.clock[:], log.angles[:] = log.due, log.due, log.due, 0.0
+    log.sent[2] = np.nan
+    assert performance(log, 0.0, 0.1, 0.5, np.ones(3)).ticks["missed"].tolist() == [False, False, True, False]
+
+
+def test_the_answer_is_as_long_as_the_specification_says():
+    assert struct.calcsize("<IB3f") == 17

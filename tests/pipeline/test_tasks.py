@@ -1,0 +1,35 @@
+"""`python3 tasks.py test` ends with 0 only if everything was run and is clean."""
+
+import pytest
+
+import tasks
+
+
+@pytest.mark.parametrize("code", [-9, -15, 1, 2, 3, 5, 127])
+@pytest.mark.parametrize("command", ["ruff", "mypy", "pytest"])
+@pytest.mark.parametrize("rest", [[], ["--all"], ["tests/laws"]])
+def test_any_command_that_does_not_end_with_0_fails(monkeypatch, code, command, rest):
+    """A negative code is a signal's; pytest ends with 5 where it ran no test."""
+    monkeypatch.setattr(tasks, "call", lambda name, *_: code if name == command else 0)
+    assert tasks.test(rest) == 1
+    monkeypatch.setattr(tasks, "call", lambda *_: 0)
+    assert tasks.test(rest) == 0
+
+
+def test_all_selects_the_long_ones_too(monkeypatch):
+    called = []
+    monkeypatch.setattr(tasks, "call", lambda *command: called.append(command) or 0)
+    tasks.test([])
+    short = [command for command in called if command[0] == "pytest"]
+    called.clear()
+    tasks.test(["--all"])
+    whole = [command for command in called if command[0] == "pytest"]
+    assert [(*command, "-m", "") for command in short] == whole
+
+
+def test_a_run_of_which_every_test_was_skipped_fails():
+    import conftest
+
+    assert conftest.executed({"passed": [1]})
+    assert conftest.executed({"failed": [1]})
+    assert not conftest.executed({"skipped": [1], "deselected": [1]})
