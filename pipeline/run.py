@@ -18,6 +18,7 @@ from data.alignment import Alignment
 from data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Motion, Observation, Points
 from data.schema import DataError
 from pipeline.steps import Past
+from pipeline.targets import REHEARSALS
 from pipeline.world import World
 from stages.align.undo import in_arms_frame
 from stages.check.check import refuse
@@ -103,10 +104,13 @@ def work(world: World, folder: Path, desk: Desk) -> Result:
 def cast(world: World, folder: Path, desk: Desk, before: Sequence[Iteration] = ()) -> Result:
     """Cast until it hits or the manipulations are spent. before: what was cast already, and counts as spent."""
     iterations = list(before)
-    while len(iterations) < world.config["manipulations"] and not (iterations and iterations[-1].hit):
+    rehearsal = world.config["execute"]["_target_"] in REHEARSALS
+    while len(iterations) < (1 if rehearsal else world.config["manipulations"]) and not (
+        iterations and iterations[-1].hit
+    ):
         iterations.append(_iterate(world, iterations, desk))
         desk.publish(iterations)
-    return Result(folder, tuple(iterations), _ended(iterations))
+    return Result(folder, tuple(iterations), _rehearsed(iterations[-1]) if rehearsal else _ended(iterations))
 
 
 def estimate_again(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
@@ -281,6 +285,19 @@ def _ended(iterations: list[Iteration]) -> str:
         return f"The tip reached the target in manipulation {last.number}."
     tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
     return f"The tip did not reach the target in {tries}; the budget is spent."
+
+
+def _rehearsed(iteration: Iteration) -> str:
+    """What a rehearsal shows: how the link carries the ticks, and whether the string can be read."""
+    link, read = iteration.done["execute"].link.iloc[0], iteration.done["extract"].readings["valid"]
+    told = [
+        f"commands went out {link['jitter_p50'] * 1e3:.2f} ms late (99 %: {link['jitter_p99'] * 1e3:.2f})",
+        f"{link['missed']} of {link['ticks']} were late or lost",
+        f"the string was read in {int(read.sum())} of {len(read)} frames",
+    ]
+    if "trip_p50" in link:  # which a virtual arm has none of
+        told.insert(0, f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})")
+    return f"Rehearsed: {', '.join(told)}. Nothing is learned from it: {iteration.refused}."
 
 
 def in_numbers(result: Result) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from math import isfinite
 
 from rich.console import Console, Group
 from rich.markup import escape
@@ -95,7 +96,10 @@ def faults(result: Result) -> list[str]:
 def _row(iteration: Iteration) -> list[str]:
     verdict, estimate = iteration.verdict, iteration.done.get("estimate")
     cells = [str(iteration.number)]
-    cells += ["", ""] if verdict is None else ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
+    if verdict is None or iteration.refused or not isfinite(verdict.distance):
+        cells += ["", ""]
+    else:
+        cells += ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
     if estimate is None:
         return [*cells, "", "", ""]
     fit = estimate.fit.iloc[0]

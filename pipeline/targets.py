@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from typing import Any
 
 SOURCES = ("hardware.camera.Device", "hardware.camera.ImageFolder", "hardware.camera.VideoFile")
+REHEARSALS = ("stages.rehearse.dry", "stages.rehearse.slow")
 VIRTUAL = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")  # nothing real moves by these
 ROLES: Mapping[str, tuple[str, ...]] = {
     "generate": ("stages.generate.generate", "stages.generate.robust.generate"),
     "excite": ("stages.excite.excite",),
-    "execute": ("stages.execute.execute", "stages.rehearse.dry", "stages.rehearse.slow"),
+    "execute": ("stages.execute.execute", *REHEARSALS),
     "extract": ("stages.extract.extract",),
     "estimate": (
         "stages.estimate.random_search.estimate",

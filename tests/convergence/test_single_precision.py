@@ -69,6 +69,7 @@ def test_violent_swinging_is_off_no_more_than_by_the_sixth_digit_of_the_paramete
     assert np.all(millimetres(string, hand, some) < 1e3 * np.linalg.norm(near - exact, axis=-1).max(axis=1))
 
 
+@pytest.mark.long
 def test_all_effects_at_once_in_steps_of_four_passes():
     """Every effect at a twentieth of its range, but for a soft plane: where a string bounces, rounding grows (D, with a
     plane five times as stiff: 21 mm). Measured: 0.019 mm (D), otherwise below 0.001."""

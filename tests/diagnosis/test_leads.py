@@ -47,6 +47,7 @@ def _seen(arm, real, curves, name, rng):
     return performed(name, arm, real, values, angles, np.arange(3, real.string.points, 3), rng)
 
 
+@pytest.mark.long
 def test_a_lag_is_found_though_the_base_model_is_nowhere_near(model, observations):
     said = said_of(model, observations, 2)
     assert said.causes["effect"].iloc[0] == "arm_lag", said.finding["sentence"].iloc[0]

@@ -27,7 +27,7 @@ def evidence(arm, model):
     return measured(arm, model, PLANE, seconds=0.9)
 
 
-@pytest.mark.parametrize(("height", "touched"), [(0.435, [2]), (0.48, [1, 2])])
+@pytest.mark.parametrize(("height", "touched"), [pytest.param(0.435, [2], marks=pytest.mark.long), (0.48, [1, 2])])
 def test_a_trial_is_explained_until_it_touches_something(arm, model, height, touched):
     """And no other for that: one that bounces takes the fit of all along."""
     struck = measured(arm, model, {**PLANE, "contact.height": height}, seconds=0.9)
@@ -41,7 +41,7 @@ def test_a_trial_is_explained_until_it_touches_something(arm, model, height, tou
     assert begun.fit.values["bending_stiffness"] == pytest.approx(TRUTH["bending_stiffness"], rel=0.02)
 
 
-@pytest.mark.parametrize("clear", SHOWN)
+@pytest.mark.parametrize("clear", [SHOWN[0], *(pytest.param(more, marks=pytest.mark.long) for more in SHOWN[1:])])
 def test_what_it_touches_is_found_from_there(model, evidence, monkeypatch, clear):
     """Something as hard as a table; friction, which decides where the string goes next, with it. From either of the
     onsets alone: where one of them says nothing, the other is followed."""
@@ -62,6 +62,7 @@ def test_what_it_touches_is_found_from_there(model, evidence, monkeypatch, clear
     assert best.cost < led + 30  # measured for six draws of noise: from 29 less to 19 more
 
 
+@pytest.mark.long
 def test_planes_of_every_size_are_followed_to_the_end(model, evidence):
     """What is soft may follow the first touch better and the rest worse (bench 2966): it must not push out the others
     on the way."""

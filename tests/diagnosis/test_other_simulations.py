@@ -35,6 +35,7 @@ def test_the_configured_model_itself_is_left_alone(arm, eq1):
     assert said.verdict == "none", said.sentence
 
 
+@pytest.mark.long
 def test_what_is_hidden_in_such_a_chain_has_the_size_it_has_there(arm, eq1):
     """Against a string without mass points the tip would seem heavier by half a segment, 5.6 %."""
     heavy = eq1.with_effects(TipMass)

@@ -456,6 +456,7 @@ def test_a_trial_that_a_cause_cannot_simulate_is_foretold_without_it(arm, model,
     np.testing.assert_array_equal(held_out(evidence, fit, before).costs, before.costs)
 
 
+@pytest.mark.long
 def test_a_plane_that_one_trial_alone_shows_does_not_drown_what_all_show(arm, model):
     """A wall that the widest swing touches, and a weight at the tip. With that swing left out nobody knows where the
     wall is, and both fits foretell it 5 times worse than noise: by so much that the weight, which explains 147, gains

@@ -79,6 +79,7 @@ def grazed(arm, model):
         return fit, reach(hypotheses, fit, library()["contact"]), asked
 
 
+@pytest.mark.long
 def test_a_plane_that_is_grazed_may_be_elsewhere_than_slopes_allow(grazed):
     """Turned about where it is touched: many of their standard deviations, and yet not anywhere. A graze says little of
     friction. Measured for six draws of noise: up to 0.04, 0.09 and 0.61 of their ranges."""
@@ -93,6 +94,7 @@ def test_a_plane_that_is_grazed_may_be_elsewhere_than_slopes_allow(grazed):
     assert max(abs(end - found) for end in ends[name]) > 20 * deviation(fit, name)
 
 
+@pytest.mark.long
 def test_of_what_is_at_least_so_hard_nothing_above_is_asked(grazed):
     """Nor simulated: a plane is as hard as any."""
     fit, _, asked = grazed
