@@ -19,6 +19,7 @@ from rich.progress import track
 from data.artifacts import JOINTS, Diagnosis
 from data.schema import Column, Table
 from data.store import write_table
+from hardware.virtual.blind import LATEST, VERSIONS
 from hardware.virtual.blind.bench import BlindBench
 from hardware.virtual.blind.casts import Cast, performed, random_cast
 from hardware.virtual.blind.scene import Scene
@@ -108,7 +109,7 @@ def slow_scene(here: World, rng: np.random.Generator) -> Scene:
     base = yaml.safe_load((ROOT / "conf/specimen/B.yaml").read_text())
     casts = tuple(random_cast(here.arm, rng, here.camera.fps, SLOW) for _ in range(2))
     s = np.linspace(0.1, 1.0, 12) * base["length"]
-    return Scene(here.arm, here.camera, base["length"], base["parameters"], casts, s, SIGMA)
+    return Scene(here.arm, here.camera, base["length"], base["parameters"], casts, s, SIGMA, VERSIONS[LATEST])
 
 
 def proposed(first: Diagnosis, scene: Scene, here: World, rng: np.random.Generator) -> Cast:

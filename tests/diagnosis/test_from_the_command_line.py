@@ -10,7 +10,7 @@ import yaml
 
 from data.artifacts import Diagnosis
 from data.store import load
-from hardware.virtual.blind import CASES, draw
+from hardware.virtual.blind import VERSIONS, draw
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -24,7 +24,7 @@ def pipeline(*overrides, folder):
 def places(arm, camera, tmp_path_factory):
     """A bench whose joints lag, its envelope, and the run that diagnosed it."""
     place = tmp_path_factory.mktemp("lag")
-    bench = draw(CASES.index("arm_lag"), arm, camera)
+    bench = draw(VERSIONS[1].cases.index("arm_lag"), arm, camera)
     bench.write(place / "data")
     bench.envelope(place / "envelope.json")
     done = pipeline("+experiment=diagnose", f"trials={place / 'data'}", folder=place / "run")

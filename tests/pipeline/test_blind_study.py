@@ -14,7 +14,7 @@ import pytest
 from matplotlib.image import imread
 
 from data.dataset import read
-from hardware.virtual.blind import CASES, draw
+from hardware.virtual.blind import VERSIONS, draw
 from pipeline.study import one_bench, pictures, scores, study
 from pipeline.study.scores import TABLES, calibration_error, counted
 from pipeline.study.verdicts import answered, beliefs, confidence, correct
@@ -208,7 +208,7 @@ def test_a_diagnosis_that_fails_is_a_wrong_answer(tmp_path):
 
 def test_a_bench_of_the_lab_is_one(arm, camera, tmp_path):
     """The true envelope, opened by a diagnosis that finds nothing: right on a null bench."""
-    made = one_bench(CASES.index("none"), tmp_path, partial(draw, arm=arm, camera=camera), nothing)
+    made = one_bench(VERSIONS[1].cases.index("none"), tmp_path, partial(draw, arm=arm, camera=camera), nothing)
     assert made["truth"]["kind"] == "none"
     assert scores([made])["benches"]["correct"].all()
 

@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from data.artifacts import Diagnosis, Motion
 from data.store import content_hash, load, origin_of
-from hardware.virtual.blind import CASES, draw
+from hardware.virtual.blind import VERSIONS, draw
 from pipeline import keep
 from pipeline.run import diagnose
 from pipeline.world import world
@@ -47,7 +47,7 @@ def silent(name):
 @pytest.fixture(scope="module")
 def data(arm, camera, tmp_path_factory):
     folder = tmp_path_factory.mktemp("theirs")
-    draw(CASES.index("none"), arm, camera).write(folder)
+    draw(VERSIONS[1].cases.index("none"), arm, camera).write(folder)
     return folder
 
 

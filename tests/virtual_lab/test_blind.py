@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from data.dataset import read
 from data.store import content_hash
-from hardware.virtual.blind import CASES, draw
+from hardware.virtual.blind import LATEST, VERSIONS, draw
 from hardware.virtual.blind.disguise import disguised
 from hardware.virtual.blind.hidden import hidden
 from hardware.virtual.outside import causes
@@ -21,7 +21,7 @@ from stages.model.integrator import RungeKutta4
 from stages.model.library import library, named
 from stages.model.string import BASE
 
-DRIFT, NULL = (CASES.index(name) for name in ("clock_drift", "none"))
+DRIFT, NULL = (VERSIONS[1].cases.index(name) for name in ("clock_drift", "none"))
 PAIR = 46  # pixel_scale and arm_lag: with nothing hidden on the string there is less to compile
 
 
@@ -70,7 +70,7 @@ def refitted(scene, data, effects=(), start=None):
 
 
 def test_every_cause_has_its_turn():
-    count = Counter(CASES)
+    count = Counter(VERSIONS[LATEST].cases)
     assert {e.name for e in library().values() if e not in BASE and e.of_string and not e.told} <= set(count)
     assert {c.name for c in causes()} <= set(count)
     assert not {c.name for c in causes()} & set(library())

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hardware.virtual.blind.scene import LIBRARY, Scene, unexplained
+from hardware.virtual.blind.scene import Scene, unexplained
 from stages.model.effect import Effect, StringEffect, components
 from stages.model.effects.contact import Contact
 from stages.model.effects.grasp_slip import GraspSlip
@@ -28,13 +28,14 @@ def disguised(scene: Scene, data: np.ndarray, least: float) -> bool:
 
 def _probed(scene: Scene, now: np.ndarray) -> Iterator[np.ndarray]:
     """What a little of each library effect moves, (K, N, S, 2): its directions, which can act together."""
-    groups = [group for effect in LIBRARY if issubclass(effect, StringEffect) for group in _probes(effect, scene)]
+    on_string = [effect for effect in scene.version.library() if issubclass(effect, StringEffect)]
+    groups = [group for effect in on_string for group in _probes(effect, scene)]
     model = scene.model(scene.second_order(21), [Contact])
     moved = scene.seen(model, [probe for group in groups for probe in group]) - now
     finite = np.isfinite(moved).all(axis=(1, 2, 3))
     for which in np.split(np.arange(len(moved)), np.cumsum([len(group) for group in groups])[:-1]):
         yield moved[which[finite[which]]]
-    for effect in LIBRARY:
+    for effect in scene.version.library():
         if not issubclass(effect, StringEffect):
             model = scene.model(scene.second_order(21), [effect])
             for group in _probes(effect, scene):

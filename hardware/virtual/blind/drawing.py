@@ -15,21 +15,13 @@ from hardware.virtual.blind.bench import BlindBench
 from hardware.virtual.blind.casts import random_cast
 from hardware.virtual.blind.disguise import disguised
 from hardware.virtual.blind.hidden import Hidden, hidden
-from hardware.virtual.blind.scene import LIBRARY, Scene, unexplained
-from hardware.virtual.outside import causes
+from hardware.virtual.blind.scene import Scene, unexplained
+from hardware.virtual.blind.version import LATEST, NONE, PAIR, RESOLUTION, VERSIONS, Version
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.effect import Effect
 from stages.model.string import String
 
-NONE, RESOLUTION, PAIR = "none", "resolution", "pair"
-# One bench after another, so that any run of seeds is balanced.
-CASES = (
-    *(e.name for e in LIBRARY),
-    RESOLUTION,
-    *(c.name for c in causes()),
-    *(NONE, PAIR) * 8,
-)
 SIZES = (6.0, 40.0)  # in sigmas
 LEAST, MOST = 5.0, 60.0  # of a size as it turns out
 APART = 6.0  # sigmas of each of a pair that the other cannot explain
@@ -47,22 +39,22 @@ class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
     """This string, these casts or this cause do not make the bench that is wanted."""
 
 
-def draw(seed: int, arm: Arm, camera: Camera) -> BlindBench:
-    """The bench of a seed; its case is CASES[seed % len(CASES)]."""
+def draw(seed: int, arm: Arm, camera: Camera, version: int = LATEST) -> BlindBench:
+    """The bench of a seed; `version` says which case it is (see `VERSIONS`)."""
     rng = np.random.default_rng([seed, 20211])
-    case = CASES[seed % len(CASES)]
     while True:
         try:
-            return _drawn(seed, case, rng, arm, camera)
+            return _drawn(seed, VERSIONS[version], rng, arm, camera)
         except Redraw:
             continue
 
 
-def _drawn(seed: int, case: str, rng: np.random.Generator, arm: Arm, camera: Camera) -> BlindBench:
-    scene = _scene(rng, arm, camera, soft=case == RESOLUTION)
-    things = tuple(_hidden(effect, rng, scene) for effect in _effects(case, rng))
+def _drawn(seed: int, version: Version, rng: np.random.Generator, arm: Arm, camera: Camera) -> BlindBench:
+    case = version.case(seed)
+    scene = _scene(rng, arm, camera, version, soft=case == RESOLUTION)
+    things = tuple(_hidden(effect, rng, scene) for effect in _effects(case, version, rng))
     data, parameters = _sized(scene, things, rng)
-    if _kind(case) == "outside" and disguised(scene, data, UNLIKE):
+    if _kind(case, version) == "outside" and disguised(scene, data, UNLIKE):
         raise Redraw
     true, explained = _true(scene, things, parameters)
     sizes = _sizes(scene, things, explained, parameters, MORE)
@@ -72,28 +64,29 @@ def _drawn(seed: int, case: str, rng: np.random.Generator, arm: Arm, camera: Cam
         if off < LEAST:
             raise Redraw
     points = scene.sigma * (true + _noise(rng, true.shape))
-    return BlindBench(seed, _kind(case), scene, things, parameters, sizes, off, points, bool(rng.integers(2)))
+    return BlindBench(seed, _kind(case, version), scene, things, parameters, sizes, off, points, bool(rng.integers(2)))
 
 
-def _kind(case: str) -> str:
+def _kind(case: str, version: Version) -> str:
     """effect, outside, or what the case itself is."""
     if case in (NONE, PAIR, RESOLUTION):
         return case
-    return "outside" if case in {c.name for c in causes()} else "effect"
+    return "outside" if case in version.outside else "effect"
 
 
-def _effects(case: str, rng: np.random.Generator) -> list[type[Effect]]:
+def _effects(case: str, version: Version, rng: np.random.Generator) -> list[type[Effect]]:
     """What is to be hidden."""
     if case == PAIR:
-        return [LIBRARY[i] for i in rng.choice(len(LIBRARY), 2, replace=False)]
-    return [e for e in (*LIBRARY, *causes()) if e.name == case]
+        library = version.library()
+        return [library[i] for i in rng.choice(len(library), 2, replace=False)]
+    return [e for e in (*version.library(), *version.causes()) if e.name == case]
 
 
-def _scene(rng: np.random.Generator, arm: Arm, camera: Camera, soft: bool) -> Scene:
+def _scene(rng: np.random.Generator, arm: Arm, camera: Camera, version: Version, soft: bool) -> Scene:
     """A string, between B and C or about D, and three to five casts of it that can be predicted."""
     length, sigma = rng.uniform(0.27, 0.33), float(np.exp(rng.uniform(*np.log([6e-4, 8e-4]))))
     s = np.linspace(0.1, 1.0, int(rng.integers(15, 21))) * length
-    scene = Scene(arm, camera, float(length), _string(rng, soft), (), s, sigma)
+    scene = Scene(arm, camera, float(length), _string(rng, soft), (), s, sigma, version)
     casts, count = [], int(rng.integers(3, 6))
     for _ in range(40 * count):
         cast = random_cast(arm, rng, camera.fps, SPEEDS)

@@ -9,32 +9,27 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from hardware.virtual.blind.casts import FINE, Cast
-from hardware.virtual.outside import causes
-from stages.model import effects
+from hardware.virtual.blind.version import Version
 from stages.model.arm import Arm
 from stages.model.camera import Camera
 from stages.model.effect import Effect, StringEffect
 from stages.model.implicit import ImplicitLeapfrog
-from stages.model.library import library
 from stages.model.model import Model
 from stages.model.stability import steps_per_tick
-from stages.model.string import BASE, String
+from stages.model.string import String
 
 POINTS = 160  # of what really hangs there: a tip that cracks is then a quarter of a sigma off, with 40 points four
 LARGEST_STEP = 1e-4  # [s] of what really hangs there
 STEP = 1e-4  # of chi, for differences
 EDGE = 1e-12  # what lies on a bound is allowed a little, or there would be no inside
 SHARES = np.array([1.0, 0.5, 0.25, 0.1])  # of a Gauss-Newton step, of which the best is taken
-OURS = (e for e in library().values() if e.__module__.startswith(effects.__name__))  # and nobody's of his own
-LIBRARY = tuple(e for e in OURS if e not in BASE and not e.told and e.of_string and e.parameters)
-ON_STRINGS = tuple(e for e in (*LIBRARY, *causes()) if issubclass(e, StringEffect))
 Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Scene:
     """A string, its casts and a camera. base: the paper's parameters by name. s: (S,) arc lengths at which points are
-    measured [m]. sigma: of their noise, in x and in y [m]."""
+    measured [m]. sigma: of their noise, in x and in y [m]. version: what may be hidden in it."""
 
     arm: Arm
     camera: Camera
@@ -43,6 +38,7 @@ class Scene:
     casts: tuple[Cast, ...]
     s: np.ndarray
     sigma: float
+    version: Version
 
     @property
     def fine(self) -> String:
@@ -58,9 +54,9 @@ class Scene:
 
     def model(self, string: String, hidden: Sequence[type[Effect]] = ()) -> Model:
         """A string in this scene with effects. With one on the string come all that there are, mostly at zero, so that
-        there is one loop to compile whatever a seed draws."""
+        there is one loop to compile whatever a seed draws, and no other bits when the library grows."""
         elsewhere = [e for e in hidden if not issubclass(e, StringEffect)]
-        full = string if len(elsewhere) == len(hidden) else replace(string, effects=(*BASE, *ON_STRINGS))
+        full = string if len(elsewhere) == len(hidden) else replace(string, effects=self.version.on_strings())
         return Model(full, self.arm, self.camera).with_effects(*elsewhere)
 
     def performing(self, casts: tuple[Cast, ...]) -> Scene:

@@ -1,0 +1,62 @@
+"""Which benches a seed means: names, frozen, so that an effect that is added moves no bench that was recorded.
+
+What may be hidden stands here by name and in order, not as the library has it. A version is never changed: the table of
+recorded benches (data/results/blind_study) and the text of studies refer to it. What is new goes into a new version,
+the last of VERSIONS; see `tests/virtual_lab/test_versions.py`, which says so when an effect is in none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hardware.virtual.outside import Outside, causes
+from stages.model.effect import Effect, StringEffect
+from stages.model.library import named
+from stages.model.string import BASE
+
+NONE, RESOLUTION, PAIR = "none", "resolution", "pair"
+
+
+@dataclass(frozen=True)
+class Version:
+    """What a bench may hide. effects: of the library. outside: of `hardware.virtual.outside`."""
+
+    effects: tuple[str, ...]
+    outside: tuple[str, ...]
+
+    @property
+    def cases(self) -> tuple[str, ...]:
+        """One bench after another, so that any run of seeds is balanced."""
+        return (*self.effects, RESOLUTION, *self.outside, *(NONE, PAIR) * 8)
+
+    def case(self, seed: int) -> str:
+        """An effect, a cause outside the library, or one of NONE, RESOLUTION and PAIR."""
+        return self.cases[seed % len(self.cases)]
+
+    def library(self) -> tuple[type[Effect], ...]:
+        """The effects, in their order."""
+        return named(self.effects)
+
+    def causes(self) -> tuple[type[Outside], ...]:
+        """The causes outside the library, in their order."""
+        known = {cause.name: cause for cause in causes()}
+        return tuple(known[name] for name in self.outside)
+
+    def on_strings(self) -> tuple[type[StringEffect], ...]:
+        """All that act on the string: the paper's own, and those that may be hidden."""
+        return (*BASE, *(e for e in (*self.library(), *self.causes()) if issubclass(e, StringEffect)))
+
+
+FIRST = Version(
+    effects=(
+        *("anisotropic_drag", "arm_lag", "backlash", "camera_rotation", "clock_drift", "contact", "density_taper"),
+        *("grasp_angle", "grasp_slip", "gravity_direction", "internal_friction", "joint_gain", "lens_distortion"),
+        *("nonlinear_bending", "pixel_scale", "rest_curvature", "rolling_shutter", "time_offset", "tip_mass", "wind"),
+    ),
+    outside=(
+        *("bumped_camera", "dropped_clock", "gust", "magnet", "pulse", "soft_spot", "sticking_joint", "touch"),
+        *("vibration", "vortex"),
+    ),
+)
+VERSIONS = {1: FIRST}
+LATEST = max(VERSIONS)

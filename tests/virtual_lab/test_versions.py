@@ -1,0 +1,64 @@
+"""Which bench a seed means does not hang on what the library holds."""
+
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from data.store import content_hash
+from hardware.virtual.blind import LATEST, VERSIONS, draw
+from hardware.virtual.outside import causes
+from stages.model import effects
+from stages.model.library import library
+from stages.model.string import BASE
+
+ROOT = Path(__file__).resolve().parents[2]
+FAKE = '''"""Nothing, for a test."""
+
+from stages.model.effects.anisotropic_drag import AnisotropicDrag
+
+class Earliest(AnisotropicDrag):
+    """Before all others in the alphabet, and on the string."""
+
+    name = "aaa_earliest"
+'''
+
+
+@pytest.fixture
+def with_one_more(monkeypatch, tmp_path):
+    """A library with an effect that comes first: its folder copied, and a file added."""
+    folder = tmp_path / "effects"
+    shutil.copytree(effects.__path__[0], folder)
+    (folder / "aaa_earliest.py").write_text(FAKE, encoding="utf-8")
+    monkeypatch.setattr(effects, "__path__", [str(folder)])
+    assert next(iter(library())) == "aaa_earliest"
+
+
+@pytest.mark.parametrize("case", ["clock_drift"])
+def test_a_new_effect_moves_no_bench(case, arm, camera, tmp_path, request):
+    """Case, values and noise, to the bit: of what is read, what hangs there, and what could pass for another."""
+    seed = VERSIONS[1].cases.index(case)
+    for when in ("before", "after"):
+        bench = draw(seed, arm, camera, 1)
+        bench.write(tmp_path / when)
+        bench.envelope(tmp_path / when / "envelope.json")
+        request.getfixturevalue("with_one_more")
+    assert content_hash(tmp_path / "before") == content_hash(tmp_path / "after")
+
+
+def test_every_effect_is_in_the_latest_version():
+    ours = [e for e in library().values() if e.__module__.startswith(effects.__name__)]
+    may = {e.name for e in ours if e not in BASE and not e.told and e.of_string and e.parameters}
+    there = set(VERSIONS[LATEST].effects) | set(VERSIONS[LATEST].outside)
+    missing = (may | {c.name for c in causes()}) - there
+    assert not missing, (
+        f"{missing}: add a version to hardware/virtual/blind/version.py; leave those before as they are."
+    )
+
+
+def test_recorded_benches_are_what_their_version_says():
+    """All that any study asked: nobody deals the cards again."""
+    for file in sorted((ROOT / "data" / "results" / "blind_study").rglob("benches.parquet")):
+        for seed, kind, truth in pd.read_parquet(file)[["seed", "kind", "truth"]].itertuples(index=False):
+            assert VERSIONS[1].case(seed) == (kind if kind in ("none", "pair", "resolution") else truth), seed
