@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence, Set
 
 import numpy as np
@@ -23,6 +24,7 @@ from stages.model.library import library
 
 BINS = np.linspace(0.0, 1.0, 11)  # of confidence
 SIZES = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])  # [sigma]
+FIRST, UNKNOWN_CODE = 1, "unknown"  # of rows of studies that were begun before they said so
 CHANCE = 2000  # studies simulated for the calibration error that chance alone makes
 
 _COUNTS = (
@@ -53,6 +55,9 @@ BENCHES = Table(
         Column("rms_extended", "m", "on held-out trials"),
         Column("noise_floor", "m", "as estimated"),
         Column("runtime", "s", "of the diagnosis"),
+        Column("version", "1", "of the benches; see hardware/virtual/blind/version.py", "int"),
+        Column("code", "", "commit of the code that was asked; 'unknown' where nothing says", "text"),
+        Column("values", "", "of true causes that were named, JSON: name, true, value, low, high, inside", "text"),
     ),
 )
 PARAMETERS = Table(
@@ -135,9 +140,11 @@ TABLES = {t.name: t for t in (BENCHES, PARAMETERS, CONFUSION, BY_SIZE, CALIBRATI
 
 def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     """Every table of TABLES, by name. rows: of `one_bench`, at least one."""
-    benches = BENCHES.check(pd.DataFrame([_bench(row) for row in rows]))
     told = frozenset(e.qualified(p) for e in library().values() for p in e.parameters if not p.at_least)
-    parameters = [one for row in rows for one in _parameters(row, told)]
+    benches = BENCHES.check(pd.DataFrame([_bench(row, told) for row in rows]))
+    parameters = [
+        {"seed": seed, **one} for seed, kept in benches[["seed", "values"]].to_numpy() for one in json.loads(kept)
+    ]
     made = {
         "benches": benches,
         "parameters": pd.DataFrame(parameters) if parameters else PARAMETERS.empty(),
@@ -151,8 +158,8 @@ def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     return {name: TABLES[name].check(frame) for name, frame in made.items()}
 
 
-def _bench(row: Row) -> dict[str, object]:
-    """One row of BENCHES."""
+def _bench(row: Row, told: Set[str]) -> dict[str, object]:
+    """One row of BENCHES. told: names of parameters whose interval has two ends."""
     truth, diagnosis, said = row["truth"], row["diagnosis"], answers(row)
     rms = (diagnosis.get("gain") or {}).get("rms_m") or {}
     return {
@@ -173,6 +180,9 @@ def _bench(row: Row) -> dict[str, object]:
         "rms_extended": rms.get("extended", np.nan),
         "noise_floor": rms.get("noise_floor", np.nan),
         "runtime": row["runtime"],
+        "version": row.get("version", FIRST),
+        "code": row.get("code", UNKNOWN_CODE),
+        "values": json.dumps(_parameters(row, told)),
     }
 
 
@@ -181,8 +191,8 @@ def _parameters(row: Row, told: Set[str]) -> list[dict[str, object]]:
     true = row["truth"]["parameters"]
     stated = {n: p for cause in row["diagnosis"].get("causes") or [] for n, p in cause.get("parameters", {}).items()}
     return [
-        {"seed": row["seed"], "name": name, "true": true[name], **{k: p[k] for k in ("value", "low", "high")}}
-        | {"inside": p["low"] <= true[name] <= p["high"]}
+        {"name": name, "true": true[name], **{k: p[k] for k in ("value", "low", "high")}}
+        | {"inside": bool(p["low"] <= true[name] <= p["high"])}
         for name, p in stated.items()
         if name in true and name in told and p.get("low") is not None and p.get("high") is not None
     ]

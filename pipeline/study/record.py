@@ -1,0 +1,88 @@
+"""Put a study into the table of all that were recorded: `python -m pipeline.study.record [FOLDER ...]`.
+
+FOLDER is the run's folder of a study. A row that is there already (seed, version and code) stays. Without a folder the
+table is only shown. Figures are of one code each: states of the code are never counted together.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from data import store
+from pipeline.origin import PACKAGES, ROOT, code, versions
+from pipeline.study.scores import BENCHES, COUNTED, counted
+from stages.report.picture import LIGHT, STYLE
+
+FOLDER = ROOT / "data" / "results" / "blind_study"
+SHOWN = {"cause found": "before", "false alarm": "measured", "outside called unknown": "after"}
+
+
+def main() -> None:
+    """Append, draw, and print the figures as a table in Markdown."""
+    parser = argparse.ArgumentParser("python -m pipeline.study.record", description=__doc__)
+    parser.add_argument("folders", type=Path, nargs="*", help="run folders of +experiment=blind_study")
+    table = FOLDER / "benches.parquet"
+    folders = parser.parse_args().folders
+    benches = appended([store.read_table(BENCHES, path) for path in (table, *(f / table.name for f in folders))])
+    if folders:
+        store.write_table(BENCHES, benches, table, {"code": code(), "packages": versions(PACKAGES)})
+    rates = by_code(benches)
+    picture(rates, FOLDER / "codes.png")
+    print(in_markdown(rates))
+
+
+def appended(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """All rows, in order; of one bench that one code was asked twice, the first."""
+    return pd.concat(tables, ignore_index=True).drop_duplicates(["seed", "version", "code"], ignore_index=True)
+
+
+def by_code(benches: pd.DataFrame) -> pd.DataFrame:
+    """A row for each code and rate, in the table's order: code, benches, name, right, count, share, low, high."""
+    rows = []
+    for one, some in benches.groupby("code", sort=False):
+        inside = pd.Series([value["inside"] for kept in some["values"] for value in json.loads(kept)], dtype=bool)
+        chosen = {name: of(some[some["kind"].isin(kinds)]) for name, kinds, of, _, _ in COUNTED}
+        for name, right in {**chosen, "parameter in its interval": inside}.items():
+            rows.append({"code": one, "benches": len(some), "name": name, **counted(right)})
+    return pd.DataFrame(rows)
+
+
+def in_markdown(rates: pd.DataFrame) -> str:
+    """A line for each code, a column for each rate, with its 95 % interval in per cent."""
+    names = list(dict.fromkeys(rates["name"]))
+    lines = [f"| code | benches | {' | '.join(names)} |", "| --- " * (len(names) + 2) + "|"]
+    for one, some in rates.groupby("code", sort=False):
+        cells = [
+            f"{k} of {n} ({100 * low:.1f} to {100 * high:.1f})" if n else ""
+            for k, n, low, high in some[["right", "count", "low", "high"]].itertuples(index=False)
+        ]
+        lines.append(f"| {str(one)[:7]} | {some['benches'].iloc[0]} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def picture(rates: pd.DataFrame, path: Path) -> None:
+    """Shares over the codes, with their intervals."""
+    with plt.style.context(STYLE):
+        figure, axes = plt.subplots(figsize=(10, 4))
+        codes = list(dict.fromkeys(rates["code"]))
+        for number, (name, colour) in enumerate(SHOWN.items()):
+            some = rates[(rates["name"] == name) & (rates["count"] > 0)]
+            bars = np.abs(some[["low", "high"]].to_numpy().T - some["share"].to_numpy())
+            across = [codes.index(one) + 0.2 * (number - 1) for one in some["code"]]
+            axes.errorbar(across, some["share"], bars, fmt="o", ms=4, color=LIGHT[colour], label=name)
+        axes.set_xticks(range(len(codes)), [one[:7] for one in codes], rotation=60, ha="right")
+        axes.set(ylabel="share, with its 95 % interval", ylim=(-0.03, 1.03), xlabel="code, in the order of time")
+        axes.legend(loc="center right")
+        figure.savefig(path, dpi=120, facecolor="white")
+        plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()
