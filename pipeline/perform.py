@@ -14,6 +14,7 @@ from pipeline.run import Result, work
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
 from pipeline.world import World
+from stages.roles import HardwareError
 
 STUDIES = {"study": "study.command", "extraction_study": "extraction_study.command", "hit_study": "hitting.study"}
 
@@ -37,6 +38,8 @@ def perform(here: World, folder: Path, console: Console) -> Result:
 
 def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
     """All but a study. The report comes before run.json, which says that all is there."""
+    if "execute" in here.config["steps"] and not (folder / keep.ENDED).exists():
+        check_devices(here)
     with bars(console) as bar:
         result = work(here, folder, keep.Keeper(here, folder, bar, lambda words: console.print(escape(words))))
         if "report" in here.config["leave"]:
@@ -47,6 +50,20 @@ def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
         keep.without_frames(here, result)
     console.print(summary(result))
     return result
+
+
+def check_devices(here: World) -> None:
+    """Open arm and camera before anything is planned for them. Raises HardwareError with all that is wrong of both."""
+    lab = here.stages["hardware"](here.arm, here.camera, seed=here.seed, trial=1)
+    faults = []
+    for device in (lab.arm, lab.camera):
+        try:
+            with device:
+                pass
+        except HardwareError as error:
+            faults.append(str(error))
+    if faults:
+        raise HardwareError("\n".join(faults))
 
 
 def calibration(here: World, folder: Path, console: Console) -> Result:

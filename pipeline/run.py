@@ -290,10 +290,12 @@ def _ended(iterations: list[Iteration]) -> str:
 def _rehearsed(iteration: Iteration) -> str:
     """What a rehearsal shows: how the link carries the ticks, and whether the string can be read."""
     link, read = iteration.done["execute"].link.iloc[0], iteration.done["extract"].readings["valid"]
+    unread = iteration.done["extract"].readings.loc[~read.astype(bool), "reason"]
+    why = f" (most often: {unread.mode().iloc[0]})" if len(unread) else ""
     told = [
         f"commands went out {link['jitter_p50'] * 1e3:.2f} ms late (99 %: {link['jitter_p99'] * 1e3:.2f})",
         f"{link['missed']} of {link['ticks']} were late or lost",
-        f"the string was read in {int(read.sum())} of {len(read)} frames",
+        f"the string was read in {int(read.sum())} of {len(read)} frames{why}",
     ]
     if "trip_p50" in link:  # which a virtual arm has none of
         told.insert(0, f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})")

@@ -3,6 +3,7 @@
 import hashlib
 import io
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -94,7 +95,7 @@ def estimate(model, observations, last, *, seed, manipulation, progress):
 
 
 def hardware(arm, camera, *, seed, trial):
-    return SimpleNamespace(arm=None, camera=None)
+    return SimpleNamespace(arm=nullcontext(), camera=nullcontext())
 
 
 STAGES = {
