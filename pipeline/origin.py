@@ -45,3 +45,12 @@ def code() -> dict[str, str]:
         digest.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes())
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     return {"commit": commit.stdout.strip() or "unknown", "source": digest.hexdigest()}
+
+
+@cache
+def state() -> str:
+    """The commit, if known, with a + behind it where sources are no longer as it has them."""
+    asked = ["git", "status", "--porcelain", "--", *CODE]
+    changed = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    sources = [line for line in changed.splitlines() if line.endswith(".py")]
+    return code()["commit"] + ("+" if sources else "")

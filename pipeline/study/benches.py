@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from data.store import write_text
 from hardware.virtual.blind import LATEST
-from pipeline.origin import code
+from pipeline.origin import state
 from stages.progress import Progress
 
 Row = dict[str, Any]
@@ -77,7 +77,7 @@ def one_bench(seed: int, folder: Path, draw: Draw, diagnose: Diagnose) -> Row:
     begun = time.perf_counter()
     diagnosis = _diagnosed(diagnose, dataset)
     row = {"seed": seed, "runtime": time.perf_counter() - begun, "diagnosis": diagnosis}
-    row |= {"truth": json.loads(envelope.read_text(encoding="utf-8")), "version": LATEST, "code": code()["commit"]}
+    row |= {"truth": json.loads(envelope.read_text(encoding="utf-8")), "version": LATEST, "code": state()}
     write_text(path, json.dumps(row))
     return row
 

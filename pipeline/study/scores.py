@@ -56,7 +56,12 @@ BENCHES = Table(
         Column("noise_floor", "m", "as estimated"),
         Column("runtime", "s", "of the diagnosis"),
         Column("version", "1", "of the benches; see hardware/virtual/blind/version.py", "int"),
-        Column("code", "", "commit of the code that was asked; 'unknown' where nothing says", "text"),
+        Column(
+            "code",
+            "",
+            "commit of the code that was asked, + if it was changed since; 'unknown' where nothing says",
+            "text",
+        ),
         Column("values", "", "of true causes that were named, JSON: name, true, value, low, high, inside", "text"),
     ),
 )

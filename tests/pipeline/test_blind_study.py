@@ -14,7 +14,8 @@ import pytest
 from matplotlib.image import imread
 
 from data.dataset import read
-from hardware.virtual.blind import VERSIONS, draw
+from hardware.virtual.blind import LATEST, VERSIONS, draw
+from pipeline.origin import state
 from pipeline.study import one_bench, pictures, scores, study
 from pipeline.study.scores import TABLES, calibration_error, counted
 from pipeline.study.verdicts import answered, beliefs, confidence, correct
@@ -197,6 +198,7 @@ def test_a_study_goes_on_where_it_stopped_whatever_the_number_of_processes(tmp_p
     assert timeless(rows) == timeless(one_bench(seed, tmp_path / "b", Bench, looked) for seed in seeds)
     assert [one["truth"]["kind"] for one in rows] == ["effect", "effect", "none"]
     assert all(correct(one) for one in rows)
+    assert {(one["version"], one["code"]) for one in rows} == {(LATEST, state())}
     assert not list((tmp_path / "a" / "datasets" / "00001").glob("*.json"))
 
 
