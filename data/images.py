@@ -11,9 +11,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+from PIL import Image
 
+from data.foreign import regular
 from data.schema import DataError
 
+MOST_FILE = 1 << 28  # [bytes] of an image file: more than twice the largest sensors' 16-bit colours unpacked
+MOST_PIXELS = 1 << 26  # of an image: the largest sensors have 5e7, and a byte each, in three colours, takes 0.2 GB
+MOST_FRAMES = 1 << 20  # of a video: a quarter of an hour at 1000 a second
+CONTAINERS = (b"RIFF", b"\x1aE\xdf\xa3")  # how AVI and Matroska begin
+ATOMS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")  # how MP4 and QuickTime do, from byte 4
 ROOM = 1 << 29  # [bytes] of images that are held at a time
 PACKING = (
     *(cv2.IMWRITE_PNG_COMPRESSION, 1),
@@ -52,6 +59,7 @@ class ImageFiles(Images):
     def read(self, index: int) -> np.ndarray:
         """One image."""
         path = self.folder / self.files[index]
+        _refuse_bomb(path)
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise DataError(f"{path}: the frame is missing or damaged. Restore it or leave its trial out.")
@@ -66,9 +74,15 @@ class Video(Images):
 
     @cached_property
     def _capture(self) -> cv2.VideoCapture:
+        if not _contained(self.path):
+            raise DataError(f"{self.path}: no MP4, QuickTime, AVI or Matroska file. Convert it, or store PNGs.")
         capture = cv2.VideoCapture(str(self.path))
         if not capture.isOpened():
             raise DataError(f"{self.path}: not a video that OpenCV can read. Convert it, or store frames as PNG.")
+        _refuse_size(self.path, *(capture.get(key) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)))
+        frames = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        if frames > MOST_FRAMES:
+            raise DataError(f"{self.path}: it says it has {frames:.0f} frames, at most {MOST_FRAMES} are read. Cut it.")
         return capture
 
     @property
@@ -88,6 +102,31 @@ class Video(Images):
         if not good:
             raise DataError(f"{self.path}: frame {index} cannot be read. Restore the file or leave its trial out.")
         return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def _refuse_bomb(path: Path) -> None:
+    """Refuse an image by what its first bytes say of its size: a few bytes may unpack to gigabytes."""
+    try:
+        with Image.open(regular(path, MOST_FILE)) as header:
+            _refuse_size(path, *header.size)
+    except (Image.DecompressionBombError, OSError, ValueError, SyntaxError) as error:
+        raise DataError(
+            f"{path}: the frame is missing or damaged ({error}). Restore it or leave its trial out."
+        ) from error
+
+
+def _refuse_size(path: Path, width: float, height: float) -> None:
+    if width * height > MOST_PIXELS:
+        raise DataError(
+            f"{path}: it has {width:.0f} x {height:.0f} pixels, at most {MOST_PIXELS:.0f} are read. Store it smaller."
+        )
+
+
+def _contained(path: Path) -> bool:
+    """Whether a file begins as a video does: a list of other files or addresses is followed by OpenCV, too."""
+    with regular(path).open("rb") as file:
+        begins = file.read(8)
+    return begins.startswith(CONTAINERS) or begins[4:] in ATOMS
 
 
 class Held(Images):

@@ -105,6 +105,8 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
 
 def origin_of(path: Path) -> dict[str, Any]:
     """What made a Parquet file; empty for one that is not ours."""
+    if path.exists():
+        foreign.regular(path)
     metadata = pq.read_schema(path).metadata or {}
     return json.loads(metadata.get(b"origin", b"{}"))
 

@@ -21,6 +21,7 @@ from rich.markup import escape
 from threadpoolctl import threadpool_limits
 
 from data import store
+from data.foreign import printable
 from data.schema import DataError
 from pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
 from pipeline.commands import NAMES, command, listed
@@ -80,7 +81,7 @@ def where(block: str) -> str:
 
 def complain(error: Exception, console: Console) -> None:
     """One clear message."""
-    console.print(f"[bold red]Error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+    console.print(f"[bold red]Error:[/] {escape(printable(str(error)))}", highlight=False, soft_wrap=True)
 
 
 def asked(name: str, arguments: list[str]) -> int:

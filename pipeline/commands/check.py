@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from data import dataset
+from data.foreign import printable
 from data.schema import DataError
 from pipeline.brought import with_brought_settings
 from pipeline.settings import UserError, build, composed, names_given
@@ -79,7 +80,7 @@ def show(found: Mapping[str, Any], console: Console) -> None:
         remedy = f" {finding['remedy']}." if finding["remedy"] else ""
         words = f"{place}{where}: {finding['said']}." if place or where else finding["said"] + "."
         colour, severity = COLOURS[finding["severity"]], finding["severity"]
-        console.print(f"[{colour}]{severity}[/] {escape(words + remedy)}", highlight=False, soft_wrap=True)
+        console.print(f"[{colour}]{severity}[/] {escape(printable(words + remedy))}", highlight=False, soft_wrap=True)
     console.print(conclusion(found), soft_wrap=True)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from data import dataset, store
+from data.foreign import printable
 from data.schema import DataError
 from pipeline import keep
 from pipeline.compare import differing_files
@@ -26,7 +27,7 @@ def main(arguments: list[str]) -> int:
     asked = parser.parse_args(arguments)
     found = {heading: differ(asked.a, asked.b) for heading, differ in HEADINGS.items()}
     for heading, words in found.items():
-        print(f"{heading}: {'differ' if words else 'the same'}", *words, sep="\n    ")
+        print(printable("\n    ".join((f"{heading}: {'differ' if words else 'the same'}", *words))))
     return 1 if any(found.values()) else 0
 
 

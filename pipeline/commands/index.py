@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import track
 from rich.table import Table as Printed
+from rich.text import Text
 
 from data import dataset, store
 from data.artifacts import FIT
+from data.foreign import printable
 from data.schema import Column, DataError, Table
 from pipeline import keep
 from pipeline.fresh import reasons_of
@@ -39,6 +39,7 @@ RUNS = Table(
         Column("said", "", "how it ended or why it stopped, in words", "text"),
     ),
 )
+OTHERWISE = (KeyError, TypeError, ValueError, AttributeError)  # what files of another make raise where they are read
 SHOWN = ("run", "experiment", "state", "outcome", "iterations", "best_E", "seconds", "stale")
 
 
@@ -79,7 +80,7 @@ def row(run: Path) -> dict[str, Any]:
     try:
         settings, ended = dataset.settings(run / "config.json"), _json(run / keep.ENDED)
         return {"experiment": str(settings["name"]), **_ending(run, ended), **_steps(run)}
-    except DataError as error:
+    except (DataError, *OTHERWISE) as error:
         nothing: dict[str, Any] = {"experiment": "", "outcome": "", "date": "", "iterations": 0, "best_E": float("nan")}
         return nothing | {"seconds": 0.0, "state": "damaged", "stale": "", "said": str(error)}
 
@@ -91,14 +92,14 @@ def printed(runs: pd.DataFrame) -> Printed:
         table.add_column(name, overflow="fold")
     short = runs[list(SHOWN)].assign(stale=np.where(runs["stale"] != "", "yes", ""))  # `why` says more
     for one in short.itertuples(index=False):
-        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else escape(str(cell)) for cell in one))
+        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else Text(printable(str(cell))) for cell in one))
     return table
 
 
 def _runs(folder: Path) -> Iterator[Path]:
     """Folders with a config.json of ours."""
     for path in folder.rglob("config.json"):
-        if '"steps"' in path.read_text(encoding="utf-8", errors="replace"):
+        if path.is_file() and '"steps"' in path.read_text(encoding="utf-8", errors="replace"):
             yield path.parent
 
 
@@ -113,7 +114,7 @@ def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
         diagnosis = run / "diagnosis.json"
         cast = "hit" if ended["hit"] else "missed"
         estimated = cast if any("hit" in i for i in ended["iterations"]) else "estimated"
-        outcome = json.loads(diagnosis.read_text(encoding="utf-8"))["verdict"] if diagnosis.is_file() else estimated
+        outcome = _json(diagnosis)["verdict"] if diagnosis.is_file() else estimated
         return {"state": "ended", "outcome": outcome, "said": ended["sentence"]}
     said = failed.read_text(encoding="utf-8").strip() if failed.is_file() else ""
     return {"state": "failed" if said else "incomplete", "outcome": "", "said": said}

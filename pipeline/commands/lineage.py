@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 from rich.tree import Tree
 
 from data import store
+from data.foreign import printable
 from pipeline.commands.stored import run_of
 from pipeline.fresh import leaves
 from pipeline.settings import UserError
@@ -24,7 +25,7 @@ def main(arguments: list[str]) -> int:
     file = parser.parse_args(arguments).file
     folder = run_of(file)
     changed: list[str] = []
-    tree = grown(Tree(escape(str(file))), file.resolve(), folder, changed, set())
+    tree = grown(Tree(Text(printable(str(file)))), file.resolve(), folder, changed, set())
     Console(highlight=False).print(tree)
     return 1 if changed else 0
 
@@ -37,13 +38,13 @@ def grown(tree: Tree, place: Path, run: Path, changed: list[str], shown: set[Pat
     made = {} if place in shown else _origin(place, run)
     words = [line for line in _words(made) if line not in shown] if made else []
     for line in words:
-        tree.add(escape(line))
+        tree.add(Text(printable(line)))
     shown |= {place, *words}
     for name, digest in made.get("inputs", {}).items():
         there = _find(name, run)
         state = _state(there, digest)
         changed += [name] if state else []
-        branch = tree.add(escape(f"{name}{state}{' (see above)' if there in shown else ''}"))
+        branch = tree.add(Text(printable(f"{name}{state}{' (see above)' if there in shown else ''}")))
         if there is not None:
             grown(branch, there, _run_of(there, run), changed, shown)
     return tree

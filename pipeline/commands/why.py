@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from data.foreign import printable
 from pipeline.commands.stored import NotMadeError, run_of, stored_world, walk
 from pipeline.fresh import FOLDERS, inputs, look, performed, place_of
 from pipeline.settings import UserError
@@ -26,7 +27,7 @@ def main(arguments: list[str]) -> int:
         known = ", ".join(FOLDERS.values())
         raise UserError(f"{place}: the run has no such step. Name a folder iterations/<number>/<one of {known}>.")
     for state in states:
-        print(f"{state.place}: {state.words}", *state.reasons, sep="\n    ")
+        print(printable("\n    ".join((f"{state.place}: {state.words}", *state.reasons))))
     return 1 if any(state.reasons for state in states) else 0
 
 

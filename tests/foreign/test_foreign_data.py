@@ -1,8 +1,11 @@
 """Measured data of others: nothing in them blocks, fills the memory, leaves its folder or steers the terminal."""
 
 import io
+import json
 import os
+import struct
 import time
+import zlib
 
 import cv2
 import numpy as np
@@ -14,8 +17,9 @@ from rich.console import Console
 
 from data import dataset, foreign
 from data.about import about
+from data.images import ImageFiles, Video
 from data.schema import DataError
-from pipeline.commands import check
+from pipeline.commands import check, index
 from stages.check import contents
 from stages.check.measured import Measured
 from tests.store.test_dataset import CAMERA, T, given, grasp, points, shade
@@ -131,3 +135,48 @@ def test_what_we_write_ourselves_can_be_read(tmp_path):
     known = {"format": 1, "string": {"length": 0.3}, "camera": {"tilt": [0.0, 0.0], "origin_px": [0.0, 0.0]}}
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(known))
     assert about(tmp_path) == known
+
+
+def huge_png(side):
+    """A PNG of `side` x `side` pixels, of which only the header is there."""
+    head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    chunks = ((13, head), (0, b"IDAT"), (0, b"IEND"))
+    whole = [struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk)) for size, chunk in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(whole)
+
+
+def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_header(tmp_path, monkeypatch):
+    monkeypatch.setattr(cv2, "imread", lambda *_: pytest.fail("it was unpacked"))
+    for side in (10_000, 60_000):  # beyond our bound, and beyond the imaging library's own
+        (tmp_path / "a.png").write_bytes(huge_png(side))
+        with pytest.raises(DataError, match=r"a\.png: .*(pixels, at most|exceeds limit)"):
+            ImageFiles(tmp_path, ("a.png",)).read(0)
+    (tmp_path / "a.png").unlink()
+    os.mkfifo(tmp_path / "a.png")
+    with pytest.raises(DataError, match="no plain file"):
+        ImageFiles(tmp_path, ("a.png",)).read(0)
+
+
+@pytest.mark.parametrize("content", [b"#EXTM3U\n/etc/hostname\n", b"ffconcat version 1.0\nfile /etc/hostname\n", b""])
+def test_a_list_of_other_files_is_no_video(tmp_path, monkeypatch, content):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
+    (tmp_path / "a.mp4").write_bytes(content)
+    with pytest.raises(DataError, match=r"a\.mp4: no MP4"):
+        len(Video(tmp_path / "a.mp4"))
+
+
+def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
+    made = {"[bold]": {}, "other": {"sentence": 1}, "piped": {}}
+    for name, ended in made.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(ended))
+        settings = json.dumps({"steps": [], "name": "[/]\x1b[2J"})
+        (tmp_path / name / "config.json").write_text(settings.replace('": [', '":  ['))
+    (tmp_path / "piped" / "config.json").unlink()
+    os.mkfifo(tmp_path / "piped" / "config.json")
+    assert index.main([str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "\x1b[2J" not in shown
+    assert "[/]" in shown
+    found = index.index(tmp_path).set_index("run")["state"]
+    assert found.to_dict() == {"[bold]": "incomplete", "other": "damaged"}
