@@ -68,6 +68,7 @@ class VelocityArm:
         self.signals.watch()
         try:
             self.wire.open()
+            self.wire.limit(self.arm)
             self._test_link()
         except BaseException:
             self.__exit__(None, None, None)
@@ -93,6 +94,7 @@ class VelocityArm:
     def clear(self) -> None:
         """Undo the emergency stop on purpose, after a person has looked at the arm."""
         self.wire.clear()
+        self.wire.limit(self.arm)
         self.latched = ""
 
     def angles(self) -> np.ndarray:

@@ -8,6 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from stages.model.arm import Arm
+
 
 @dataclass(frozen=True, slots=True)
 class Answer:
@@ -33,6 +35,9 @@ class Wire(Protocol):
 
     def open(self) -> None:
         """Connect and agree on how to talk; nothing moves. Refuses a device that was latched."""
+
+    def limit(self, arm: Arm) -> None:
+        """Have the device keep to the arm's limits of speed and acceleration by itself; raises where it does not."""
 
     def close(self) -> None:
         """Let go. Does nothing where nothing is open."""

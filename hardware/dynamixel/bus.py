@@ -33,6 +33,7 @@ from hardware.dynamixel.registers import (
     taken,
 )
 from hardware.serial.wire import check_latency
+from stages.model.arm import Arm
 from stages.roles import HardwareError
 
 try:  # what a pulled cable raises in pyserial, beside its own error
@@ -99,6 +100,9 @@ class DynamixelBus:
         for servo, limit in zip(self.servos, self.fastest, strict=True):
             self._check(servo, limit)
         self._make_ready()
+
+    def limit(self, arm: Arm) -> None:
+        """The servos keep to their own limits, which `open` has read."""
 
     def close(self) -> None:
         """Torque off, and let go."""

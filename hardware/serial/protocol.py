@@ -8,7 +8,7 @@ import zlib
 from dataclasses import dataclass
 from enum import IntEnum
 
-VERSION = 2
+VERSION = 3
 JOINTS = 3
 LONGEST = 64  # bytes between two delimiters; more cannot be a frame
 
@@ -22,8 +22,10 @@ class Kind(IntEnum):
     LATCH = 0x04
     CLEAR = 0x05
     HELLO = 0x06
+    LIMITS = 0x07
     ANSWER = 0x81
     GREETING = 0x82
+    LIMITED = 0x83
 
 
 class State(IntEnum):
@@ -34,10 +36,12 @@ class State(IntEnum):
     MOVING = 2  # follows velocities; the watchdog is armed
     TRIPPED = 3  # the watchdog brought it to rest: obeys HELLO only
     LATCHED = 4  # emergency stop: obeys CLEAR only
+    CLAMPED = 5  # as MOVING, but a velocity was beyond the limits and was cut to them
 
 
 _HEAD = struct.Struct("<BH")
-_BODIES = {Kind.VELOCITY: struct.Struct(f"<{JOINTS}f"), Kind.HELLO: struct.Struct("<B")}
+_LIMITS = struct.Struct(f"<{2 * JOINTS}fHH")
+_BODIES = {Kind.VELOCITY: struct.Struct(f"<{JOINTS}f"), Kind.HELLO: struct.Struct("<B"), Kind.LIMITS: _LIMITS}
 _NONE = struct.Struct("")
 _ANSWER = struct.Struct(f"<IB{JOINTS}f")
 _GREETING = struct.Struct("<BBHB")
@@ -49,7 +53,8 @@ class FrameError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Host to device. values: speeds [rad/s] of VELOCITY, the host's version of HELLO, else nothing."""
+    """Host to device. values: speeds [rad/s] of VELOCITY, the host's version of HELLO, those of `Limits` of LIMITS,
+    else nothing."""
 
     kind: Kind
     sequence: int
@@ -77,6 +82,18 @@ class Greeting:
     state: State
 
 
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the device enforces by itself: its answer to LIMITS. values: largest speed [rad/s] and acceleration
+    [rad/s^2] of each joint, the host's tick [us], the watchdog [ms]."""
+
+    sequence: int
+    values: tuple[float, ...]
+
+
+Answer = Report | Greeting | Limits
+
+
 def encode_command(command: Command) -> bytes:
     """The bytes of a command, delimiter included."""
     return _framed(command.kind, command.sequence, _BODIES.get(command.kind, _NONE).pack(*command.values))
@@ -94,15 +111,17 @@ def decode_command(frame: bytes) -> Command:
     return Command(kind, sequence, values)
 
 
-def encode_answer(answer: Report | Greeting) -> bytes:
+def encode_answer(answer: Answer) -> bytes:
     """The bytes of an answer, delimiter included."""
     if isinstance(answer, Greeting):
         body = _GREETING.pack(answer.version, answer.joints, answer.watchdog, answer.state)
         return _framed(Kind.GREETING, answer.sequence, body)
+    if isinstance(answer, Limits):
+        return _framed(Kind.LIMITED, answer.sequence, _LIMITS.pack(*answer.values))
     return _framed(Kind.ANSWER, answer.sequence, _ANSWER.pack(answer.micros, answer.state, *answer.angles))
 
 
-def decode_answer(frame: bytes) -> Report | Greeting:
+def decode_answer(frame: bytes) -> Answer:
     """An answer from the bytes between two delimiters; raises FrameError, also where an angle is no number."""
     kind, sequence, body = _unframed(frame)
     try:
@@ -114,6 +133,8 @@ def decode_answer(frame: bytes) -> Report | Greeting:
         if kind is Kind.GREETING:
             version, joints, watchdog, state = _GREETING.unpack(body)
             return Greeting(sequence, version, joints, watchdog, State(state))
+        if kind is Kind.LIMITED:
+            return Limits(sequence, _LIMITS.unpack(body))
     except (struct.error, ValueError) as error:
         raise FrameError(str(error)) from error
     raise FrameError(f"answer {kind!r}")

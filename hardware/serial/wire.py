@@ -19,11 +19,13 @@ from hardware.serial.protocol import (
     FrameError,
     Greeting,
     Kind,
+    Limits,
     Report,
     State,
     decode_answer,
     encode_command,
 )
+from stages.model.arm import Arm
 from stages.roles import HardwareError
 
 ANSWER_WITHIN = 0.25  # [s] that an exchange may take before it is tried again
@@ -32,7 +34,10 @@ HELD = {
     State.FRESH: "the device restarted",
     State.TRIPPED: "the device's watchdog stopped it",
     State.LATCHED: "the device is latched",
+    State.CLAMPED: "the device cut a velocity that was beyond its limits",
 }
+ANSWERS = {Kind.HELLO: Greeting, Kind.LIMITS: Limits}  # all others: Report
+ABOVE = 1.01  # times the arm's own limits, which the host keeps to: its rounding is no fault
 
 
 @dataclass
@@ -69,6 +74,18 @@ class SerialWire:
                 f"python -m hardware.serial.clear {self.port}"
             )
         self.watchdog = greeting.watchdog * 1e-3
+
+    def limit(self, arm: Arm) -> None:
+        """As LIMITS, with the watchdog that the device greeted with."""
+        most = ABOVE * np.array([*arm.speed, *arm.acceleration], dtype=np.float32)
+        asked = (*map(float, most), round(arm.tick * 1e6), round(self.watchdog * 1e3))
+        limits = self._exchange(Kind.LIMITS, asked)
+        assert isinstance(limits, Limits)
+        if limits.values != asked:
+            raise HardwareError(
+                f"arm on {self.port}: the device does not enforce the limits of conf/arm, {asked}, but "
+                f"{limits.values}. See what it can (hardware/serial/README.md)."
+            )
 
     def close(self) -> None:
         """Close the port."""
@@ -138,14 +155,14 @@ class SerialWire:
         assert isinstance(report, Report)
         return report
 
-    def _exchange(self, kind: Kind, values: tuple[float, ...] = ()) -> Report | Greeting:
+    def _exchange(self, kind: Kind, values: tuple[float, ...] = ()) -> Report | Greeting | Limits:
         """Send and wait for the answer; asks again a few times, for a frame may be lost."""
         for _ in range(TRIES):
             number = self._send(kind, values)
             end = time.monotonic() + ANSWER_WITHIN
             while time.monotonic() < end:
                 for answer in self._received():
-                    if answer.sequence == number and isinstance(answer, Greeting) == (kind is Kind.HELLO):
+                    if answer.sequence == number and isinstance(answer, ANSWERS.get(kind, Report)):
                         return answer
                 time.sleep(0.0002)
         refused = f" with anything that can be used ({self.refused})" if self.refused else ""
@@ -163,7 +180,7 @@ class SerialWire:
             raise self._gone(error) from error
         return self.sequence
 
-    def _received(self) -> list[Report | Greeting]:
+    def _received(self) -> list[Report | Greeting | Limits]:
         """Whole answers that have arrived."""
         assert self.link is not None
         try:

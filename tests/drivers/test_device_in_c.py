@@ -76,10 +76,16 @@ def test_c_holds_the_golden_conversation(built):
 def fuzz(rng):
     """Whole commands of every kind among torn, flipped, overlong and random ones, so that states are reached."""
     sequence, stream = 0, encode_command(Command(Kind.HELLO, 0, (VERSION,)))
-    values = {Kind.VELOCITY: lambda: [rng.choice([0.0, 1.5, -3.0, float("nan"), float("inf")]) for _ in range(3)]}
+    odd = [0.0, 1.5, -3.0, 0.1, -0.0, 1e30, -1e30, float("nan"), float("inf")]
+    values = {Kind.VELOCITY: lambda: [rng.choice(odd[: rng.choice([1, 2, 5, 9])]) for _ in range(3)]}
+    usual, strange = [2.0] * 3 + [300.0] * 3, [2.0, 1.5, 300.0, 0.0, 1e-3, -1.0, float("nan")]
+    values[Kind.LIMITS] = lambda: [
+        *rng.choice([usual, usual, [rng.choice(strange) for _ in range(6)]]),
+        *(rng.choice([0, 5000]), rng.choice([0, 7, 400])),
+    ]
     values[Kind.HELLO] = lambda: [rng.choice([VERSION, VERSION, 1])]
     for _ in range(300):
-        kind = rng.choice([*[k for k in Kind if k < 0x80], Kind.VELOCITY, Kind.VELOCITY, Kind.HELLO])
+        kind = rng.choice([*[k for k in Kind if k < 0x80], Kind.VELOCITY, Kind.VELOCITY, Kind.HELLO, Kind.LIMITS])
         sequence = (sequence + rng.choice([1, 1, 1, 0, -1, 40000])) % 2**16
         frame = bytearray(encode_command(Command(kind, sequence, tuple(values.get(kind, list)()))))
         harm = rng.randrange(8)
@@ -101,6 +107,31 @@ def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
     answered = in_python(stream)
     assert in_c(built("pipe"), stream) == answered
     assert len(answered) > 1000  # it is a conversation, not silence
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("get(payload + count, CHECK) != crc32(payload, count)", "0"),
+        ("fmin(fmax(wanted, -speed), speed)", "wanted"),
+        ("fmin(fmax(slow, was - change), was + change)", "slow"),
+        ("unbound(device);", ""),
+        ("now_us - device->heard_us > 1000u * patience", "0"),
+        ("patience < device->watchdog_ms ? patience : device->watchdog_ms", "patience"),
+    ],
+)
+def test_a_device_that_is_wrong_is_found_out(tmp_path, right, wrong):
+    """The control: with the checksum, a limit or the watchdog switched off, fuzzed bytes are answered otherwise."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    text = (FOLDER / "stringcast.c").read_text()
+    assert text.count(right) == 1
+    (tmp_path / "stringcast.c").write_text(text.replace(right, wrong))
+    sources = [tmp_path / "stringcast.c", FOLDER / "pipe.c", f"-I{FOLDER}", "-lm"]
+    subprocess.run([compiler, "-std=c99", "-o", tmp_path / "pipe", *sources], check=True, capture_output=True)
+    streams = [fuzz(random.Random(seed)) for seed in range(20)]
+    assert any(in_c(tmp_path / "pipe", stream) != in_python(stream) for stream in streams)
 
 
 @pytest.fixture

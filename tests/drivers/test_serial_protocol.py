@@ -1,6 +1,7 @@
 """Frames and the state machine of the device, byte by byte and without any clock but the test's own."""
 
 import pytest
+from rig import ARM
 
 from hardware.serial.firmware import Firmware
 from hardware.serial.protocol import (
@@ -20,9 +21,11 @@ from hardware.serial.protocol import (
     newer,
     uncobs,
 )
+from hardware.serial.protocol import Limits as LimitsAnswer
 from hardware.serial.wire import SerialWire, check_latency
 from stages.roles import HardwareError
 
+LIMITS = (*(4.0,) * 3, *(300.0,) * 3, 5000, 25)  # [rad/s], [rad/s^2], [us], [ms]
 POSE = (0.5, 0.25, -1.0)
 
 
@@ -35,6 +38,7 @@ def tell(firmware, kind, sequence, values=(), micros=0):
 def firmware():
     device = Firmware()
     tell(device, Kind.HELLO, 1, (VERSION,))
+    tell(device, Kind.LIMITS, 1, LIMITS)
     return device
 
 
@@ -145,3 +149,64 @@ def test_a_slow_adapter_is_refused_with_the_remedy(tmp_path):
         check_latency("/dev/ttyUSB7", tmp_path)
     timer.write_text("1\n")
     check_latency("/dev/ttyUSB7", tmp_path)
+
+
+def limited(firmware, *values, sequence=1):
+    return tell(firmware, Kind.LIMITS, sequence, values).values
+
+
+def test_nothing_moves_before_limits_were_set():
+    device = Firmware()
+    tell(device, Kind.HELLO, 1, (VERSION,))
+    assert tell(device, Kind.VELOCITY, 2, POSE).state is State.CLAMPED
+    assert device.target == (0.0, 0.0, 0.0)
+    assert limited(device, *LIMITS)[0] == 0.0  # nor are they set while it moves
+    tell(device, Kind.STOP, 3)
+    assert limited(device, *LIMITS) == LIMITS
+    assert tell(device, Kind.VELOCITY, 4, POSE).state is State.MOVING
+
+
+@pytest.mark.parametrize(
+    "bad", [(-1.0, *LIMITS[1:]), (*LIMITS[:5], -1.0, 5000, 25), (*LIMITS[:7], 0)], ids=["speed", "rate", "watchdog"]
+)
+def test_limits_that_are_none_are_not_taken_over(firmware, bad):
+    assert limited(firmware, *bad) == LIMITS
+
+
+def test_the_shorter_watchdog_is_in_force(firmware):
+    assert limited(firmware, *LIMITS[:7], 60)[-1] == 25
+    assert limited(firmware, *LIMITS[:7], 11)[-1] == 11
+    tell(firmware, Kind.VELOCITY, 2, (1.0, 0.0, 0.0))
+    firmware.tick(11_000)
+    assert firmware.state is State.MOVING
+    firmware.tick(11_001)
+    assert firmware.state is State.TRIPPED
+
+
+@pytest.mark.parametrize("speed", [1e30, -1e30, 4.001])
+def test_a_speed_beyond_the_limit_is_cut_and_told_until_the_host_has_stopped(firmware, speed):
+    sign = 1 if speed > 0 else -1
+    for number in range(2, 6):  # 4 rad/s at 300 rad/s^2 over two ticks, 3 rad/s a command
+        state = tell(firmware, Kind.VELOCITY, number, (speed, 1.0, 0.0), 5000 * number).state
+        assert state is State.CLAMPED
+        assert firmware.target == (pytest.approx(sign * min(4.0, 3.0 * (number - 1))), 1.0, 0.0)
+    assert tell(firmware, Kind.VELOCITY, 6, (sign * 4.0, 1.0, 0.0), 30_000).state is State.CLAMPED
+    assert tell(firmware, Kind.STOP, 7).state is State.IDLE
+    assert tell(firmware, Kind.VELOCITY, 8, (1.0, 1.0, 0.0)).state is State.MOVING
+
+
+def test_a_change_that_a_lost_command_explains_is_obeyed(firmware):
+    tell(firmware, Kind.VELOCITY, 2, (1.0, 0.0, 0.0), 0)
+    assert tell(firmware, Kind.VELOCITY, 4, (-2.0, 0.0, 0.0), 5000).state is State.MOVING  # 3 rad/s in two ticks
+    assert tell(firmware, Kind.VELOCITY, 8, (4.0, 0.0, 0.0), 25_000).state is State.MOVING  # 6 rad/s in 20 ms
+    assert tell(firmware, Kind.VELOCITY, 9, (0.9, 0.0, 0.0), 30_000).state is State.CLAMPED
+
+
+def test_a_device_that_does_not_take_the_limits_is_refused(monkeypatch):
+    wire = SerialWire("port", 0, watchdog=0.025)
+    taken = lambda kind, values: LimitsAnswer(1, (*values[:-1], 20))  # noqa: E731
+    monkeypatch.setattr(wire, "_exchange", taken)
+    with pytest.raises(HardwareError, match="does not enforce the limits"):
+        wire.limit(ARM)
+    monkeypatch.setattr(wire, "_exchange", lambda kind, values: LimitsAnswer(1, values))
+    wire.limit(ARM)

@@ -27,6 +27,9 @@ class Script:
     def open(self):
         self.said.append("open")
 
+    def limit(self, arm):
+        self.limits = arm.speed
+
     def close(self):
         self.said.append("close")
 

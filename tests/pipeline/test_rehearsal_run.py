@@ -62,7 +62,7 @@ def test_what_is_wrong_with_arm_and_camera_is_told_together_before_anything_is_p
     CALLS.clear()
     with pytest.raises(HardwareError, match=r"no such port\nno such camera"):
         toy_run(tmp_path / "run", with_lab(Absent("no such port"), Absent("no such camera")))
-    with pytest.raises(HardwareError, match="^no such camera$"):
+    with pytest.raises(HardwareError, match=r"^no such camera$"):
         toy_run(tmp_path / "run", with_lab(nullcontext(), Absent("no such camera")))
     assert CALLS == []
     assert not (tmp_path / "run").exists()

@@ -3,8 +3,9 @@
 #include <math.h>
 #include <string.h>
 
-enum { PING = 0x01, VELOCITY, STOP, LATCH, CLEAR, HELLO, ANSWER = 0x81, GREETING = 0x82 };
-enum { HEAD = 3, CHECK = 4, LARGEST = HEAD + 5 + 4 * SC_JOINTS + CHECK };
+enum { PING = 0x01, VELOCITY, STOP, LATCH, CLEAR, HELLO, LIMITS, ANSWER = 0x81, GREETING, LIMITED };
+enum { HEAD = 3, CHECK = 4, BOUNDS = 8 * SC_JOINTS + 4, LARGEST = HEAD + BOUNDS + CHECK };
+enum { BEFORE = 2 }; /* ticks over which a velocity may change: one command may be lost or overtaken */
 
 static uint32_t crc32(const uint8_t *data, size_t count)
 {
@@ -99,20 +100,64 @@ static int newer(uint16_t sequence, uint16_t last)
     return ahead > 0 && ahead < 0x8000u;
 }
 
+static int follows(const sc_device *device)
+{
+    return device->state == SC_MOVING || device->state == SC_CLAMPED;
+}
+
 static int obeys(const sc_device *device)
 {
-    return device->state == SC_IDLE || device->state == SC_MOVING;
+    return device->state == SC_IDLE || follows(device);
+}
+
+/* At most `speed`, and at most `change` from what it was. */
+static float within(double wanted, double was, double speed, double change)
+{
+    double slow = fmin(fmax(wanted, -speed), speed);
+    return (float)fmin(fmax(slow, was - change), was + change);
 }
 
 static void follow(sc_device *device, uint16_t sequence, const uint8_t *body, uint32_t now_us)
 {
     if (!obeys(device) || !newer(sequence, device->last))
         return;
+    uint32_t elapsed = follows(device) ? now_us - device->heard_us : 0;
+    uint32_t least = (uint32_t)BEFORE * device->tick_us;
+    double span = (double)(elapsed > least ? elapsed : least) * 1e-6;
+    device->state = device->state == SC_CLAMPED ? SC_CLAMPED : SC_MOVING;
+    for (size_t j = 0; j < SC_JOINTS; j++) {
+        float wanted = get_float(body + 4 * j);
+        float was = device->target[j];
+        device->target[j] = within(wanted, was, device->speed[j], device->acceleration[j] * span);
+        if (device->target[j] < wanted || device->target[j] > wanted)
+            device->state = SC_CLAMPED;
+    }
     device->last = sequence;
     device->heard_us = now_us;
-    device->state = SC_MOVING;
-    for (size_t j = 0; j < SC_JOINTS; j++)
-        device->target[j] = get_float(body + 4 * j);
+}
+
+static void bound(sc_device *device, const uint8_t *body)
+{
+    uint16_t patience = (uint16_t)get(body + 8 * SC_JOINTS + 2, 2);
+    for (size_t j = 0; j < 2 * SC_JOINTS; j++)
+        if (get_float(body + 4 * j) < 0)
+            return;
+    if (device->state != SC_IDLE || patience == 0)
+        return;
+    for (size_t j = 0; j < SC_JOINTS; j++) {
+        device->speed[j] = get_float(body + 4 * j);
+        device->acceleration[j] = get_float(body + 4 * (SC_JOINTS + j));
+    }
+    device->tick_us = (uint16_t)get(body + 8 * SC_JOINTS, 2);
+    device->patience_ms = patience < device->watchdog_ms ? patience : device->watchdog_ms;
+}
+
+static void unbound(sc_device *device)
+{
+    memset(device->speed, 0, sizeof device->speed);
+    memset(device->acceleration, 0, sizeof device->acceleration);
+    device->tick_us = 0;
+    device->patience_ms = 0;
 }
 
 static void stop(sc_device *device, uint16_t sequence)
@@ -129,6 +174,7 @@ static void greeted(sc_device *device, uint16_t sequence, uint8_t version)
     if (device->state == SC_LATCHED || version != SC_VERSION)
         return;
     device->last = sequence;
+    unbound(device);
     rest(device, SC_IDLE);
 }
 
@@ -139,6 +185,7 @@ static void act(sc_device *device, uint8_t kind, uint16_t sequence, const uint8_
     case STOP: stop(device, sequence); break;
     case LATCH: rest(device, SC_LATCHED); break;
     case HELLO: greeted(device, sequence, body[0]); break;
+    case LIMITS: bound(device, body); break;
     case CLEAR:
         if (device->state == SC_LATCHED)
             rest(device, SC_FRESH);
@@ -169,14 +216,28 @@ static void greet(const sc_device *device, uint16_t sequence, sc_write write)
     send(payload, HEAD + 5, write);
 }
 
-/* Whether a payload without its checksum is a command of the right length, with speeds that are numbers. */
+static void tell_limits(const sc_device *device, uint16_t sequence, sc_write write)
+{
+    uint8_t payload[LARGEST] = {LIMITED};
+    put(payload + 1, sequence, 2);
+    for (size_t j = 0; j < SC_JOINTS; j++) {
+        put_float(payload + HEAD + 4 * j, device->speed[j]);
+        put_float(payload + HEAD + 4 * (SC_JOINTS + j), device->acceleration[j]);
+    }
+    put(payload + HEAD + 8 * SC_JOINTS, device->tick_us, 2);
+    put(payload + HEAD + 8 * SC_JOINTS + 2, device->patience_ms, 2);
+    send(payload, HEAD + BOUNDS, write);
+}
+
+/* Whether a payload without its checksum is a command of the right length, with numbers that are some. */
 static int whole(const uint8_t *payload, size_t count)
 {
     uint8_t kind = payload[0];
-    size_t body = kind == VELOCITY ? 4 * SC_JOINTS : kind == HELLO ? 1 : 0;
-    if (kind < PING || kind > HELLO || count != HEAD + body)
+    size_t floats = kind == VELOCITY ? SC_JOINTS : kind == LIMITS ? 2 * SC_JOINTS : 0;
+    size_t more = kind == LIMITS ? 4 : kind == HELLO ? 1 : 0;
+    if (kind < PING || kind > LIMITS || count != HEAD + 4 * floats + more)
         return 0;
-    for (size_t j = 0; kind == VELOCITY && j < SC_JOINTS; j++)
+    for (size_t j = 0; j < floats; j++)
         if (!isfinite(get_float(payload + HEAD + 4 * j)))
             return 0;
     return 1;
@@ -195,6 +256,8 @@ static void obey(sc_device *device, uint32_t now_us, const float *angles, sc_wri
     act(device, payload[0], sequence, payload + HEAD, now_us);
     if (payload[0] == HELLO)
         greet(device, sequence, write);
+    else if (payload[0] == LIMITS)
+        tell_limits(device, sequence, write);
     else
         answer(device, sequence, now_us, angles, write);
 }
@@ -208,7 +271,8 @@ void sc_init(sc_device *device, uint16_t watchdog_ms)
 
 void sc_tick(sc_device *device, uint32_t now_us)
 {
-    if (device->state == SC_MOVING && now_us - device->heard_us > 1000u * device->watchdog_ms)
+    uint32_t patience = device->patience_ms ? device->patience_ms : device->watchdog_ms;
+    if (follows(device) && now_us - device->heard_us > 1000u * patience)
         rest(device, SC_TRIPPED);
 }
 

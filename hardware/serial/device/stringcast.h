@@ -1,24 +1,28 @@
-/* The device's side of the link (../README.md), version 2, in portable C99: no heap, no clock, no port of its own.
+/* The device's side of the link (../README.md), version 3, in portable C99: no heap, no clock, no port of its own.
  *
  * Call sc_receive for every byte that comes and sc_tick from a timer interrupt, at least every millisecond. Both
  * touch the same struct: where sc_tick may interrupt sc_receive, mask that interrupt around sc_receive. Give the
- * velocity loops `target`, which is zero unless the state is SC_MOVING. */
+ * velocity loops `target`, which is zero unless the state is SC_MOVING or SC_CLAMPED, and within the limits. */
 #ifndef STRINGCAST_H
 #define STRINGCAST_H
 
 #include <stddef.h>
 #include <stdint.h>
 
-#define SC_VERSION 2
+#define SC_VERSION 3
 #define SC_JOINTS 3
 #define SC_LONGEST 64 /* bytes between two delimiters */
 
-typedef enum { SC_FRESH, SC_IDLE, SC_MOVING, SC_TRIPPED, SC_LATCHED } sc_state;
+typedef enum { SC_FRESH, SC_IDLE, SC_MOVING, SC_TRIPPED, SC_LATCHED, SC_CLAMPED } sc_state;
 
 typedef struct {
     sc_state state;
     float target[SC_JOINTS]; /* [rad/s] */
-    uint16_t watchdog_ms;
+    uint16_t watchdog_ms;   /* the longest that the device bears */
+    float speed[SC_JOINTS]; /* limits that the host has set since its HELLO: [rad/s] */
+    float acceleration[SC_JOINTS]; /* [rad/s^2] */
+    uint16_t tick_us;       /* the host's */
+    uint16_t patience_ms;   /* the watchdog in force; 0: the host has set no limits, and nothing moves */
     uint32_t heard_us;      /* when the last velocity was obeyed */
     uint16_t last;          /* its sequence number, or that of a later stop or hello */
     uint8_t frame[SC_LONGEST];
