@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
@@ -16,6 +17,7 @@ MOST_TEXT = 2**20  # [bytes] of settings: ours have 10 kB, and YAML takes a seco
 MOST_TABLE = (
     2**28
 )  # [bytes] of a table: an hour of 11 points at 240 frames a second has 2**28, and what reads it, twice
+MOST_CSV = 2**26  # [bytes]: in memory, as numbers and names, up to ten times that
 CELL = 8  # [bytes] of a number
 
 
@@ -90,10 +92,13 @@ def _live(value: Any, place: str = "") -> str:
     return next(filter(None, found), "")
 
 
-def parquet(path: Path) -> Path:
-    """The path, if it is a Parquet file that fits into memory: a few bytes of it may stand for 4e8 rows."""
+def parquet(path: Path) -> list[str]:
+    """The columns of texts and bytes of a Parquet file that fits into memory: a few bytes may stand for 4e8 rows.
+
+    Those columns are to be read as dictionaries, for a few bytes may also say that each row repeats a text of 1 MB.
+    """
     with pq.ParquetFile(regular(path)) as file:
-        about = file.metadata
+        about, schema = file.metadata, file.schema_arrow
         groups = sum(about.row_group(i).total_byte_size for i in range(about.num_row_groups))
         size = max(groups, about.num_rows * about.num_columns * CELL)
     if size > MOST_TABLE:
@@ -101,4 +106,4 @@ def parquet(path: Path) -> Path:
             f"{path}: {about.num_rows} rows of {about.num_columns} columns would take {size / 1e9:.1f} GB, at most "
             f"{MOST_TABLE / 1e9:.1f} are read. Split it into datasets of fewer trials."
         )
-    return path
+    return [field.name for field in schema if pa.types.is_string(field.type) or pa.types.is_binary(field.type)]

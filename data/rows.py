@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from data.artifacts import ARM, GRASP
-from data.foreign import MOST_TABLE, regular
+from data.foreign import MOST_CSV, regular
 from data.schema import DataError, Table
 from data.spikes import spikes
 
@@ -36,7 +36,7 @@ def from_csv(table: Table, path: Path) -> pd.DataFrame:
     """
     texts = [column.name for column in table.columns if column.kind == "text"]
     try:
-        names = pd.read_csv(regular(path, MOST_TABLE), nrows=0).columns
+        names = pd.read_csv(regular(path, MOST_CSV), nrows=0).columns
         kinds = {name: str for name in names if name.strip() in texts}
         frame = pd.read_csv(path, dtype=kinds, skipinitialspace=True, index_col=False)  # lines may end with a comma
     except (ValueError, OSError) as error:

@@ -15,7 +15,7 @@ import pytest
 import yaml
 from rich.console import Console
 
-from data import dataset, foreign
+from data import dataset, foreign, store
 from data.about import about
 from data.images import ImageFiles, Video
 from data.schema import DataError
@@ -180,3 +180,15 @@ def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
     assert "[/]" in shown
     found = index.index(tmp_path).set_index("run")["state"]
     assert found.to_dict() == {"[bold]": "incomplete", "other": "damaged"}
+
+
+def test_a_long_text_that_every_row_repeats_is_held_once(tmp_path):
+    """50 kB on the disk, 400 MB if each row had a copy."""
+    long_text = "x" * 2**20
+    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    pd.concat([points()] * 8).assign(remark=long_text).to_parquet(tmp_path / "points.parquet")
+    assert (tmp_path / "points.parquet").stat().st_size < 2**18
+    frame = store.read_table(dataset.with_trial(dataset.POINTS), tmp_path / "points.parquet")
+    assert len(frame) == 400
+    assert len({id(text) for text in frame["remark"]}) < 10  # one for each batch that is read
+    assert frame["trial"].tolist() == ["a"] * 400

@@ -1,4 +1,4 @@
-"""Hydra is the version whose refusals were tried: 1.3.2 calls anything, and the next one may again.
+"""Hydra is the version whose refusals were tried: another may call anything, or refuse more.
 
 Classes of foreign settings come from fixed lists (`pipeline/targets.py`), so that this list is the second wall and not
 the first. What it does not hold is asked too: the day it does, or no longer holds the rest, the pin is looked at again.
