@@ -49,26 +49,26 @@ def printable(text: str) -> str:
 
 def yaml_block(path: Path) -> dict[str, Any]:
     """The names and values of a YAML file: plain values only. Raises DataError naming the file and the remedy."""
-    return _block(path, yaml.load, _Plain, "YAML")
+    return _block(path, yaml.load, _Plain, "not valid YAML")
 
 
 def json_block(path: Path) -> dict[str, Any]:
     """The names and values of a JSON file. Raises DataError naming the file and the remedy."""
-    return _block(path, lambda text, kind: json.loads(text), None, "JSON")
+    return _block(path, lambda text, kind: json.loads(text), None, "damaged")
 
 
-def _block(path: Path, parse: Any, kind: Any, language: str) -> dict[str, Any]:
+def _block(path: Path, parse: Any, kind: Any, fault: str) -> dict[str, Any]:
     try:
         known = parse(regular(path, MOST_TEXT).read_text(encoding="utf-8"), kind)
     except (yaml.YAMLError, ValueError, OSError) as error:
-        raise DataError(f"{path}: not valid {language} ({error}). Correct the line it names, or restore it.") from error
+        raise DataError(f"{path}: {fault} ({error}). Correct the line it names, or restore it.") from error
     except RecursionError as error:
         raise DataError(f"{path}: its blocks lie too deep in one another. Make it flat.") from error
     if known is not None and not isinstance(known, dict):
         raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
-    fault = _live(known or {})
-    if fault:
-        raise DataError(f"{path}: {fault} holds '${{', which would be looked up elsewhere. Write the value itself.")
+    place = _live(known or {})
+    if place:
+        raise DataError(f"{path}: {place} holds '${{', which would be looked up elsewhere. Write the value itself.")
     return known or {}
 
 
