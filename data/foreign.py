@@ -49,7 +49,7 @@ def printable(text: str) -> str:
 
 def yaml_block(path: Path) -> dict[str, Any]:
     """The names and values of a YAML file: plain values only. Raises DataError naming the file and the remedy."""
-    return _block(path, yaml.load, _Plain, "not valid YAML")
+    return plain(_block(path, yaml.load, _Plain, "not valid YAML"), path)
 
 
 def json_block(path: Path) -> dict[str, Any]:
@@ -66,10 +66,15 @@ def _block(path: Path, parse: Any, kind: Any, fault: str) -> dict[str, Any]:
         raise DataError(f"{path}: its blocks lie too deep in one another. Make it flat.") from error
     if known is not None and not isinstance(known, dict):
         raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
-    place = _live(known or {})
+    return known or {}
+
+
+def plain(known: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Names and values of a file that become settings. Raises DataError for text that Hydra would resolve."""
+    place = _live(known)
     if place:
         raise DataError(f"{path}: {place} holds '${{', which would be looked up elsewhere. Write the value itself.")
-    return known or {}
+    return known
 
 
 class _Plain(yaml.SafeLoader):

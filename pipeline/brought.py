@@ -8,7 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from data import dataset
-from data.foreign import yaml_block
+from data.foreign import plain, yaml_block
 from data.schema import DataError
 from pipeline.settings import UserError, flat, leaves
 from pipeline.targets import moves_a_real_arm
@@ -117,7 +117,7 @@ def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
     """
     if (folder / "config.json").exists():
         known = dataset.settings(folder / "config.json")
-        brought = {name: known[name] for name in FROM_TRIALS if name in known}
+        brought = plain({name: known[name] for name in FROM_TRIALS if name in known}, folder / "config.json")
         brought |= {LENGTH: known["string"]["length"]} if "string" in known else {}
     else:
         about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}

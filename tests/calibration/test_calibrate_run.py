@@ -35,8 +35,10 @@ def folders(tmp_path_factory):
 
 
 def settled(folders, *more):
-    given = [f"source.folder={folders / 'tilted'}", f"plane.folder={folders / 'flat'}", *more]
-    config = OmegaConf.create(composed(["+experiment=calibrate", "source=images", *given]))
+    given = {"source.folder": folders / "tilted", "plane.folder": folders / "flat"}
+    given |= dict(override.split("=", 1) for override in more)
+    words = [f"{name}={value}" for name, value in given.items()]
+    config = OmegaConf.create(composed(["+experiment=calibrate", "source=images", *words]))
     return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
 
 
@@ -75,7 +77,7 @@ def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
         calibrate.refuse(made, tmp_path)
     assert not (tmp_path / "camera.yaml").exists()
     assert "No <code>camera.yaml</code> was written" in (tmp_path / "report.html").read_text()
-    with pytest.raises(UserError, match=r"camera\.yaml cannot be read .* Name the run folder of a good calibration"):
+    with pytest.raises(UserError, match=r"camera\.yaml: cannot be read .* Name the run folder of a good calibration"):
         measured_camera(tmp_path)
 
 
