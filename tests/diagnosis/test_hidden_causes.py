@@ -59,7 +59,6 @@ def test_nothing_is_named_where_nothing_is_hidden(verdict):
     assert said["verdict"] in ("none", "effect")
 
 
-@pytest.mark.long
 def test_what_is_not_in_the_library_is_called_unknown(verdict):
     said, truth = verdict(829)
     assert truth["kind"] == "outside"
