@@ -254,8 +254,3 @@ def components(effect: type[Effect]) -> tuple[Parameter, ...]:
 def placed(effect: type[Effect]) -> bool:
     """Whether one of an effect's laws depends on where the string is."""
     return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())
-
-
-def taken(law: Callable[..., object], known: Mapping[str, Quantity]) -> dict[str, Quantity]:
-    """Those of the known arguments that a law takes."""
-    return {name: known[name] for name in arguments(law) if name in known}

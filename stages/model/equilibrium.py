@@ -19,8 +19,7 @@ import numpy as np
 
 from stages.model.effect import placed
 from stages.model.leaning import leaning
-from stages.model.stability import slot_sum
-from stages.model.statics import ENOUGH, FLOOR, ITERATIONS, LARGEST_TURN, forces, guessed, moments, slope
+from stages.model.statics import ENOUGH, FLOOR, ITERATIONS, LARGEST_TURN, forces, guessed, moments, sloped
 
 if TYPE_CHECKING:
     from stages.model.string import String
@@ -83,9 +82,8 @@ def _lengths(
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
     stretch = lengths / string.segment - 1
     for _ in range(2):
-        excess = slot_sum(string, material, "tension", {"stretch": stretch, "rate": 0 * stretch}) - along
-        stretch = stretch - excess / slope(string, material, "tension", "stretch", stretch)
-        stretch = np.maximum(stretch, -0.9)
+        tension, rise = sloped(string, material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
+        stretch = np.maximum(stretch - (tension - along) / rise, -0.9)
     return string.segment * (1 + stretch)
 
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.stability import slot_sum
 from stages.model.statics import (
     ENOUGH,
     FLOOR,
@@ -27,7 +26,7 @@ from stages.model.statics import (
     guessed,
     moments,
     shape,
-    slope,
+    sloped,
     weight,
 )
 
@@ -142,17 +141,16 @@ class _Leaning:
         return self.lengths / self.string.segment - 1
 
     @cached_property
-    def pull(self) -> np.ndarray:
-        """Slope of the tension with the length, (C, n - 1)."""
-        return slope(self.string, self.material, "tension", "stretch", self.stretch) / self.string.segment
+    def tension(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the segments, and its slope with the stretch, (C, n - 1) each."""
+        return sloped(self.string, self.material, "tension", "stretch", self.stretch, {"rate": np.zeros((1, 1))})
 
     @cached_property
     def left(self) -> np.ndarray:
         """What the balances of moments and of pulls still leave, (C, 2 n - 2)."""
         moment, _ = self.moments
         turning = moment[:, 1:] - moment[:, :-1] + self.lengths * np.sum(self.force * self.normal, axis=-1)
-        still = {"stretch": self.stretch, "rate": 0 * self.stretch}
-        pulling = np.sum(self.force * self.tangent, axis=-1) - slot_sum(self.string, self.material, "tension", still)
+        pulling = np.sum(self.force * self.tangent, axis=-1) - self.tension[0]
         return np.concatenate([turning, pulling], axis=1)
 
     @property
@@ -182,7 +180,7 @@ class _Leaning:
         diagonal = stiffness[:, :-1] + stiffness[:, 1:] + along
         matrix[:, :count, :count] = _full(-stiffness[:, 1:-1], diagonal)
         turns, stretches = np.arange(count), np.arange(count, 2 * count)
-        matrix[:, stretches, stretches] = self.pull
+        matrix[:, stretches, stretches] = self.tension[1] / self.string.segment
         matrix[:, turns, stretches] = matrix[:, stretches, turns] = -across
         return matrix
 

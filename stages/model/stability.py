@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import PER, taken
+from stages.model.effect import PER
 
 if TYPE_CHECKING:
     from stages.model.string import String
@@ -87,12 +87,10 @@ def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np
     a, b = (grid.ravel()[None] for grid in np.meshgrid(values, speeds, indexing="ij"))
     da, db = 1e-4 * np.ptp(values), 1e-4 * np.ptp(speeds)
 
-    def total(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return slot_sum(string, material, slot, {first: x, second: y}, string.integrator.averaged)
-
-    stiff = (total(a + da, b) - total(a - da, b)) / (2 * da)
-    damped = (total(a, b + db) - total(a, b - db)) / (2 * db)
-    return stiff, damped
+    around = {first: np.hstack([a + da, a - da, a, a]), second: np.hstack([b, b, b + db, b - db])}
+    total = slot_sum(string, material, slot, around, string.integrator.averaged)
+    more, less, faster, slower = np.split(total, 4, axis=1)
+    return (more - less) / (2 * da), (faster - slower) / (2 * db)
 
 
 def slot_sum(
@@ -104,12 +102,12 @@ def slot_sum(
     """
     shape = np.broadcast_shapes((len(material), 1), *(np.shape(v) for v in given.values()))
     total = np.zeros(shape)
-    factors = {per: given[name] for per, (other, name) in PER.items() if other == slot and per not in apart}
-    for effect in string.effects:
-        for name, law in effect.laws().items():
-            if name == slot or name in factors:
-                parameters = string.arguments_of(effect, name, material)
-                total = total + law(**taken(law, given), **parameters) * factors.get(name, 1.0)
+    for more in string.added(slot, material, given):
+        total = total + more
+    for per, (other, name) in PER.items():
+        if other == slot and per not in apart:
+            for each in string.added(per, material, given):
+                total = total + each * given[name]
     return total
 
 
@@ -139,11 +137,9 @@ def load(string: String, material: np.ndarray, given: dict[str, np.ndarray]) -> 
 def vector_sum(string: String, material: np.ndarray, slot: str, known: dict[str, np.ndarray]) -> np.ndarray:
     """Sum of a slot's vector laws for all candidates, (C, M, 2). known: the slot's arguments, (1 or C, M) each."""
     total = np.zeros((*np.broadcast_shapes((len(material), 1), *(v.shape for v in known.values())), 2))
-    for effect in string.effects:
-        law = effect.laws().get(slot)
-        if law is not None:
-            parts = law(**taken(law, known), **string.arguments_of(effect, slot, material))
-            total = total + np.stack([part + 0 * total[..., 0] for part in parts], axis=-1)
+    for parts in string.added(slot, material, known):
+        for axis, part in enumerate(parts):
+            total[..., axis] += part
     return total
 
 

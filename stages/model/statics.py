@@ -6,6 +6,7 @@ and hangs from a pose (C, 3) of the grasp. Forces are over the nominal mass per 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,8 @@ ENOUGH = 1e-12  # [rad] change of an angle that ends the iteration
 
 def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """From the grasp's direction to straight down over the length on which weight bends the rod."""
-    stiffness = slope(string, material, "moment", "curvature", np.zeros((1, 1)))
+    zero = np.zeros((1, 1))
+    _, stiffness = sloped(string, material, "moment", "curvature", zero, {"rate": zero})
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY) ** (1 / 3)
     fall = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
     return theta[:, None] + fall[:, None] * (1 - np.exp(-string.middles() / scale))
@@ -65,14 +67,13 @@ def moments(
     """Moments at the hinges and their slope with the hinge angle, (C, n) each; the free end has none."""
     zero = np.zeros((1, 1))
     hinge = angles[:, :1] - theta[:, None] - grasp_set(string, material)
-    first = slot_sum(string, material, "grasp_moment", {"angle": hinge, "rate": zero})
-    first_slope = slope(string, material, "grasp_moment", "angle", hinge)
+    first, first_slope = sloped(string, material, "grasp_moment", "angle", hinge, {"rate": zero})
     s = string.arc_lengths()[None, 1:-1]
     bend = np.diff(angles, axis=1) / string.segment - slot_sum(string, material, "rest_curvature", {"s": s})
-    others = slot_sum(string, material, "moment", {"curvature": bend, "rate": zero, "s": s})
-    others_slope = slope(string, material, "moment", "curvature", bend) / string.segment
+    others, others_slope = sloped(string, material, "moment", "curvature", bend, {"rate": zero, "s": s})
     end = np.zeros((len(material), 1))
-    return np.concatenate([first, others, end], axis=1), np.concatenate([first_slope, others_slope, end], axis=1)
+    slopes = [first_slope, others_slope / string.segment, end]
+    return np.concatenate([first, others, end], axis=1), np.concatenate(slopes, axis=1)
 
 
 def grasp_set(string: String, material: np.ndarray) -> np.ndarray:
@@ -81,8 +82,16 @@ def grasp_set(string: String, material: np.ndarray) -> np.ndarray:
     return string.grasp_cell * string.segment * at_grasp
 
 
-def slope(string: String, material: np.ndarray, slot: str, name: str, at: np.ndarray) -> np.ndarray:
-    """Rise of a slot's laws with one argument, the rate being zero."""
-    step = 1e-5 if name != "curvature" else 1e-3
-    values = [slot_sum(string, material, slot, {name: at + d, "rate": 0 * at}) for d in (step, -step)]
-    return (values[0] - values[1]) / (2 * step)
+def sloped(
+    string: String, material: np.ndarray, slot: str, name: str, at: np.ndarray, others: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum of a slot's laws, and its rise with one argument, (C, M) each.
+
+    at: (1 or C, M) of that argument. others: the slot's other arguments, (1, 1 or M) each. Asked in one call: with so
+    few numbers it is the calls that take the time.
+    """
+    step = 1e-3 if name == "curvature" else 1e-5
+    three = np.hstack([at, at + step, at - step])
+    wide = {key: np.tile(value, 3) if value.shape[1] > 1 else value for key, value in others.items()}
+    here, more, less = np.split(slot_sum(string, material, slot, {name: three, **wide}), 3, axis=1)
+    return here, (more - less) / (2 * step)

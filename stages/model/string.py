@@ -8,14 +8,15 @@ the number of points; at `points == reference_points` the two are Eq. 1 exactly.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
 from stages.model import kernel
-from stages.model.effect import StringEffect, arguments, placed
+from stages.model.effect import Law, StringEffect, arguments, placed
 from stages.model.effects.air_drag import AirDrag
 from stages.model.effects.axial_damper import AxialDamper
 from stages.model.effects.axial_spring import AxialSpring
@@ -178,23 +179,26 @@ class String:
         softened[..., grasp] = 1 / (1 / material[..., grasp] + cell / material[..., bending])
         return softened
 
-    def arguments_of(self, effect: type[StringEffect], slot: str, material: np.ndarray) -> dict[str, np.ndarray]:
-        """What a law takes of parameters, each (C, 1), by the law's own names. material: (C, rows)."""
-        places = self._places[effect, slot]
-        return {name: material[:, place, None] for name, place in places.items()}
+    def added(self, slot: str, material: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[Any]:
+        """What each law in a slot adds. material: (C, rows). given: the slot's arguments by name, (1 or C, M) each."""
+        for law, names, places in self._laws.get(slot, ()):
+            parameters = {name: material[:, place, None] for name, place in places.items()}
+            yield law(**{name: given[name] for name in names if name in given}, **parameters)
 
     @cached_property
-    def _places(self) -> dict[tuple[type[StringEffect], str], dict[str, int]]:
-        """Where the parameters that each law takes are among the rows of `material`, by the law's own names."""
-        return {(e, slot): self._places_of(e, arguments(law)) for e in self.effects for slot, law in e.laws().items()}
-
-    def _places_of(self, effect: type[StringEffect], names: Sequence[str]) -> dict[str, int]:
-        found = {}
-        for name in names:
-            known = [q for q in (f"{effect.name}.{name}", name) if q in self.rows]
-            if known:
-                found[name] = self.rows.index(known[0])
+    def _laws(self) -> dict[str, list[tuple[Law, tuple[str, ...], dict[str, int]]]]:
+        """The laws in each slot, with the names of what they take, and the rows of `material` where parameters are."""
+        found: dict[str, list[tuple[Law, tuple[str, ...], dict[str, int]]]] = {}
+        for effect in self.effects:
+            for slot, law in effect.laws().items():
+                names = arguments(law)
+                found.setdefault(slot, []).append((law, names, self._places(effect, names)))
         return found
+
+    def _places(self, effect: type[StringEffect], names: Sequence[str]) -> dict[str, int]:
+        """Where those of the names that are parameters are among the rows of `material`: an effect's own first."""
+        known = {name: [q for q in (f"{effect.name}.{name}", name) if q in self.rows] for name in names}
+        return {name: self.rows.index(rows[0]) for name, rows in known.items() if rows}
 
     def masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Masses of the points over nominal mass per length [m], and the length each stands for [m].
@@ -206,16 +210,13 @@ class String:
         s = self.arc_lengths()[None]
         density = np.ones((len(material), self.points))
         tip = np.zeros((len(material), 1))
-        for effect in self.effects:
-            if "tip_length" in effect.laws():
-                given = self.arguments_of(effect, "tip_length", material)
-                cells[:, -1:] += effect.laws()["tip_length"](length=self.length, **given)
-            if "density" in effect.laws():
-                given = self.arguments_of(effect, "density", material)
-                density = density + effect.laws()["density"](s=s, length=self.length, **given)
-            if "tip_mass" in effect.laws():
-                given = self.arguments_of(effect, "tip_mass", material)
-                tip = tip + effect.laws()["tip_mass"](length=self.length, **given)
+        given = {"s": s, "length": np.array(self.length)}
+        for longer in self.added("tip_length", material, given):
+            cells[:, -1:] += longer
+        for denser in self.added("density", material, given):
+            density = density + denser
+        for heavier in self.added("tip_mass", material, given):
+            tip = tip + heavier
         masses = density * cells
         masses[:, -1:] += tip
         return masses, cells
