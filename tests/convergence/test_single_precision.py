@@ -34,7 +34,7 @@ def millimetres(string: String, hand: HandMotion, values: np.ndarray) -> np.ndar
     return 1e3 * np.linalg.norm(single - double, axis=-1).max(axis=1)
 
 
-@pytest.mark.parametrize("points", [10, 25, 60])
+@pytest.mark.parametrize("points", [10, *(pytest.param(more, marks=pytest.mark.long) for more in (25, 60))])
 def test_a_cast(points):
     """0.5 s of cast and 1 s of swinging out. Measured: 0.009 mm (D, 10 points), otherwise 0.004 and less.
 
@@ -44,6 +44,7 @@ def test_a_cast(points):
     assert millimetres(string, CAST, values(string)).max() < 0.03
 
 
+@pytest.mark.long
 def test_a_cast_in_implicit_steps():
     """The same with 10 points. Measured: 0.006 mm."""
     string = String(0.3, integrator=ImplicitLeapfrog())
@@ -69,6 +70,7 @@ def test_violent_swinging_is_off_no_more_than_by_the_sixth_digit_of_the_paramete
     assert np.all(millimetres(string, hand, some) < 1e3 * np.linalg.norm(near - exact, axis=-1).max(axis=1))
 
 
+@pytest.mark.long
 @pytest.mark.long
 def test_all_effects_at_once_in_steps_of_four_passes():
     """Every effect at a twentieth of its range, but for a soft plane: where a string bounces, rounding grows (D, with a

@@ -46,6 +46,7 @@ def test_what_is_hidden_in_such_a_chain_has_the_size_it_has_there(arm, eq1):
     assert found["low"] < 0.1 < found["high"]
 
 
+@pytest.mark.long
 def test_a_chain_of_other_points_than_ours_is_a_matter_of_resolution(arm, eq1):
     """Its last point stands for half a segment too much: in gentle swings that may also be a tip mass."""
     other = replace(eq1, string=replace(eq1.string, points=30))

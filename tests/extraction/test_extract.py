@@ -44,7 +44,10 @@ def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
     assert set(found.masks["frame"]) == set(found.readings["frame"][found.readings["valid"]])
 
 
-@pytest.mark.parametrize(("name", "duration"), [("A", 0.165), ("B", 0.115), ("C", 0.19), ("D", 0.19)])
+@pytest.mark.parametrize(
+    ("name", "duration"),
+    [("B", 0.115), *(pytest.param(*each, marks=pytest.mark.long) for each in (("A", 0.165), ("C", 0.19), ("D", 0.19)))],
+)
 def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
     """The same limits at 26 m/s: blur of 9 px, tips in front of the arm and along its outline.
 

@@ -138,6 +138,7 @@ def test_an_effect_is_as_large_as_the_envelope_says(drawn):
     assert abs(left - size) < 2 + 0.2 * size
 
 
+@pytest.mark.long
 def test_both_of_a_pair_are_needed_and_suffice(drawn):
     bench = drawn(PAIR)
     for thing in bench.hidden:
