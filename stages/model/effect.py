@@ -14,6 +14,10 @@ below, take by name any of their slot's arguments and any parameter (their own, 
 derive from them, or one of the paper's), and are written for one candidate and one place, in
 arithmetic and numpy functions without branches. They return what they add. Everything is
 per mass per length, so that a law knows nothing of mass points.
+
+A law with memory is two: `held` says what a hinge holds after its curvature has changed by `change`
+within `dt`, from what it held before, and `held_moment` the moment of that. A string at rest has come
+there slowly from straight: it holds `held(held=0, change=curvature, dt=inf)`.
 """
 
 from __future__ import annotations
@@ -56,6 +60,9 @@ SLOTS: dict[str, Slot] = {
     # for moments that are far from linear and can be steep: implicit steps average them as they are
     "hinge_stiffness": Slot("bending moment over mass per length, per curvature", "m4/s2", {"curvature": "1/m"}),
     "hinge_drag": Slot("bending moment over mass per length, per rate of curvature", "m4/s", {"rate": "1/(m s)"}),
+    # for hinges with a memory: what one holds after its curvature has changed, and the moment that goes with it
+    "held": Slot("what a hinge holds, from what it held", "1/m", {"held": "1/m", "change": "1/m", "dt": "s"}),
+    "held_moment": Slot("bending moment over mass per length", "m3/s2", {"held": "1/m"}),
     "grasp_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"angle": "rad", "rate": "rad/s"}),
     # v is the string's velocity, u that through the air, (tx, ty) the string's direction towards the tip, dt the step
     "load": Slot(
@@ -254,3 +261,8 @@ def components(effect: type[Effect]) -> tuple[Parameter, ...]:
 def placed(effect: type[Effect]) -> bool:
     """Whether one of an effect's laws depends on where the string is."""
     return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())
+
+
+def taken(law: Callable[..., object], known: Mapping[str, Quantity]) -> dict[str, Quantity]:
+    """Those of the known arguments that a law takes."""
+    return {name: known[name] for name in arguments(law) if name in known}

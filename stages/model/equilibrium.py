@@ -48,18 +48,29 @@ def _settled(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np
     """Angles and lengths, as `hanging`, where no force depends on the place. pose: (C, 3)."""
     angles = guessed(string, material, pose[:, 2])
     lengths = np.full_like(angles, string.segment)
+    last, share = np.zeros_like(angles), np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
         some, at = material[moving], pose[moving]
         force = forces(string, some, at, angles[moving], lengths[moving])
         lengths[moving] = _lengths(string, some, force, angles[moving], lengths[moving])
         turn = _newton(string, some, at[:, 2], force, angles[moving], lengths[moving])
-        angles[moving] += np.clip(turn, -LARGEST_TURN, LARGEST_TURN)
+        share[moving] = np.where(_back_again(turn, last[moving]), 0.5 * share[moving], np.minimum(2 * share[moving], 1))
+        angles[moving] += share[moving] * np.clip(turn, -LARGEST_TURN, LARGEST_TURN)
+        last[moving] = turn
         # Each candidate ends on its own, so that its shape does not depend on its company.
         moving = moving[np.abs(turn).max(axis=1) > ENOUGH]
         if moving.size == 0:
             break
     return angles, lengths
+
+
+def _back_again(turn: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Whether a step goes back by most of the last, (C, 1), as from one side of a kink in a law to the other and back:
+    whole steps would do so for ever. turn, last: (C, n - 1)."""
+    size = np.abs(last).max(axis=1, keepdims=True)
+    against = np.sum(turn * last, axis=1, keepdims=True) < 0
+    return against & (np.abs(turn).max(axis=1, keepdims=True) > 0.5 * size)
 
 
 def stretched(string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ import stat
 import sys
 import tempfile
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
@@ -58,6 +58,8 @@ ROWS = (
 EXPRESSIONS = {
     "tension": {"stretch": "stretch", "rate": "rate", "s": "s_middle"},
     "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge"},
+    "held": {"change": "change", "dt": "lapse"},
+    "held_moment": {},
     "hinge_stiffness": {},
     "hinge_drag": {},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
@@ -82,7 +84,7 @@ def kernel_for(
     names: qualified names of the parameters, and of what effects derive from them, in the order of their rows. Returns
     `run(buffers, P, H, ...)`, see the generated text, for all blocks, on as many threads as Numba is set to use.
     """
-    some = _load(source(effects, names, integrator, precision)).run
+    some = loaded(source(effects, names, integrator, precision)).run
 
     def run(buffers: np.ndarray, **given: Any) -> None:
         blocks = len(buffers)
@@ -109,7 +111,7 @@ def source(
     """The module's text."""
     slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
     width = precision.width
-    constants = {name: kind * width for name, kind in kinds(integrator, precision).items()}
+    constants = {name: kind * width for name, kind in kinds(integrator, precision, effects).items()}
     constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
     per = [slot for slot in PER if slots[slot]]
 
@@ -119,7 +121,14 @@ def source(
     heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
-        "moment": " + ".join([_sum(slots, "moment", names), *(f"{slot} * {_factor(slot)}" for slot in per)]),
+        "moment": " + ".join(
+            [
+                _sum(slots, "moment", names),
+                *(f"{slot} * {_factor(slot)}" for slot in per),
+                *(_call(e, "held_moment", names, {"held": f"held_{i}"}) for i, e in enumerate(slots["held"])),
+            ]
+        ),
+        "held": "\n".join(_memory(slots["held"], names, len(integrator.nodes))),
         "per": "\n".join([*(f"{slot} = {at(slot, _factor(slot))}" for slot in per), *integrator.hinge(per, at)]),
         "rest": _sum(slots, "rest_curvature", names),
         "set": "B[SET + j]" if slots["rest_curvature"] else "0.0",
@@ -149,14 +158,32 @@ def source(
     return precision.text(_fill(TEMPLATE, fill))
 
 
-def kinds(integrator: Integrator, precision: Precision) -> dict[str, int]:
-    """Which of a point's rows is which, by name."""
-    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows))}
+def _memory(effects: Sequence[type[StringEffect]], names: Sequence[str], passes: int) -> Iterator[str]:
+    """Source text of what becomes of a hinge's memory: it is kept with the first pass of a step, of which the others
+    are rehearsals."""
+    if not effects:
+        return
+    kept = "{new}" if passes == 1 else "{new} if stage == 0 else {old}"
+    yield "change = curvature - B[CURVED + k]"
+    yield "lapse = dt" if passes == 1 else "lapse = dt if stage == 0 else dt * NODES[stage]"
+    for i, effect in enumerate(effects):
+        yield f"held_{i} = {_call(effect, 'held', names, {'held': f'B[HELD{i} + k]'})}"
+        yield f"B[HELD{i} + k] = {kept.format(new=f'held_{i}', old=f'B[HELD{i} + k]')}"
+    yield f"B[CURVED + k] = {kept.format(new='curvature', old='B[CURVED + k]')}"
 
 
-def rows(blocks: int, points: int, integrator: Integrator, precision: Precision) -> np.ndarray:
+def kinds(integrator: Integrator, precision: Precision, effects: Sequence[type[StringEffect]]) -> dict[str, int]:
+    """Which of a point's rows is which, by name; the last are what its hinge was bent to and each effect holds."""
+    holding = sum("held" in e.laws() for e in effects)
+    memory = ("CURVED", *(f"HELD{i}" for i in range(holding))) if holding else ()
+    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows, *memory))}
+
+
+def rows(
+    blocks: int, points: int, integrator: Integrator, precision: Precision, effects: Sequence[type[StringEffect]]
+) -> np.ndarray:
     """Zeros for the rows of every point, (blocks, points + BEYOND, kinds, W)."""
-    kind = len(kinds(integrator, precision))
+    kind = len(kinds(integrator, precision, effects))
     return aligned((blocks, points + BEYOND, kind, precision.width), precision.number)
 
 
@@ -229,7 +256,7 @@ def _fill(template: str, values: dict[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _load(text: str) -> ModuleType:
+def loaded(text: str) -> ModuleType:
     """Import the module, written once to a cache folder under a name made of its content."""
     made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
     digest = hashlib.sha256((text + made_by).encode()).hexdigest()[:20]
@@ -304,6 +331,7 @@ B[MOMENT + k] = <<grasp_moment>>
     "hinge": """
 curvature = (angle - B[ANGLE + p]<<kink>>) * over - (<<rest>>)
 bend = (omega - B[OMEGA + p]) * over
+<<held>>
 <<per>>
 couple = <<moment>>
 B[MOMENT + k] = couple

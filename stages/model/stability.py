@@ -22,6 +22,7 @@ SAFETY = 0.9
 FASTEST = 30.0  # [m/s] speed up to which air resistance is covered
 TAUT = 0.2  # stretch whose tension stiffens the string sideways
 LEVEL = 1.2  # ratio of one size of step to the next
+SOON = 1e-9  # [s] in which nothing relaxes
 MOST_STEPS = 5000  # in a tick; more is impractical, and the candidate is rejected
 
 SAMPLES: dict[str, tuple[tuple[str, np.ndarray], ...]] = {
@@ -52,6 +53,8 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """
     axial, bending, grasp = _operators(string, material)
     stiffness, damping = string.integrator.explicit(*slopes(string, material))
+    if "held_moment" not in string.integrator.averaged:
+        stiffness = stiffness + np.array([[0.0], [1.0], [0.0]]) * turning_back(string, material)
     length = string.segment
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
     taut = np.array([[1 + TAUT], [1.0], [1.0]])
@@ -81,6 +84,18 @@ def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
 
 
+def turning_back(string: String, material: np.ndarray) -> np.ndarray:
+    """Steepest rise with the curvature of the moment that hinges hold, (C,) [m4/s2]: where they turn back."""
+    farthest = np.full((1, 1), SAMPLES["moment"][0][1][-1])
+    states = [each * np.linspace(-1.0, 1.0, 9) for each in string.held(material, farthest)]
+    before, steepest = list(string.held_moments(material, states)), np.zeros(len(material))
+    for bit in (1e-6, -1e-6):  # [1/m]
+        after = string.held_moments(material, string.held(material, np.full((1, 1), bit), states, SOON))
+        rises = [((new - old) / bit).max(axis=1) for new, old in zip(after, before, strict=True)]
+        steepest = np.maximum(steepest, sum(rises, np.zeros(len(material))))
+    return steepest
+
+
 def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
     """Rise of the slot's laws with their first and second argument over the samples, (C, M) each."""
     (first, values), (second, speeds) = SAMPLES[slot]
@@ -88,7 +103,7 @@ def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np
     da, db = 1e-4 * np.ptp(values), 1e-4 * np.ptp(speeds)
 
     around = {first: np.hstack([a + da, a - da, a, a]), second: np.hstack([b, b, b + db, b - db])}
-    total = slot_sum(string, material, slot, around, string.integrator.averaged)
+    total = slot_sum(string, material, slot, around, (*string.integrator.averaged, "held_moment"))
     more, less, faster, slower = np.split(total, 4, axis=1)
     return (more - less) / (2 * da), (faster - slower) / (2 * db)
 
@@ -96,7 +111,8 @@ def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np
 def slot_sum(
     string: String, material: np.ndarray, slot: str, given: dict[str, np.ndarray], apart: Sequence[str] = ()
 ) -> np.ndarray:
-    """Sum of a slot's scalar laws for all candidates, (C, M), with those that are per one of its arguments.
+    """Sum of a slot's scalar laws for all candidates, (C, M), with those that are per one of its arguments, and
+    moments with those that a slow approach leaves.
 
     given: the slot's arguments, (1 or C, M) each. apart: slots of the latter that do not count.
     """
@@ -108,6 +124,9 @@ def slot_sum(
         if other == slot and per not in apart:
             for each in string.added(per, material, given):
                 total = total + each * given[name]
+    if slot == "moment" and "held_moment" not in apart:
+        for each in string.held_moments(material, string.held(material, given["curvature"])):
+            total = total + each
     return total
 
 

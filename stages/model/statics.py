@@ -69,11 +69,17 @@ def moments(
     hinge = angles[:, :1] - theta[:, None] - grasp_set(string, material)
     first, first_slope = sloped(string, material, "grasp_moment", "angle", hinge, {"rate": zero})
     s = string.arc_lengths()[None, 1:-1]
-    bend = np.diff(angles, axis=1) / string.segment - slot_sum(string, material, "rest_curvature", {"s": s})
+    bend = curvatures(string, material, angles)
     others, others_slope = sloped(string, material, "moment", "curvature", bend, {"rate": zero, "s": s})
     end = np.zeros((len(material), 1))
     slopes = [first_slope, others_slope / string.segment, end]
     return np.concatenate([first, others, end], axis=1), np.concatenate(slopes, axis=1)
+
+
+def curvatures(string: String, material: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Of the hinges, beyond that at rest, (C, n - 2) [1/m]. angles: (C, n - 1) of the segments [rad]."""
+    s = string.arc_lengths()[None, 1:-1]
+    return np.diff(angles, axis=1) / string.segment - slot_sum(string, material, "rest_curvature", {"s": s})
 
 
 def grasp_set(string: String, material: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ from stages.model.precision import Double, Precision
 from stages.model.sampling import asked, sampled, stayed, unpacked
 from stages.model.stability import steps_per_tick
 from stages.model.state import State
-from stages.model.statics import grasp_set
+from stages.model.statics import curvatures, grasp_set
 
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -181,14 +181,35 @@ class String:
 
     def added(self, slot: str, material: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[Any]:
         """What each law in a slot adds. material: (C, rows). given: the slot's arguments by name, (1 or C, M) each."""
-        for law, names, places in self._laws.get(slot, ()):
-            parameters = {name: material[:, place, None] for name, place in places.items()}
-            yield law(**{name: given[name] for name in names if name in given}, **parameters)
+        for law in self._laws.get(slot, ()):
+            yield _value(law, material, given)
+
+    def held(
+        self,
+        material: np.ndarray,
+        change: np.ndarray,
+        before: Sequence[np.ndarray] | None = None,
+        lapse: float = np.inf,
+    ) -> list[np.ndarray]:
+        """What hinges hold after a change of curvature, for each effect with a memory, (1 or C, M) each [1/m].
+
+        material: (C, rows). change: (1 or C, M) [1/m], in a time `lapse` [s]. before: what each of them held, (1 or C,
+        M) [1/m]; nothing, if it is not given: with the lapse as it is, they were bent slowly from straight.
+        """
+        laws = self._laws.get("held", [])
+        known = {"change": change, "dt": np.full((1, 1), lapse)}
+        start = [np.zeros((1, 1))] * len(laws) if before is None else before
+        return [_value(law, material, {**known, "held": held}) for law, held in zip(laws, start, strict=True)]
+
+    def held_moments(self, material: np.ndarray, held: Sequence[np.ndarray]) -> Iterator[Any]:
+        """The moment of what hinges hold, for each effect with a memory. held: in the order of `self.held`."""
+        for law, state in zip(self._laws.get("held_moment", ()), held, strict=True):
+            yield _value(law, material, {"held": state})
 
     @cached_property
-    def _laws(self) -> dict[str, list[tuple[Law, tuple[str, ...], dict[str, int]]]]:
-        """The laws in each slot, with the names of what they take, and the rows of `material` where parameters are."""
-        found: dict[str, list[tuple[Law, tuple[str, ...], dict[str, int]]]] = {}
+    def _laws(self) -> dict[str, list[Placed]]:
+        """The laws in each slot."""
+        found: dict[str, list[Placed]] = {}
         for effect in self.effects:
             for slot, law in effect.laws().items():
                 names = arguments(law)
@@ -220,6 +241,17 @@ class String:
         masses = density * cells
         masses[:, -1:] += tip
         return masses, cells
+
+
+# A law, the names of what it takes, and the rows of `material` where those of them that are parameters are.
+Placed = tuple[Law, tuple[str, ...], dict[str, int]]
+
+
+def _value(placed: Placed, material: np.ndarray, given: Mapping[str, np.ndarray]) -> Any:
+    """A law's value for all candidates. material: (C, rows). given: the slot's arguments, (1 or C, M) each."""
+    law, names, places = placed
+    parameters = {name: material[:, place, None] for name, place in places.items()}
+    return law(**{name: given[name] for name in names if name in given}, **parameters)
 
 
 @dataclass(frozen=True)
@@ -361,7 +393,7 @@ def _set_back(
     first = (cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)).astype(cubic.dtype)
     after, alive = buffers.copy(), np.ones((blocks, width), dtype=bool)
     run(after, H=first, steps=np.ones(blocks, dtype=int), tick=dt, out=out, alive=alive)
-    kinds = kernel.kinds(string.integrator, string.precision)
+    kinds = kernel.kinds(string.integrator, string.precision, string.effects)
     rows = [kinds["VX"], kinds["VY"]]
     now, then = (each.reshape(blocks, -1, len(kinds), width) for each in (buffers, after))
     now[:, :, rows] -= string.integrator.behind * (then[:, :, rows] - now[:, :, rows])
@@ -393,13 +425,25 @@ def _buffers(
         "VX": velocity[..., 0],
         "VY": velocity[..., 1],
         "SET": grasp_set(string, material),
+        **_memory(string, material, angles),
     }
-    buffers = kernel.rows(blocks, string.points, string.integrator, string.precision)
-    kinds = kernel.kinds(string.integrator, string.precision)
+    buffers = kernel.rows(blocks, string.points, string.integrator, string.precision, string.effects)
+    kinds = kernel.kinds(string.integrator, string.precision, string.effects)
     for name, data in {**rows, **constants}.items():
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
         buffers[:, : data.shape[1], kinds[name]] = lanes
     return positions, buffers.reshape(blocks, -1)
+
+
+def _memory(string: String, material: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
+    """The kernel's rows for hinges with a memory: what they are bent to, and what they then hold, (C, n - 1) each.
+
+    angles: (C, n - 1) of the segments [rad]. The grasp's hinge, which comes first, has none.
+    """
+    bent = curvatures(string, material, angles)
+    held = {f"HELD{i}": np.broadcast_to(each, bent.shape) for i, each in enumerate(string.held(material, bent))}
+    rows = {"CURVED": bent, **held} if held else {}
+    return {name: np.pad(values, ((0, 0), (1, 0))) for name, values in rows.items()}
 
 
 def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:

@@ -96,7 +96,8 @@ def test_neither_company_nor_threads_matter():
 def test_no_float64_is_left_in_the_pass_along_the_string():
     """One literal would widen all that it meets, and halve the speed without a trace in the result."""
     string = String(0.3, effects=EFFECTS, integrator=RungeKutta4())
-    along = kernel.kernel_for(string.effects, string.rows, string.integrator, Single()).py_func.__globals__["along"]
+    text = kernel.source(string.effects, string.rows, string.integrator, Single())
+    along = kernel.loaded(text).along
     signature = (float32[::1], float32[::1], uint64, float32, float32, float32, int64)
     along.compile(signature)
     known = along.overloads[signature].type_annotation.typemap

@@ -27,7 +27,7 @@ def verdict(config, arm, camera, tmp_path):
     """Draw the bench of a seed, diagnose its folder, and only then read the envelope."""
 
     def of(seed):
-        bench = draw(seed, arm, camera)
+        bench = draw(seed, arm, camera, 1)
         bench.write(tmp_path / "data")
         bench.envelope(tmp_path / "envelope.json")
         said = diagnosed(tmp_path / "data", config)

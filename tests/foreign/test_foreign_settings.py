@@ -38,7 +38,10 @@ def poisons(canary):
     pickled = canary.with_suffix(".npy")
     pickled.write_bytes(pickle.dumps(Touch(canary)))
     return {
-        "string.integrator": {"_target_": "stages.model.kernel._load", "text": f"import os; os.mkdir({str(canary)!r})"},
+        "string.integrator": {
+            "_target_": "stages.model.kernel.loaded",
+            "text": f"import os; os.mkdir({str(canary)!r})",
+        },
         "string.precision": {"_target_": "numpy.load", "file": str(pickled), "allow_pickle": True},
         "estimate": {"_target_": "builtins.open", "file": str(canary), "mode": "w"},
         "hardware": {"_target_": "pathlib.Path.write_text", "self": str(canary), "data": ""},

@@ -47,7 +47,7 @@ def silent(name):
 @pytest.fixture(scope="module")
 def data(arm, camera, tmp_path_factory):
     folder = tmp_path_factory.mktemp("theirs")
-    draw(VERSIONS[1].cases.index("none"), arm, camera).write(folder)
+    draw(VERSIONS[1].cases.index("none"), arm, camera, 1).write(folder)
     return folder
 
 

@@ -31,7 +31,7 @@ def drawn(arm, camera):
 
     def bench(seed):
         if seed not in made:
-            made[seed] = draw(seed, arm, camera)
+            made[seed] = draw(seed, arm, camera, 1)
         return made[seed]
 
     return bench
@@ -80,7 +80,7 @@ def test_every_cause_has_its_turn():
 
 def test_the_same_seed_is_the_same_bench_and_another_is_not(drawn, arm, camera, tmp_path):
     drawn(DRIFT).write(tmp_path / "one")
-    draw(DRIFT, arm, camera).write(tmp_path / "same")
+    draw(DRIFT, arm, camera, 1).write(tmp_path / "same")
     drawn(NULL).write(tmp_path / "other")
     assert content_hash(tmp_path / "one") == content_hash(tmp_path / "same")
     assert content_hash(tmp_path / "one") != content_hash(tmp_path / "other")

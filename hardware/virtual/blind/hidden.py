@@ -79,6 +79,11 @@ def _wind(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.nd
     }
 
 
+def _rest_curvature(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
+    """The same all along the string, as in all benches that were recorded."""
+    return {"curvature": 0.0, "slope": 0.0}, {"curvature": float(rng.choice([-20.0, 20.0])), "slope": 0.0}
+
+
 def _backlash(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
     """In one joint, or in each as much as it happens to be."""
     shares = np.eye(3)[rng.integers(3)] if rng.integers(2) else rng.uniform(size=3)
@@ -109,6 +114,7 @@ def _contact(rng: np.random.Generator, times: list[np.ndarray], strings: list[np
 
 SPECIAL: dict[str, Callable[[np.random.Generator, list[np.ndarray], list[np.ndarray]], Ends | None]] = {
     "wind": _wind,
+    "rest_curvature": _rest_curvature,
     "backlash": _backlash,
     "grasp_slip": _grasp_slip,
     "contact": _contact,

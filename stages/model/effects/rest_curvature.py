@@ -17,29 +17,34 @@ if TYPE_CHECKING:
 
 
 class RestCurvature(StringEffect):
-    """Without any moment the string has this curvature everywhere, positive to the left of its way to the tip."""
+    """Without any moment the string has this curvature, positive to the left of its way to the tip: at the grasp, and
+    from there changing evenly along it."""
 
     name = "rest_curvature"
-    parameters = (Parameter("curvature", "1/m", "curvature at rest", -20.0, 20.0, 0.0),)
+    parameters = (
+        Parameter("curvature", "1/m", "curvature at rest at the grasp", -20.0, 20.0, 0.0),
+        Parameter("slope", "1/m2", "rise of the curvature at rest along the string", -100.0, 100.0, 0.0),
+    )
     reference = "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of a rod"
-    symmetries = (odd("rest_curvature", "curvature"),)
+    symmetries = (odd("rest_curvature", "curvature", "slope"),)
 
     @staticmethod
     def words(values: Mapping[str, float]) -> str:
         """What is so."""
         side = "left" if values["curvature"] > 0 else "right"
         radius = 1e3 / max(abs(values["curvature"]), 1e-9)
-        return f"the string has a set: it rests curved to the {side} with a radius of {radius:.0f} mm"
+        along = f", and {values['slope'] / 10:+.2g}/m more every 100 mm" if values["slope"] else ""
+        return f"the string has a set: it rests curved to the {side} with a radius of {radius:.0f} mm{along}"
 
     @classmethod
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """The shape of 0.3 m of it at rest."""
         s = np.linspace(0.0, 0.3, 101)
-        turned = values["curvature"] * s
+        turned = (values["curvature"] + values["slope"] * s / 2) * s
         steps = 0.003 * np.stack([np.cos(turned), np.sin(turned)])
         x, y = np.cumsum(steps, axis=1)
         line(axes, x, y, "along the grasp / m", "across / m")
 
     @staticmethod
-    def rest_curvature(curvature: Quantity) -> Quantity:
-        return curvature
+    def rest_curvature(curvature: Quantity, slope: Quantity, s: Quantity) -> Quantity:
+        return curvature + slope * s

@@ -1,0 +1,56 @@
+"""Strands that rub on one another: bending hysteresis with memory and round corners."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import loop
+from stages.model.symmetry import odd
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class DahlFriction(StringEffect):
+    """Dahl's friction beside the bending stiffness: the moment comes near to `cap` as the hinge bends on one way.
+
+    It is to `maxwell_slip` what a worn edge is to a sharp one: at a reversal it is one to two times cap / slip stiff.
+    Whoever wants it names it, as that.
+    """
+
+    name = "dahl_friction"
+    told = True
+    parameters = (
+        Parameter("cap", "m3/s2", "moment over mass per length that it comes near to", 0.0, 0.3, 0.0),
+        Parameter("slip", "1/m", "curvature over which it comes near to it", 5e-3, 2.0, 0.1),
+    )
+    reference = "Dahl, Solid friction damping of mechanical vibrations (1976)"
+    symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        share = 100 * values["cap"] / (9.81 * 0.1**2 / 2)
+        return f"bending rubs, with {share:.1f} % of the moment that holds 100 mm of it out level"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """A loop, out to three times the curvature over which it comes near to its cap."""
+        loop(axes, cls, values, 3 * values["slip"], 1.0)
+
+    @staticmethod
+    def held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:
+        end, x = np.copysign(slip, change), abs(change) / slip
+        fading = 1.0 + x * (
+            1.0 + x / 2.0 * (1.0 + x / 3.0 * (1.0 + x / 4.0))
+        )  # exp(x), within a step to the last digit
+        return end + (held - end) / fading
+
+    @staticmethod
+    def held_moment(held: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
+        return cap * held / slip

@@ -1,0 +1,54 @@
+"""Strands that stick to one another until they slip: bending hysteresis with memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import loop
+from stages.model.symmetry import odd
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class MaxwellSlip(StringEffect):
+    """A spring in series with dry friction beside the bending stiffness: it sticks, then slips at the moment `cap`.
+
+    The stop of Prandtl and Ishlinskii: it follows the curvature and is cut off at +-slip. Its stiffness while it sticks
+    is cap / slip; several side by side round its corner. Where swings are far wider than `slip`, the data tell only the
+    cap, and of `slip` an upper bound. Whoever wants it names it: while it sticks a string is stiff and takes short
+    steps, which the search of a diagnosis does not pay for yet.
+    """
+
+    name = "maxwell_slip"
+    told = True
+    parameters = (
+        Parameter("cap", "m3/s2", "moment over mass per length at which it slips", 0.0, 0.3, 0.0),
+        Parameter("slip", "1/m", "curvature from rest at which it slips", 5e-3, 2.0, 0.1),
+    )
+    reference = "Iwan, A distributed-element model for hysteresis and its steady-state dynamic response (1966)"
+    symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        share = 100 * values["cap"] / (9.81 * 0.1**2 / 2)
+        return f"bending sticks and slips, with {share:.1f} % of the moment that holds 100 mm of it out level"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """A loop, out to three times the curvature at which it slips."""
+        loop(axes, cls, values, 3 * values["slip"], 1.0)
+
+    @staticmethod
+    def held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:
+        return np.minimum(np.maximum(held + change, -slip), slip)
+
+    @staticmethod
+    def held_moment(held: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
+        return cap * held / slip

@@ -1,0 +1,52 @@
+"""A string that yields: part of its stiffness relaxes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from stages.model.effect import Quantity, StringEffect
+from stages.model.parameter import Parameter
+from stages.model.picture import loop
+from stages.model.symmetry import odd
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class StandardLinearSolid(StringEffect):
+    """A spring in series with a damper beside the bending stiffness (Zener): stiff at once, soft in the long run.
+
+    Several side by side are a Prony series. Whoever wants it names it: within one cast it looks like damping to a
+    diagnosis.
+    """
+
+    name = "standard_linear_solid"
+    told = True
+    parameters = (
+        Parameter("stiffness", "m4/s2", "bending stiffness over mass per length that relaxes", 0.0, 3.0, 0.0),
+        Parameter("relaxation", "s", "time in which it relaxes", 3e-3, 3.0, 0.1),
+    )
+    reference = (
+        "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of Viscoelasticity (1982), 1.6"
+    )
+    symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
+
+    @staticmethod
+    def words(values: Mapping[str, float]) -> str:
+        """What is so."""
+        return f"bending relaxes: {values['stiffness']:.2g} m4/s2 of its stiffness within {values['relaxation']:.2g} s"
+
+    @classmethod
+    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+        """A loop in which it relaxes between the ends."""
+        loop(axes, cls, values, 1.0, values["relaxation"])
+
+    @staticmethod
+    def held(held: Quantity, change: Quantity, dt: Quantity, relaxation: Quantity) -> Quantity:
+        lost = 1.0 / (relaxation / dt + 0.5)  # by the trapezoidal rule
+        return held * (1.0 - lost) + change * (1.0 - 0.5 * lost)
+
+    @staticmethod
+    def held_moment(held: Quantity, stiffness: Quantity) -> Quantity:
+        return stiffness * held

@@ -1,0 +1,161 @@
+"""Laws with memory: what a hinge holds by hand, on any path, and in the string whoever integrates it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import TRUTH, ordinary, swing
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data.artifacts import JOINTS
+from stages.model.effect import StringEffect, arguments, taken
+from stages.model.hand import joint_motion
+from stages.model.implicit import ImplicitLeapfrog
+from stages.model.integrator import RungeKutta4, SemiImplicitEuler
+from stages.model.library import library
+from stages.model.stability import turning_back
+
+CAP, SLIP = 0.05, 0.04  # [m3/s2], [1/m]: of a cable
+KNOWN = {
+    "maxwell_slip": {"cap": CAP, "slip": SLIP},
+    "dahl_friction": {"cap": CAP, "slip": SLIP},
+    "standard_linear_solid": {"stiffness": CAP / SLIP, "relaxation": 0.1},
+}
+HOLDING = [e for e in library().values() if issubclass(e, StringEffect) and "held" in e.laws()]
+FINE = np.concatenate([np.linspace(0, 1, 2001), np.linspace(1, -1, 4001)[1:], np.linspace(-1, 1, 4001)[1:]])
+
+
+def moments(name, path, lapse=1e-3, **values):
+    """Moment along a path of curvatures that begins straight, a step of time `lapse` each."""
+    laws, held, found = library()[name].laws(), 0.0, []
+    own = {**KNOWN[name], **values}
+    for change in np.diff(path, prepend=0.0):
+        held = laws["held"](**taken(laws["held"], {"held": held, "change": change, "dt": lapse, **own}))
+        found.append(laws["held_moment"](**taken(laws["held_moment"], {"held": held, **own})))
+    return np.array(found)
+
+
+def work(path, moment):
+    """Done on the hinge until each step: the moment holds over the change that made it."""
+    return np.cumsum(moment * np.diff(path, prepend=0.0))
+
+
+def test_every_law_with_memory_is_asked_here():
+    assert {e.name for e in HOLDING} == set(KNOWN)
+
+
+@pytest.mark.parametrize("name", KNOWN)
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_no_path_gets_more_out_of_a_hinge_than_it_put_in(name, seed):
+    """Where it holds nothing at first, all that was done on it is stored or lost."""
+    rng = np.random.default_rng(seed)
+    path = np.cumsum(SLIP * rng.normal(size=300) * rng.choice([0.02, 0.3, 2.0]))
+    done = work(path, moments(name, path))
+    assert done.min() >= -1e-12 * np.abs(done).max()
+
+
+@pytest.mark.parametrize("wide", [2.0, 5.0])
+def test_a_loop_of_a_slip_has_the_area_of_its_parallelogram(wide):
+    path = wide * SLIP * FINE
+    done = work(path, moments("maxwell_slip", path))
+    there = len(FINE) - 8000  # the virgin curve is no part of the loop
+    assert done[-1] - done[there - 1] == pytest.approx(4 * CAP * (wide - 1) * SLIP, rel=2e-3)
+
+
+def test_a_slip_turns_back_on_its_virgin_curve_twice_as_large():
+    """Masing's rule."""
+    x = SLIP * np.linspace(0, 1.5, 301)
+    virgin = moments("maxwell_slip", x)
+    back = moments("maxwell_slip", np.concatenate([SLIP * np.linspace(0, 3, 301), SLIP * 3 - 2 * x[1:]]))[300:]
+    np.testing.assert_allclose(back[0] - back, 2 * virgin, atol=1e-12)
+
+
+def test_within_its_slip_nothing_is_lost():
+    path = 0.9 * SLIP * FINE
+    np.testing.assert_allclose(moments("maxwell_slip", path), CAP / SLIP * path, atol=1e-12)
+
+
+def test_dahls_friction_comes_near_its_cap_as_an_exponential():
+    path = SLIP * np.linspace(0, 5, 501)
+    expected = CAP * (1 - np.exp(-path / SLIP))
+    np.testing.assert_allclose(moments("dahl_friction", path), expected, atol=1e-6 * CAP)
+    np.testing.assert_allclose(moments("dahl_friction", path[::100]), expected[::100], atol=3e-3 * CAP)
+
+
+def test_it_does_not_matter_how_fast_dry_friction_is_bent():
+    path = 2 * SLIP * np.sin(np.linspace(0, 7, 200))
+    for name in ("maxwell_slip", "dahl_friction"):
+        np.testing.assert_array_equal(moments(name, path, 1e-3), moments(name, path, 1.0))
+
+
+@pytest.mark.parametrize("steps", [50, 100])
+def test_what_relaxes_fades_as_an_exponential_to_second_order(steps):
+    path = np.concatenate([[0.0], np.full(steps, 1.0)])
+    found = moments("standard_linear_solid", path, 0.2 / steps)
+    faded = found[-1] / found[1]
+    expected = np.exp(-(0.2 - 0.2 / steps) / 0.1)
+    assert abs(faded - expected) < 2 * expected / 12 * (2.0 / steps) ** 2
+
+
+# --- in the string -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def motion():
+    commands = swing(0.4).commands
+    return joint_motion(commands["t"].to_numpy(), commands[list(JOINTS)].to_numpy())
+
+
+def tip(model, motion, values, integrator, step):
+    string = replace(model.string, integrator=integrator, largest_step=step)
+    model = replace(model, string=string)
+    times = motion.start + motion.tick * np.arange(80)
+    return model.true(motion, model.values(TRUTH | values)[None], times).points[0, :, -1]
+
+
+MILD = {
+    "maxwell_slip": {"cap": 6e-3, "slip": 5.0},
+    "dahl_friction": {"cap": 6e-3, "slip": 5.0},
+    "standard_linear_solid": {"stiffness": 2e-3, "relaxation": 0.05},
+}
+
+
+@pytest.mark.parametrize("name", MILD)
+def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
+    """And at a twentieth of the step. What it holds moves its tip by more than 5 mm."""
+    model = ordinary(arm).with_effects(library()[name])
+    values = {f"{name}.{key}": value for key, value in MILD[name].items()}
+    exact = tip(model, motion, values, RungeKutta4(), 5e-5)
+    for integrator, step, close in ((SemiImplicitEuler(), 1e-5, 1e-4), (ImplicitLeapfrog(), 5e-5, 3e-4)):
+        assert np.abs(tip(model, motion, values, integrator, step) - exact).max() < close
+    assert np.abs(tip(model, motion, {}, RungeKutta4(), 5e-5) - exact).max() > 0.005
+    plain = tip(ordinary(arm), motion, {}, RungeKutta4(), 5e-5)
+    np.testing.assert_allclose(tip(model, motion, {}, RungeKutta4(), 5e-5), plain, atol=1e-12)
+
+
+def test_at_rest_a_hinge_holds_what_a_slow_approach_leaves(arm):
+    """The string held out with friction hangs less than without, and stays there."""
+    model = ordinary(arm).with_effects(library()["maxwell_slip"])
+    still = joint_motion(np.arange(0, 0.3, 0.005), np.tile([0.4, 0.2, 0.1], (60, 1)))
+    values = {"maxwell_slip.cap": 5e-3, "maxwell_slip.slip": 0.5}
+    held = tip(model, still, values, SemiImplicitEuler(), 1e-4)
+    assert np.abs(held - held[0]).max() < 1e-9
+    assert held[0, 0] > tip(model, still, {}, SemiImplicitEuler(), 1e-4)[0, 0] + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "times"), [("maxwell_slip", 1.0), ("dahl_friction", 2.0), ("standard_linear_solid", 1.0)]
+)
+def test_the_step_knows_how_stiff_a_hinge_is_where_it_turns_back(name, times, arm):
+    string = ordinary(arm).with_effects(library()[name]).string
+    values = {f"{name}.{key}": value for key, value in KNOWN[name].items()}
+    steepest = turning_back(string, string.material(string.values(TRUTH | values)[None]))
+    assert steepest == pytest.approx(times * CAP / SLIP, rel=1e-3)
+
+
+def test_laws_take_what_their_slots_give():
+    for effect in HOLDING:
+        own = {p.name for p in effect.parameters}
+        assert set(arguments(effect.laws()["held"])) - own <= {"held", "change", "dt"}
