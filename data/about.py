@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from data.foreign import yaml_block
 from data.schema import DataError
@@ -48,10 +48,17 @@ class Block(BaseModel):
 
 
 class StringBlock(Block):
-    """length: grasp to tip [m]. mass: [kg]."""
+    """length: grasp to tip [m]. mass: of the string [kg]. tip_mass: of what was hung at its tip [kg]."""
 
     length: Annotated[float, Field(gt=0, le=LONGEST), Plain] = UNSET
     mass: Positive = UNSET
+    tip_mass: Annotated[float, Field(ge=0, allow_inf_nan=False), Plain] = UNSET
+
+    @model_validator(mode="after")
+    def _both_are_weighed(self) -> StringBlock:
+        if self.tip_mass and self.mass is UNSET:
+            raise ValueError("tip_mass says nothing without the string's own mass, in kg")
+        return self
 
 
 class NoiseBlock(Block):

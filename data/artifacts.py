@@ -341,6 +341,8 @@ FIT = Table(
         Column("after", "1", "E after"),
         Column("rms_before", "m", "centre-line residual before, root mean square"),
         Column("rms_after", "m", "centre-line residual after, root mean square"),
+        Column("tip_before", "m", "the same of the measured point nearest the tip", optional=True),
+        Column("tip_after", "m", "the same of the measured point nearest the tip", optional=True),
         Column("rejected", "1", "candidates rejected because they did not stay finite", "int"),
         Column("sentence", "", "what this data can and cannot determine, in words", "text"),
     ),

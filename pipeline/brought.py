@@ -18,6 +18,7 @@ CAMERA = "camera.yaml"  # the camera that a calibration measured
 OF_MODEL = ("string", "effects", "known")  # what an extended model may set
 MOVING = ("arm", "hardware", "execute")  # how an arm may move: a person's own word, where it is real
 LENGTH = "string.length"  # that of the string that was measured, however it is simulated
+WEIGHED = 1e-3  # as a share, of what a balance says: so closely what hangs at the tip is known
 FROM_DATASETS = {
     "string": ("length",),
     "arm": ("links", "base"),
@@ -59,8 +60,21 @@ def with_brought_settings(config: DictConfig, given: set[str]) -> dict[str, Any]
             OmegaConf.update(whole, name, OmegaConf.select(config, name))
     if LENGTH in brought:
         OmegaConf.update(whole, LENGTH, brought[LENGTH])
+    if config.trials is not None and not (Path(config.trials) / "config.json").exists():
+        _hang(Path(config.trials), whole)
     settings: Any = OmegaConf.to_container(whole, resolve=True)
     return dict(settings)
+
+
+def _hang(folder: Path, whole: Any) -> None:
+    """Hang at the tip of the model's string what dataset.yaml says was weighed there: it is known, and not fitted."""
+    string = dataset.about(folder).get("string", {})
+    if not string.get("tip_mass"):
+        return
+    ratio = float(string["tip_mass"]) / float(string["mass"])
+    whole.effects = [*whole.effects, *({"tip_mass"} - {*whole.effects})]
+    weighed = {"value": ratio, "low": (1 - WEIGHED) * ratio, "high": (1 + WEIGHED) * ratio}
+    whole.known = {"tip_mass.ratio": weighed, **whole.known}  # what was said of it elsewhere stands above
 
 
 def refuse_brought_limits(settings: Any, own: Any, source: str, word: str = "accept_limits=true") -> None:

@@ -308,6 +308,7 @@ def in_numbers(result: Result) -> dict[str, Any]:
     for i in result.iterations:
         fit = i.done["estimate"].fit.iloc[0] if "estimate" in i.done else {}
         row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
+        row |= {"rms_m": fit.get("rms_after"), "tip_rms_m": fit.get("tip_after")}
         if i.verdict is not None:
             row |= {"hit": i.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
             row |= {"touched": i.verdict.touched}

@@ -67,10 +67,11 @@ class Case:
         parts = {name: getattr(self, name)[kept] for name in ("frame", "s", "points", "sigma")}
         return replace(self, times=self.times[:frames], **parts)
 
-    def rms(self, values: np.ndarray) -> float:
-        """Root mean square distance of one candidate (P,) from the measured points [m]."""
+    def off(self, values: np.ndarray) -> tuple[float, float]:
+        """Mean square distance of one candidate (P,) from the measured points, and from those nearest the tip [m2]."""
         _, motion = next(self.simulate(values[None]))
-        return float(np.sqrt(np.mean(np.sum((self.at_measured(motion)[0] - self.points) ** 2, axis=-1))))
+        squares = np.sum((self.at_measured(motion)[0] - self.points) ** 2, axis=-1)
+        return float(squares.mean()), float(squares[self.s == self.s.max()].mean())
 
 
 def case(model: Model, observation: Observation) -> Case:

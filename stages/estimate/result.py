@@ -77,13 +77,15 @@ def estimate_of(
     parameters = goals[0].case.model.parameters
     pair = values_of(parameters, np.stack([before, after]))
     matching = pd.concat([_matching(goal, pair) for goal in goals], ignore_index=True)
-    rms = np.sqrt(np.mean([[goal.case.rms(v) ** 2 for v in pair] for goal in goals], axis=0))
+    rms, tip = np.sqrt(np.mean([[goal.case.off(v) for v in pair] for goal in goals], axis=0)).T
     fit = {
         "method": search.method,
         "before": matching["before"].mean(),
         "after": matching["after"].mean(),
         "rms_before": rms[0],
         "rms_after": rms[1],
+        "tip_before": tip[0],
+        "tip_after": tip[1],
         "rejected": int(np.isnan(search.matching_rate).sum()),
         "sentence": poor(matching["after"].mean(), rms[1], goals[0].case.model.string.length) or interval.sentence,
     }

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from stages.model import effects as package
-from stages.model.effect import Effect
+from stages.model.effect import Effect, another
 
 VARIABLE = "STRINGCAST_EFFECTS"  # folders with more effects, separated as in PATH
 
@@ -37,9 +37,12 @@ def library() -> dict[str, type[Effect]]:
 
 
 def named(names: Sequence[str]) -> tuple[type[Effect], ...]:
-    """The effects of these names. Raises UnknownEffectError."""
+    """The effects of these names; `maxwell_slip_2` is a second one of its kind. Raises UnknownEffectError."""
     known = library()
     for name in names:
+        kind, _, number = name.rpartition("_")
+        if name not in known and kind in known and number.isdecimal() and int(number) > 1:
+            known[name] = another(known[kind], int(number))
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"Did you mean '{near[0]}'? " if near else ""

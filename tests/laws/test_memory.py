@@ -13,7 +13,7 @@ from stages.model.effect import StringEffect, arguments, taken
 from stages.model.hand import joint_motion
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.integrator import RungeKutta4, SemiImplicitEuler
-from stages.model.library import library
+from stages.model.library import library, named
 from stages.model.stability import turning_back
 
 CAP, SLIP = 0.05, 0.04  # [m3/s2], [1/m]: of a cable
@@ -159,3 +159,21 @@ def test_laws_take_what_their_slots_give():
     for effect in HOLDING:
         own = {p.name for p in effect.parameters}
         assert set(arguments(effect.laws()["held"])) - own <= {"held", "change", "dt"}
+
+
+def test_several_of_a_kind_are_named_by_numbers(arm):
+    """Two slips side by side are one of their sum where they slip at the same curvature."""
+    both = ordinary(arm).with_effects(*named(["maxwell_slip", "maxwell_slip_2"]))
+    assert {"maxwell_slip.cap", "maxwell_slip_2.cap"} <= set(both.names)
+    string, one = both.string, ordinary(arm).with_effects(*named(["maxwell_slip"])).string
+    values = {
+        "maxwell_slip.slip": SLIP,
+        "maxwell_slip_2.slip": SLIP,
+        "maxwell_slip.cap": CAP,
+        "maxwell_slip_2.cap": CAP,
+    }
+    twice = turning_back(string, string.material(string.values(TRUTH | values)[None]))
+    single = one.values(TRUTH | {"maxwell_slip.slip": SLIP, "maxwell_slip.cap": 2 * CAP})
+    assert twice == pytest.approx(turning_back(one, one.material(single[None])), rel=1e-6)
+    with pytest.raises(ValueError, match="no effect 'maxwell_slip_1'"):
+        named(["maxwell_slip_1"])

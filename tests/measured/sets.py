@@ -6,6 +6,7 @@ here: lengths (the outermost marker is the tip), which trials begin moving, and 
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -40,11 +41,17 @@ def written(folder: Path, name: str, trials: list[str], to: Path) -> Path:
             rows = rows.assign(valid=~rows["held"])
         rows.to_parquet(to / f"{table}.parquet", index=False)
     length = float(pd.read_parquet(to / "points.parquet")["s"].max())
-    about = {"format": 1, "name": name, "string": {"length": round(length, 4)}}
+    about = {"format": 1, "name": name, "string": {"length": round(length, 4)} | weighed(source, name)}
     about |= {"noise": {"point_sigma": MARKER}} if source.name == CABLES else {}
     about["trials"] = {trial: {"initial": begins(trial)} for trial in trials}
     (to / "dataset.yaml").write_text(yaml.safe_dump(about, sort_keys=False))
     return to
+
+
+def weighed(source: Path, name: str) -> dict[str, float]:
+    """What the authors weighed of a cable [kg]."""
+    known = json.loads((source / "cables.json").read_text()) if source.name == CABLES else {}
+    return {"mass": known[name]["m_cable_kg"], "tip_mass": known[name]["m_tip_kg"]} if name in known else {}
 
 
 def begins(trial: str) -> str:
