@@ -63,6 +63,7 @@ def test_a_string_whose_cause_is_known_has_none(arm, eq1):
     assert grain.grain(evidence, fit) is None
 
 
+@pytest.mark.long
 def test_points_do_not_stand_for_something_else(arm, eq1, monkeypatch):
     """Ten would explain a third of what a tip mass and a tilt of gravity do: a search with them would be for nothing."""
     hidden = {"tip_mass.ratio": 0.1, "gravity_direction.tilt": 0.05}

@@ -27,7 +27,8 @@ def evidence(arm, model):
     return measured(arm, model, PLANE, seconds=0.9)
 
 
-@pytest.mark.parametrize(("height", "touched"), [pytest.param(0.435, [2], marks=pytest.mark.long), (0.48, [1, 2])])
+@pytest.mark.long
+@pytest.mark.parametrize(("height", "touched"), [(0.435, [2]), (0.48, [1, 2])])
 def test_a_trial_is_explained_until_it_touches_something(arm, model, height, touched):
     """And no other for that: one that bounces takes the fit of all along."""
     struck = measured(arm, model, {**PLANE, "contact.height": height}, seconds=0.9)

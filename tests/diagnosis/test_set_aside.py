@@ -21,7 +21,9 @@ def observed(arm, offset):
         yield performed(f"t{k}", arm, real, values, angles, places, rng)
 
 
-@pytest.mark.parametrize(("offset", "left_out"), [(0.01, ["t0", "t1", "t2", "t3"]), (0.0, ["t3"])])
+@pytest.mark.parametrize(
+    ("offset", "left_out"), [pytest.param(0.01, ["t0", "t1", "t2", "t3"], marks=pytest.mark.long), (0.0, ["t3"])]
+)
 def test_what_only_a_trial_set_aside_shows_is_found_and_said(arm, offset, left_out):
     said = said_of(ordinary(arm), list(observed(arm, offset)), 4, held_out=["t3"])
     document = json.loads(said.finding["diagnosis"].iloc[0])

@@ -5,6 +5,7 @@ from rig import ARM
 
 from hardware.serial.firmware import Firmware
 from hardware.serial.protocol import (
+    LONGEST,
     VERSION,
     Command,
     Deframer,
@@ -64,6 +65,18 @@ def test_frames_come_back_and_damaged_ones_do_not():
                 decode_answer(bytes(damaged))
 
 
+@pytest.mark.parametrize("length", range(8))
+def test_what_is_shorter_than_kind_sequence_and_checksum_is_no_frame(length):
+    for decode in (decode_command, decode_answer):
+        with pytest.raises(FrameError):
+            decode(cobs(b"\x01" * length))
+
+
+def test_the_longest_frame_is_whole_and_what_is_longer_is_dropped():
+    whole = b"\x01" * LONGEST
+    assert Deframer().frames(whole + b"\0" + whole + b"\x01\0" + whole + b"\0") == [whole, whole]
+
+
 def test_frames_are_cut_wherever_the_bytes_are_torn():
     frames = [encode_command(Command(Kind.VELOCITY, n, POSE))[:-1] for n in range(3)]
     stream = b"\0".join([*frames, b"x" * 500, b"", frames[0], b""])
@@ -74,7 +87,11 @@ def test_frames_are_cut_wherever_the_bytes_are_torn():
 
 
 @pytest.mark.parametrize(
-    ("sequence", "last", "after"), [(1, 0, True), (0, 65535, True), (5, 65530, True), (0, 0, False), (65535, 0, False)]
+    ("sequence", "last", "after"),
+    [
+        *((1, 0, True), (0, 65535, True), (5, 65530, True), (0, 0, False), (65535, 0, False)),
+        *((2**15 - 1, 0, True), (2**15, 0, False)),
+    ],
 )
 def test_sequence_numbers_go_round(sequence, last, after):
     assert newer(sequence, last) is after

@@ -51,7 +51,7 @@ def test_a_rod_let_go_swings_as_a_pendulum(integrator, speed):
     assert np.abs(x - expected).max() < 0.01 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("precision", [Double(), Single()])
+@pytest.mark.parametrize("precision", [Double(), pytest.param(Single(), marks=pytest.mark.long)])
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()])
 def test_a_motion_goes_on_from_any_of_its_states(integrator, precision):
     """Midway through a swing at 3 m/s; 0.15 mm are the strain that a state has not.

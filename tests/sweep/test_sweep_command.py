@@ -99,9 +99,8 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(sw
     assert numbers(folder) == before
 
 
-@pytest.mark.parametrize(
-    "launcher", ["joblib", *(pytest.param(more, marks=pytest.mark.long) for more in ("ray", "slurm"))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("launcher", PACKAGES)
 def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(launcher, swept, trials, tmp_path):
     if importlib.util.find_spec(PACKAGES[launcher]) is None:
         pytest.skip(f"needs {PACKAGES[launcher]}")
