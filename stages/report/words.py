@@ -75,8 +75,8 @@ def _spans(frames: pd.Series, times: pd.Series) -> Iterator[str]:
 
 
 def settings(block: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, str]]:
-    """Every setting by the name it has on the command line."""
-    for name, value in block.items():
+    """Every setting by the name it has on the command line, in the order in which a run keeps them."""
+    for name, value in sorted(block.items()):
         if isinstance(value, Mapping) and value:
             yield from settings(value, f"{place}{name}.")
         else:

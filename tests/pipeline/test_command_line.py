@@ -1,6 +1,7 @@
 """The command as a user gives it: runs, resumes, estimates again, sweeps, and refuses clearly."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -22,10 +23,11 @@ ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
-def pipeline(*overrides, folder=None, limit=300):
+def pipeline(*overrides, folder=None, limit=300, **environment):
     where = [f"hydra.run.dir={folder}"] if folder else []
     command = [sys.executable, "-m", "pipeline", *overrides, *where]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=limit, check=False)
+    around = {**os.environ, **environment}
+    return subprocess.run(command, cwd=ROOT, env=around, capture_output=True, text=True, timeout=limit, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -93,15 +95,17 @@ def test_every_number_has_its_unit_and_every_file_its_origin(quick):
 
 
 def test_an_interrupted_run_goes_on_to_the_same_result(quick, tmp_path):
-    """As if killed in the middle: later artifacts gone, one half-written aside."""
+    """As if killed in the middle: later artifacts gone, one half-written aside. On another number of threads, too."""
     part = tmp_path / "part"
     shutil.copytree(quick, part)
     shutil.rmtree(part / "iterations" / "01" / "estimate")
     shutil.rmtree(part / "iterations" / "02", ignore_errors=True)
     (part / "iterations" / "01" / ".estimate.0123.part").mkdir()
     (part / "run.json").unlink()
-    assert pipeline("+experiment=quick", "manipulations=2", folder=part).returncode == 0
+    assert pipeline("resume", str(part), NUMBA_NUM_THREADS="1").returncode == 0
     same(tables(part), tables(quick))
+    for name in ("run.json", "report.html", "dataset.yaml"):
+        assert (part / name).read_bytes() == (quick / name).read_bytes(), name
     other = pipeline("+experiment=quick", "manipulations=2", "seed=9", folder=part)
     assert other.returncode == 1
     assert "other settings" in other.stderr

@@ -93,10 +93,13 @@ def test_the_table_is_that_of_the_runs_and_each_column_has_its_unit(swept):
 def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(swept, trials):
     folder, _ = swept
     before = numbers(folder)
+    table = folder / "sweep.parquet"
+    table.write_bytes(table.read_bytes()[:100] + b"damaged" + table.read_bytes()[107:-30])
     grown = sweep(folder, trials, "hydra.launcher.retry=true", betas="0.90,0.99,1.5")
     assert grown.returncode == 1
     assert attempts(folder) == {0.9: ("done", 1), 0.99: ("done", 1), 1.5: ("failed", 2)}
     assert numbers(folder) == before
+    assert len(pd.read_parquet(table)) == 3  # remade
 
 
 @pytest.mark.long
