@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from data import store
 from data.foreign import printable
 from data.schema import DataError
+from pipeline import log
 from pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
 from pipeline.commands import NAMES, command, listed
 from pipeline.keep import forget
@@ -99,6 +100,9 @@ def called() -> None:
     """Hand over to a command, or run, and turn what Hydra refuses into one clear message too."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
     threadpool_limits(1, "blas")  # its sums depend on how many threads share them; all that takes long is ours
+    if "-v" in sys.argv:
+        sys.argv.remove("-v")
+        log.shown()
     try:
         if sys.argv[1:] and sys.argv[1] in NAMES:
             sys.exit(asked(sys.argv[1], sys.argv[2:]))

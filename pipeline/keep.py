@@ -8,6 +8,7 @@ it. `run.json` is there if, and only if, the run has ended.
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -21,16 +22,19 @@ from data.artifacts import Diagnosis, Points, Trial
 from data.schema import DataError
 from pipeline.brought import EXTENDED, FROM_DATASETS
 from pipeline.fresh import Found, look, made_now, performed, place_of, repeatable
+from pipeline.log import LOG
 from pipeline.origin import origin
 from pipeline.run import Iteration, Result, in_numbers
 from pipeline.show import Bar
 from pipeline.steps import STEPS, Past, step_seed
 from pipeline.world import World
 
+log = logging.getLogger(__name__)
+
 ENDED = "run.json"
 FAILED = "failed.txt"  # why a run stopped
 LOCK = ".lock"
-NOTHING = {"config.json", LOCK, FAILED}  # what a run that made nothing leaves
+NOTHING = {"config.json", LOCK, FAILED, LOG}  # what a run that made nothing leaves
 HOW_MANY = {"study": ("benches", "first", "processes"), "hits": ("seeds", "first", "processes")}  # no row depends on it
 
 
@@ -47,6 +51,7 @@ class Keeper:
         """Read a step's artifact if it is there and fresh, else make and store it."""
         found = look(self.world, self.folder, name, past)
         if found.artifact is not None and not found.reasons:
+            log.info("%s is there, and fresh", place_of(past.number, name))
             return found.artifact
         place = self.folder / place_of(past.number, name)
         if place.is_dir() and self._stays(found, name, past.number):
@@ -68,7 +73,9 @@ class Keeper:
         if stays and found.artifact is None:
             raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
         kept = "The arm has moved by it: it stays." if stays else "It is made again."
-        self.say(f"{place_of(number, name)} is stale: {'; '.join(found.reasons)}. {kept}")
+        words = f"{place_of(number, name)} is stale: {'; '.join(found.reasons)}. {kept}"
+        log.warning(words)
+        self.say(words)
         return stays
 
     def _make(self, name: str, past: Past, place: Path) -> None:
@@ -78,6 +85,7 @@ class Keeper:
             made = STEPS[name].make(self.world, past, step_seed(self.world.seed, past.number, name), progress)
             took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
             store.save(made, place, made_now(self.world, self.folder, name, past) | took)
+            log.info("%s made in %.1f s", place_of(past.number, name), took["made"]["seconds"])
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from pipeline import keep
+from pipeline.log import kept
 from pipeline.run import Result, work
 from pipeline.settings import UserError
 from pipeline.show import bars, summary
@@ -26,7 +27,7 @@ def module(name: str) -> Any:
 
 def perform(here: World, folder: Path, console: Console) -> Result:
     """Run and report; what is in `folder` already is not made again."""
-    with keep.alone(folder):
+    with keep.alone(folder), kept(folder):
         keep.begin(here, folder)
         with keep.failing(folder):
             if here.config["steps"] == ["calibrate"]:

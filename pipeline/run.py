@@ -7,6 +7,7 @@ makes and keeps them (`pipeline.keep`), `verify` computes them again, `why` asks
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -24,6 +25,8 @@ from stages.align.undo import in_arms_frame
 from stages.check.check import refuse
 from stages.check.measured import Measured
 from stages.judge import Verdict, judge
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ def estimate_again(world: World, folder: Path, trials: Path, desk: Desk) -> Resu
         observations.append(observation)
         past = replace(past, done=done, observations=tuple(observations[-world.config["memory"] :]))
         iterations.append(Iteration(number, done | {"estimate": desk.step("estimate", past)}))
+        _told(iterations[-1])
     rates = [float(i.done["estimate"].fit["after"].iloc[0]) for i in iterations]
     sentence = f"Estimated from {len(iterations)} trial(s) of {trials.name}; the matching rate E is {rates[-1]:.3f}."
     left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
@@ -272,10 +276,24 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
             tuple(i.observation for i in seen[-world.config["memory"] :]),
         )
         current.done[name] = desk.step(name, past)
+    if "estimate" in current.done:
+        _told(current)
     motion: Motion = current.done["generate"]
     points: Points = current.done["extract"]
     there = in_arms_frame(points, world.model)
-    return Iteration(current.number, current.done, judge(there, world.target, world.obstacles, motion.duration))
+    verdict = judge(there, world.target, world.obstacles, motion.duration)
+    log.info("cast %d: the tip came within %.1f mm of the target", current.number, 1e3 * verdict.distance)
+    if current.refused:
+        log.warning("cast %d: nothing is estimated from its trial: %s", current.number, current.refused)
+    return Iteration(current.number, current.done, verdict)
+
+
+def _told(iteration: Iteration) -> None:
+    """Note how an estimation went."""
+    fit = iteration.done["estimate"].fit.iloc[0]
+    rate, off = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
+    words = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
+    log.info(words, iteration.number, *rate, *off, fit["sentence"])
 
 
 def _ended(iterations: list[Iteration]) -> str:

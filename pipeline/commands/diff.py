@@ -15,7 +15,9 @@ from pipeline.compare import differing_files
 from pipeline.fresh import pairs
 from pipeline.settings import UserError, leaves
 
-DRAWN = frozenset({"config.json", keep.ENDED, keep.FAILED, "report.html"})  # compared by another heading, or drawn
+DRAWN = frozenset(
+    {"config.json", keep.ENDED, keep.FAILED, keep.LOG, "report.html"}
+)  # compared by another heading, or drawn
 Parts = list[str]
 
 

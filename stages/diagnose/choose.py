@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -15,6 +16,8 @@ from stages.diagnose.intervals import present
 from stages.diagnose.noise import CLEAR, visible, visible_in_each
 from stages.model.effect import placed
 from stages.progress import Progress
+
+log = logging.getLogger(__name__)
 
 MOST_CAUSES = 3
 SUSPECT = -0.9  # logarithm of a mismatch from which causes are looked for: without any it is -1.6 to -1.0
@@ -41,15 +44,22 @@ def chosen(hypotheses: Hypotheses, progress: Progress, begin: Causes = frozenset
         step = next((step for step in _steps(hypotheses, best) if earns(hypotheses, best, step[1])), None)
         if step is None:
             break
+        log.info("%s: %s enters", _listed(best), _listed(step[1] - best))
         best = _needed(hypotheses, _settled(hypotheses, *step), bool)  # alone, it has just earned its place
         hypotheses = hypotheses.renewed(best)
         for name in sorted(best):
             if placed(hypotheses.library[name]):
                 hypotheses.add(closer(hypotheses.evidence, hypotheses.tried[best], hypotheses.library[name]))
         best = _needed(hypotheses, best, hypotheses.explained)  # more mass points or another doubt may do its work
+        cost = hypotheses.tried[best].cost
+        log.info("%s of %d sets of causes stands, at a cost of %.0f", _listed(best), len(hypotheses.tried), cost)
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
     return hypotheses, best
+
+
+def _listed(causes: Causes) -> str:
+    return " + ".join(sorted(causes)) or "the base model"
 
 
 def _suspect(hypotheses: Hypotheses, causes: Causes) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -38,6 +39,8 @@ from stages.model.effect import Effect
 from stages.model.library import library
 from stages.model.model import Model
 from stages.progress import Progress, part
+
+log = logging.getLogger(__name__)
 
 AGAIN = 20  # steps of a fit to other trials
 NEAR = 16.0  # mean square over the noise; of what is further off than that, its number of mass points is the least
@@ -82,6 +85,7 @@ def diagnose(
         data = data.opened()
         ground, hypotheses, causes = _compared(every, data, lambda share: None)
     judgement = judged(hypotheses, causes, coarse(ground))
+    log.info("verdict: %s", judgement.verdict)
     if len(data.kept) == 1 and judgement.verdict == "unknown":
         judgement = replace(judgement, verdict="insufficient", left=1.0)
     proposal = separated(hypotheses, judgement, obstacles, design, np.random.default_rng([seed, DESIGN]))

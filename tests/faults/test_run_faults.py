@@ -197,7 +197,7 @@ def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
         with pytest.raises(DataError, match="another process" if working else "other settings"):
             toy_run(tmp_path, toy_world(1))
         keep.forget(tmp_path)
-        assert {file.name for file in tmp_path.iterdir()} - {"failed.txt"} == {"config.json", ".lock"}
+        assert {file.name for file in tmp_path.iterdir()} - {"failed.txt", "run.log"} == {"config.json", ".lock"}
     finally:
         other.kill()
         other.communicate()

@@ -18,6 +18,7 @@ from rich.console import Console
 from data import store
 from data.artifacts import Estimate, Motion, Points, Trial
 from pipeline import report
+from pipeline.log import LOG
 from pipeline.perform import perform
 from pipeline.world import world
 
@@ -122,6 +123,6 @@ def toy_run(folder, here):
 
 def contents(folder):
     """Content hashes of all that a run leaves, by path."""
-    files = sorted(p for p in folder.rglob("*") if p.is_file())
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != LOG)  # which tells the time
     shown = [p for p in files if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
     return {p.relative_to(folder).as_posix(): store.content_hash(p) for p in shown}

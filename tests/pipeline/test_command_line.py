@@ -34,8 +34,9 @@ def pipeline(*overrides, folder=None, limit=300, **environment):
 def quick(tmp_path_factory):
     """A finished smoke run."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
-    done = pipeline("+experiment=quick", "manipulations=2", folder=folder)
+    done = pipeline("-v", "+experiment=quick", "manipulations=2", folder=folder)
     assert done.returncode == 0, done.stderr
+    assert "pipeline.keep: iterations/02/motion made in" in done.stderr
     return folder
 
 
@@ -68,6 +69,10 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert 'src="http' not in page
     assert page.count("<img alt=") >= 7
     assert ended["sentence"] in page
+    log = (quick / "run.log").read_text()
+    assert re.search(r"^20\d\d-\d\d-\d\d \S+ INFO +pipeline.keep: iterations/01/estimate made in", log, re.M)
+    assert re.search(r"pipeline.run: estimate 1: E 0\.\d+ to 0\.\d+, rms", log)
+    assert "cast 1: the tip came within" in log
 
 
 def test_the_second_motion_is_the_first_slightly_changed(quick):
