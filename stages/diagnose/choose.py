@@ -51,8 +51,7 @@ def chosen(hypotheses: Hypotheses, progress: Progress, begin: Causes = frozenset
             if placed(hypotheses.library[name]):
                 hypotheses.add(closer(hypotheses.evidence, hypotheses.tried[best], hypotheses.library[name]))
         best = _needed(hypotheses, best, hypotheses.explained)  # more mass points or another doubt may do its work
-        cost = hypotheses.tried[best].cost
-        log.info("%s of %d sets of causes stands, at a cost of %.0f", _listed(best), len(hypotheses.tried), cost)
+        log.info("%s stands", _listed(best))
         progress(len(best) / MOST_CAUSES)
     progress(1.0)
     return hypotheses, best

@@ -125,3 +125,16 @@ def test_a_tick_that_was_never_sent_counts_as_missed():
 
 def test_the_answer_is_as_long_as_the_specification_says():
     assert struct.calcsize("<IB3f") == 17
+
+
+def test_the_guard_looks_from_the_first_answer_to_the_second():
+    log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
+    log.clock[:2], log.angles[:2] = [0.0, 0.005], [[0.0] * 3, [0.0, 0.0, 1.0]]
+    log.previous, log.last = 0, 1
+    assert Guard(ARM, 4, 2.0, lambda: "").reason(log, 1).startswith("the encoder of joint 3 jumped")
+
+
+def test_where_an_arm_is_expected_is_the_sum_of_all_velocities_before():
+    speeds = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
+    expected = [[0.5, 0.5, 0.5], [0.505, 0.5, 0.5], [0.505, 0.51, 0.5]]
+    np.testing.assert_allclose(blank(np.full(3, 0.5), speeds, 0.005).expected, expected)

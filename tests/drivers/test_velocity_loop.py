@@ -173,3 +173,17 @@ def test_angles_have_the_time_in_the_middle_of_the_quickest_exchanges():
     log.acknowledged = log.sent + 0.002 + 0.006 * (np.arange(40) % 2)
     made = performance(log, -0.2, late=0.0025, most_missed=0.0, trips=np.ones(1))
     np.testing.assert_allclose(made.arm["t"], log.sent - 0.2 + 0.001, atol=1e-9)
+
+
+def test_it_goes_to_a_pose_no_faster_than_it_may_and_all_the_way():
+    wire = Script()
+    VelocityArm(ARM, wire, DRIVING).move_to((0.02, -0.3, 0.1))
+    assert np.abs(wire.sent).max() <= 1.001 * DRIVING.approach
+    np.testing.assert_allclose(wire.pose, (0.02, -0.3, 0.1), atol=1e-9)
+
+
+def test_every_tick_is_sent_at_its_moment_and_all_answers_are_awaited():
+    log = VelocityArm(ARM, Script(), DRIVING)._checked_play(np.zeros((20, 3)))
+    assert (log.sent >= log.due).all()
+    assert np.median(log.sent - log.due) < ARM.tick
+    assert (log.acknowledged >= log.sent).all()
