@@ -73,7 +73,7 @@ SLOTS: dict[str, Slot] = {
     ),
     "acceleration": Slot("acceleration whatever the mass, (x, y)", "m/s2", PLACE | {"t": "s"}),
     "flow": Slot("velocity of the air, (x, y)", "m/s", PLACE | {"t": "s"}),
-    "rest_curvature": Slot("curvature at rest", "1/m", {"s": "m"}),
+    "rest_curvature": Slot("curvature at rest", "1/m", {"s": "m", "length": "m"}),
     "density": Slot("mass per length over its nominal value, less 1", "1", {"s": "m", "length": "m"}),
     "tip_mass": Slot("mass at the tip over nominal mass per length", "m", {"length": "m"}),
     "tip_length": Slot("string at the tip beyond its length, of its mass and in its air", "m", {"length": "m"}),

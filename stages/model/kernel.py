@@ -69,7 +69,7 @@ EXPRESSIONS = {
     },
     "acceleration": {"x": "atx", "y": "aty", "t": "t"},
     "flow": {"x": "atx", "y": "aty", "t": "t"},
-    "rest_curvature": {"s": "s_hinge"},
+    "rest_curvature": {"s": "s_hinge", "length": "(number(n) - 1.0) * length"},
 }
 
 Run = Callable[..., None]

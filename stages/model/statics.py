@@ -79,13 +79,17 @@ def moments(
 def curvatures(string: String, material: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Of the hinges, beyond that at rest, (C, n - 2) [1/m]. angles: (C, n - 1) of the segments [rad]."""
     s = string.arc_lengths()[None, 1:-1]
-    return np.diff(angles, axis=1) / string.segment - slot_sum(string, material, "rest_curvature", {"s": s})
+    return np.diff(angles, axis=1) / string.segment - _at_rest(string, material, s)
 
 
 def grasp_set(string: String, material: np.ndarray) -> np.ndarray:
     """Angle at rest of the hinge at the grasp, from its share of the first segment's curvature, (C, 1) [rad]."""
-    at_grasp = slot_sum(string, material, "rest_curvature", {"s": np.zeros((1, 1))})
-    return string.grasp_cell * string.segment * at_grasp
+    return string.grasp_cell * string.segment * _at_rest(string, material, np.zeros((1, 1)))
+
+
+def _at_rest(string: String, material: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Curvature at rest at these arc lengths, (C, M) [1/m]. s: (1, M) [m]."""
+    return slot_sum(string, material, "rest_curvature", {"s": s, "length": np.full((1, 1), string.length)})
 
 
 def sloped(

@@ -122,7 +122,10 @@ MILD = {
 }
 
 
-@pytest.mark.parametrize("name", MILD)
+@pytest.mark.parametrize(
+    "name",
+    ["maxwell_slip", *(pytest.param(n, marks=pytest.mark.long) for n in ("dahl_friction", "standard_linear_solid"))],
+)
 def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
     """And at a twentieth of the step. What it holds moves its tip by more than 5 mm."""
     model = ordinary(arm).with_effects(library()[name])

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 class RestCurvature(StringEffect):
-    """Without any moment the string has this curvature, positive to the left of its way to the tip: at the grasp, and
-    from there changing evenly along it."""
+    """Without any moment the string has this curvature, positive to the left of its way to the tip: in its middle, and
+    changing evenly along it."""
 
     name = "rest_curvature"
     parameters = (
-        Parameter("curvature", "1/m", "curvature at rest at the grasp", -20.0, 20.0, 0.0),
+        Parameter("curvature", "1/m", "curvature at rest in the middle", -20.0, 20.0, 0.0),
         Parameter("slope", "1/m2", "rise of the curvature at rest along the string", -100.0, 100.0, 0.0),
     )
     reference = "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of a rod"
@@ -40,11 +40,11 @@ class RestCurvature(StringEffect):
     def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
         """The shape of 0.3 m of it at rest."""
         s = np.linspace(0.0, 0.3, 101)
-        turned = (values["curvature"] + values["slope"] * s / 2) * s
+        turned = (values["curvature"] + values["slope"] * (s - s[-1]) / 2) * s
         steps = 0.003 * np.stack([np.cos(turned), np.sin(turned)])
         x, y = np.cumsum(steps, axis=1)
         line(axes, x, y, "along the grasp / m", "across / m")
 
     @staticmethod
-    def rest_curvature(curvature: Quantity, slope: Quantity, s: Quantity) -> Quantity:
-        return curvature + slope * s
+    def rest_curvature(curvature: Quantity, slope: Quantity, s: Quantity, length: Quantity) -> Quantity:
+        return curvature + slope * (s - 0.5 * length)
