@@ -9,7 +9,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from data import store
+from data import disk, store
 from data.artifacts import Points, Trial
 from data.images import Held, Images
 from data.schema import DataError
@@ -143,3 +143,51 @@ def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
     assert kept.read_text() == "the only one"
     store.write_text(path, "new")
     assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
+
+
+@pytest.mark.parametrize("name", ["arm.csv", "dataset.yaml"])
+def test_of_a_file_that_is_no_table_every_byte_counts(tmp_path, name):
+    hashes = []
+    for folder, content in (("a", b"t,q1\n0,1\n"), ("b", b"t,q1\n0,1\n"), ("c", b"t,q1\n0,2\n")):
+        disk.make_folder(tmp_path / folder)
+        disk.write(tmp_path / folder / name, content)
+        hashes.append(store.content_hash(tmp_path / folder / name))
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
+def test_a_pipe_in_place_of_a_table_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "fit.parquet")
+    with pytest.raises(DataError, match=r"fit\.parquet"):
+        store.origin_of(tmp_path / "fit.parquet")
+
+
+def test_folders_are_made_with_those_above_them_and_removed_with_all_in_them(tmp_path):
+    disk.make_folder(tmp_path / "a" / "b")
+    disk.make_folder(tmp_path / "a" / "b")
+    disk.write(tmp_path / "a" / "b" / "c", b"d")
+    disk.remove(tmp_path / "a")
+    disk.remove(tmp_path / "a")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_is_held_by_one(tmp_path):
+    with disk.locked(tmp_path / "lock"), pytest.raises(BlockingIOError), disk.locked(tmp_path / "lock"):
+        pass
+    with disk.locked(tmp_path / "lock"):
+        pass
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_lock_whose_file_was_removed_meanwhile_is_none(tmp_path, monkeypatch, again):
+    """Removed by the process that held it until now, and perhaps made again by a third."""
+    path = tmp_path / "lock"
+
+    def late(file):
+        path.rename(tmp_path / "gone")
+        if again:
+            path.write_bytes(b"")
+
+    monkeypatch.setattr(disk, "_lock", late)
+    with pytest.raises(BlockingIOError, match="removed"), disk.locked(path):
+        pass
