@@ -22,9 +22,9 @@ from tests.measured.sets import RELEASED, sets, written
 
 ROOT = Path(__file__).resolve().parents[2]
 LAWS = {
-    "viscous, set": "rest_curvature",
-    "and one slip": "rest_curvature,maxwell_slip",
-    "and two": "rest_curvature,maxwell_slip,maxwell_slip_2",
+    "viscous": "rest_curvature",
+    "one slip": "rest_curvature,maxwell_slip",
+    "two slips": "rest_curvature,maxwell_slip,maxwell_slip_2",
 }
 FITS = Table(
     "fits",
@@ -76,7 +76,7 @@ def main() -> None:
     for name in track(AUTHORS, "cables"):
         released = [trial for trial in there[name] if trial.startswith(RELEASED)]
         dataset = written(asked.measured, name, released, asked.out / name)
-        rows += [row(name, laws, dataset, asked.out / f"{name}, {laws}") for laws in LAWS]
+        rows += [row(name, laws, dataset, asked.out / f"{name}-{laws.replace(' ', '-')}") for laws in LAWS]
     made = {"command": "python -m tests.measured.fits ../shared/measured", "packages": versions(PACKAGES)}
     table = ROOT / "data" / "results" / "measured" / "fits.parquet"
     write_table(FITS, pd.DataFrame(rows), table, made)
