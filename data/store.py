@@ -11,6 +11,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import os
 import re
 import uuid
 from collections.abc import Iterator, Mapping
@@ -27,6 +28,7 @@ from data.images import ImageFiles, png
 from data.schema import DataError, Table
 
 Artifact = TypeVar("Artifact")
+PIECE = 2**20  # [bytes] of a file that are hashed at a time
 OTHERWISE = "Choose another folder, or look at the disk"
 UNREADABLE = (pa.ArrowException, OSError, ValueError)
 REMEDIES = {
@@ -128,19 +130,30 @@ def content_hash(path: Path) -> str:
     digest = hashlib.sha256()
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
     for file in files:
-        content = _columns(file) if file.suffix == ".parquet" else file.read_bytes()
-        digest.update(f"{file.relative_to(path).as_posix()}\0{len(content)}\0".encode() + content)
+        head, size = _columns(file) if file.suffix == ".parquet" else (b"", file.stat().st_size)
+        digest.update(f"{file.relative_to(path).as_posix()}\0{len(head) + size}\0".encode() + head)
+        for piece in _pieces(file, size):
+            digest.update(piece)
     return digest.hexdigest()
 
 
-def _columns(path: Path) -> bytes:
-    """A Parquet file without what its footer says beside the columns.
+def _columns(path: Path) -> tuple[bytes, int]:
+    """What the footer of a Parquet file says of its columns alone, and the size of the pages before it [bytes].
 
     The file ends with the footer, the footer's length (4 bytes) and "PAR1"; all before it is the columns' pages.
     """
-    content = path.read_bytes()
-    footer = int.from_bytes(content[-8:-4], "little") + 8
-    return pq.read_schema(path).remove_metadata().serialize().to_pybytes() + content[:-footer]
+    schema = pq.read_schema(path).remove_metadata().serialize().to_pybytes()
+    with path.open("rb") as file:
+        end = file.seek(-8, os.SEEK_END)
+        return schema, end - int.from_bytes(file.read(4), "little")
+
+
+def _pieces(path: Path, size: int) -> Iterator[bytes]:
+    """The first `size` bytes of a file, some at a time: a film may be larger than the memory."""
+    with path.open("rb") as file:
+        while size > 0 and (piece := file.read(min(PIECE, size))):
+            size -= len(piece)
+            yield piece
 
 
 def _write_parquet(table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]) -> None:

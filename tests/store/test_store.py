@@ -1,5 +1,6 @@
 """What is stored comes back to the bit, with units, origin and a hash of its content."""
 
+import hashlib
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -64,6 +65,23 @@ def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(poin
     renamed = replace(points, points=points.points.rename(columns={"held": "kept"}))
     store.save(renamed, tmp_path / "c", {"seed": 1})
     assert store.content_hash(tmp_path / "c") != store.content_hash(tmp_path / "a")
+
+
+def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(points, tmp_path, monkeypatch):
+    """Origins on people's disks hold hashes of whole files: pieces of any size must give the same."""
+    store.save(points, tmp_path / "a", {"seed": 1})
+    (tmp_path / "a" / "film.mp4").write_bytes(bytes(range(256)) * 9)
+    whole = hashlib.sha256()
+    for file in sorted((tmp_path / "a").rglob("*")):
+        content = file.read_bytes()
+        if file.suffix == ".parquet":
+            pages = content[: -int.from_bytes(content[-8:-4], "little") - 8]
+            content = pq.read_schema(file).remove_metadata().serialize().to_pybytes() + pages
+        whole.update(f"{file.name}\0{len(content)}\0".encode() + content)
+    monkeypatch.setattr(Path, "read_bytes", lambda path: pytest.fail(f"{path} was read whole"))
+    for size in (7, 256, 2**20):
+        monkeypatch.setattr(store, "PIECE", size)
+        assert store.content_hash(tmp_path / "a") == whole.hexdigest()
 
 
 def test_everything_is_on_the_disk_before_it_has_its_name(points, tmp_path, monkeypatch):
