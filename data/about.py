@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from data.foreign import yaml_block
+from data.foreign import own, yaml_block
 from data.schema import DataError
 
 FORMAT = 1
@@ -114,7 +114,7 @@ def about(folder: Path) -> dict[str, Any]:
     path = folder / NAME
     if not path.exists():
         return {}
-    known = yaml_block(path)
+    known = yaml_block(own(folder, path))
     if known.get("format", FORMAT) != FORMAT or isinstance(known.get("format"), bool):
         raise DataError(f"{path}: format is {known['format']!r}; this version reads {FORMAT}. Convert it.")
     try:

@@ -20,7 +20,7 @@ import yaml
 from data.about import FORMAT, NAME, about
 from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from data.films import Shots, filmed, listed, videos
-from data.foreign import inside, json_block
+from data.foreign import inside, json_block, own
 from data.images import ImageFiles, Images
 from data.rows import Rows, from_csv, sifted
 from data.schema import Column, DataError, Table
@@ -199,7 +199,9 @@ def settings(path: Path) -> dict[str, Any]:
 
 
 def _find(folder: Path, name: str) -> Path | None:
-    return next((folder / f"{name}{end}" for end in (".parquet", ".csv") if (folder / f"{name}{end}").exists()), None)
+    """The file of a table, if there is one; raises DataError where it lies elsewhere."""
+    found = (folder / f"{name}{end}" for end in (".parquet", ".csv"))
+    return next((own(folder, path) for path in found if path.exists()), None)
 
 
 def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data.foreign import regular
+from data.foreign import own
 from data.images import ImageFiles, Images, Video
 
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv")
@@ -34,4 +34,4 @@ def filmed(folder: Path, fps: float) -> dict[str, Shots]:
 def videos(folder: Path) -> list[Path]:
     """Video files of a dataset, in the order of their names."""
     found = sorted(p for p in (folder / "videos").glob("*") if p.suffix.lower() in VIDEOS)
-    return [regular(path) for path in found]
+    return [own(folder, path) for path in found]

@@ -36,6 +36,13 @@ def regular(path: Path, most: int | None = None) -> Path:
     return path
 
 
+def own(folder: Path, path: Path) -> Path:
+    """The path, if it is a plain file that lies in this folder, links followed: one elsewhere is another's to show."""
+    if not regular(path).resolve().is_relative_to(folder.resolve()):
+        raise DataError(f"{path}: it is a link that leaves the folder {folder}. Put the file itself there.")
+    return path
+
+
 def inside(folder: Path, file: str) -> bool:
     """Whether a path that a file names is a plain file in this folder, links followed."""
     whole = folder / file

@@ -74,6 +74,27 @@ def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
         dataset.read(tmp_path)
 
 
+@pytest.mark.parametrize("file", ["dataset.yaml", "grasp.csv", "points.csv", "videos/a.mp4"])
+def test_links_that_leave_the_folder_are_not_followed(tmp_path, file):
+    folder = tmp_path / "data"
+    given(folder, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), points=points())
+    path, elsewhere = folder / file, tmp_path / "elsewhere"
+    path.parent.mkdir(exist_ok=True)
+    elsewhere.write_bytes(path.read_bytes() if path.exists() else b"")
+    path.unlink(missing_ok=True)
+    path.symlink_to(elsewhere)
+    with pytest.raises(DataError, match=rf"{path.name}: it is a link that leaves the folder .*Put the file itself"):
+        dataset.read(folder)
+
+
+def test_links_within_the_folder_and_to_it_are_followed(tmp_path):
+    given(tmp_path / "data", {"string": {"length": 0.3}}, grasp=grasp(), points=points())
+    (tmp_path / "data" / "points.csv").rename(tmp_path / "data" / "tracked.csv")
+    (tmp_path / "data" / "points.csv").symlink_to("tracked.csv")
+    (tmp_path / "link").symlink_to("data")
+    assert list(dataset.read(tmp_path / "link").trials) == ["a"]
+
+
 def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
     given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     pd.concat([points()] * 20).to_parquet(tmp_path / "points.parquet")
