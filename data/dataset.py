@@ -20,7 +20,7 @@ import yaml
 from data.about import FORMAT, NAME, about
 from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from data.films import Shots, filmed, listed, videos
-from data.foreign import inside, json_block, own
+from data.foreign import inside, json_block, leaves, own, printable
 from data.images import ImageFiles, Images
 from data.rows import Rows, from_csv, sifted
 from data.schema import Column, DataError, Table
@@ -218,7 +218,7 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
     if table in (READINGS, MASKS):  # of these NaN is a value
         return frame.sort_values(["trial", "t"], kind="stable").reset_index(drop=True)
     if table is FRAMES:
-        frame = frame.assign(file=frame["file"].where([inside(folder, str(file)) for file in frame["file"]]))
+        frame = frame.assign(file=_in_the_folder(frame["file"], folder, path))
     kept, rows[path.name] = sifted(whole, frame)
     return kept.reset_index(drop=True)
 
@@ -228,6 +228,18 @@ def _named_in_print(frame: pd.DataFrame, path: Path) -> None:
     for name in frame["trial"].unique():
         if not str(name).isprintable():
             raise DataError(f"{path}: the trial {str(name)!r} has a name that cannot be printed. Give it another.")
+
+
+def _in_the_folder(files: pd.Series, folder: Path, path: Path) -> pd.Series:
+    """Names of frames, none where there is no such file; raises DataError for one outside the folder."""
+    there = files.map(lambda file: inside(folder, str(file))).astype(bool)
+    outside = next((str(file) for file in files[~there].dropna() if leaves(folder, str(file))), None)
+    if outside is not None:
+        raise DataError(
+            f"{path}: the frame '{printable(outside)}' (column file) lies outside the folder {folder}. "
+            "Copy it there, and name it by its path in the folder."
+        )
+    return files.where(there)
 
 
 def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:

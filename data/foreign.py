@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import stat
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,12 @@ def own(folder: Path, path: Path) -> Path:
 def inside(folder: Path, file: str) -> bool:
     """Whether a path that a file names is a plain file in this folder, links followed."""
     whole = folder / file
-    return whole.is_file() and whole.resolve().is_relative_to(folder.resolve())
+    return os.path.isfile(whole) and whole.resolve().is_relative_to(folder.resolve())
+
+
+def leaves(folder: Path, file: str) -> bool:
+    """Whether a path that a file names lies outside this folder, links followed, be there a file or not."""
+    return "\0" not in file and not Path(os.path.realpath(folder / file)).is_relative_to(folder.resolve())
 
 
 def printable(text: str) -> str:

@@ -114,9 +114,20 @@ def test_frames_outside_the_folder_are_not_read(tmp_path, way):
     named = {"absolute": str(outside), "up": "../secret.png", "link": "link.png"}[way]
     frames = pd.DataFrame({"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named})
     given(folder, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), frames=frames, points=points())
-    found = dataset.read(folder)
+    with pytest.raises(DataError, match=rf"frames\.csv: the frame '{named}' .*lies outside the folder.*Copy it there"):
+        dataset.read(folder)
+
+
+@pytest.mark.parametrize(
+    "named", ["lost.png", "a\0b.png", "x" * 5000, None], ids=["lost", "zero byte", "too long", "none"]
+)
+def test_frames_that_are_not_there_are_counted(tmp_path, named):
+    frames = pd.DataFrame({"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named})
+    given(tmp_path, {"string": {"length": 0.3}, "camera": CAMERA}, grasp=grasp(), points=points())
+    frames.to_parquet(tmp_path / "frames.parquet")
+    found = dataset.read(tmp_path)
     assert not found.films
-    assert found.rows["frames.csv"].dropped == {"no file": 5}
+    assert found.rows["frames.parquet"].dropped == {"no file": 5}
 
 
 @pytest.mark.parametrize("name", ["[/]", "[bold]", "<script>", "a b"])
