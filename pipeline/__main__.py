@@ -6,6 +6,7 @@ import difflib
 import logging
 import os
 import re
+import signal
 import sys
 import uuid
 from pathlib import Path
@@ -38,7 +39,6 @@ from stages.roles import HardwareError
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 OmegaConf.register_new_resolver("commands", lambda *_: listed())
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names of trials that look like dates
-INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 UNANSWERED = 2  # exit status of a command that found no answer
 EXPECTED = (UserError, DataError, HardwareError, MotionNotFoundError)
 
@@ -53,10 +53,10 @@ def main(config: DictConfig) -> float | None:
         complain(error, console)
         forget(Path(HydraConfig.get().runtime.output_dir))
         sys.exit(1)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         place = HydraConfig.get().runtime.output_dir
         console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True, markup=False)
-        sys.exit(INTERRUPTED)
+        sys.exit(interrupted(error))
     last = result.iterations[-1].done.get("estimate") if result.iterations else None
     return None if last is None else float(last.fit["after"].iloc[0])
 
@@ -85,6 +85,11 @@ def complain(error: Exception, console: Console) -> None:
     console.print(f"[bold red]Error:[/] {escape(printable(str(error)))}", highlight=False, soft_wrap=True)
 
 
+def interrupted(by: KeyboardInterrupt) -> int:
+    """Exit status after a signal, as shells have it: 130 after Ctrl-C, 143 after SIGTERM, which asks an arm to stop."""
+    return 128 + int(by.args[0] if by.args else signal.SIGINT)
+
+
 def asked(name: str, arguments: list[str]) -> int:
     """Hand over to a command; its exit status."""
     try:
@@ -92,8 +97,8 @@ def asked(name: str, arguments: list[str]) -> int:
     except EXPECTED as error:
         complain(error, Console(stderr=True))
         return UNANSWERED
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    except KeyboardInterrupt as error:
+        return interrupted(error)
 
 
 def called() -> None:
@@ -111,9 +116,9 @@ def called() -> None:
         sys.exit(sweep_ended())
     except EXPECTED as error:
         sys.exit(f"Error: {error}")
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         sweep_ended()
-        sys.exit(INTERRUPTED)
+        sys.exit(interrupted(error))
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"Error: {refusal(error)}")
     except OSError as error:

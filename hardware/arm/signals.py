@@ -12,8 +12,8 @@ POLITE = (signal.SIGINT, signal.SIGTERM) + ((signal.SIGHUP,) if hasattr(signal, 
 
 
 class Signals:
-    """While in force, SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt. Only the main thread receives signals;
-    in another one this does nothing."""
+    """While in force, SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt with the signal's number. Only the main
+    thread receives signals; in another one this does nothing."""
 
     def __init__(self) -> None:
         """Nothing is in force yet."""
@@ -45,4 +45,4 @@ class Signals:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+    raise KeyboardInterrupt(number)

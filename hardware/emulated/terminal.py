@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import pty
 import select
+import signal
+import threading
 import time
 import tty
+from contextlib import suppress
 from typing import Protocol
 
 STEP = 0.0005  # [s] between looks
@@ -27,22 +30,23 @@ class Emulated(Protocol):
 
 
 def serve(device: Emulated, until: float, after: float) -> None:
-    """Let the device live for `until` seconds, or as long as whoever started this. Unplugged, it goes on alone for
-    `after` seconds."""
+    """Let the device live for `until` seconds, until SIGTERM, or as long as whoever started this. Then, or unplugged,
+    it goes on alone for `after` seconds."""
+    ended = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: ended.set())
     master, slave = pty.openpty()
     tty.setraw(slave)
     print(os.ttyname(slave), flush=True)
-    try:
-        _talk(device, master, time.monotonic() + until)
-    except UnpluggedError:
-        os.close(slave)
-        os.close(master)
-        device.advance(after)
+    with suppress(UnpluggedError):
+        _talk(device, master, time.monotonic() + until, ended)
+    os.close(slave)
+    os.close(master)
+    device.advance(after)
 
 
-def _talk(device: Emulated, master: int, end: float) -> None:
+def _talk(device: Emulated, master: int, end: float, ended: threading.Event) -> None:
     last, parent = time.monotonic(), os.getppid()
-    while last < end and os.getppid() == parent:
+    while last < end and os.getppid() == parent and not ended.is_set():
         ready, _, _ = select.select([master], [], [], STEP)
         if ready:
             device.hear(os.read(master, 4096))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -114,13 +115,15 @@ def open_lab(
     driving: Driving,
     watchdog: Annotated[int, Field(gt=0)],
     faults: list[str],
+    record: str = os.devnull,
 ) -> Lab:
     """The emulated arm and the virtual camera of one trial.
 
     seed, trial, specimen, servo, look, obstacles: as of the virtual lab; of the servo only its time step matters.
-    watchdog: the device's [ms]. faults: KIND:N, as the emulator takes them.
+    watchdog: the device's [ms]. faults: KIND:N, as the emulator takes them. record: the file in which it notes when
+    the arm moved and when it stood.
     """
     bench = Bench(arm, camera, specimen, seed, servo, look, obstacles, count=trial)
-    options = ["--watchdog", str(watchdog), *(f"--fault={fault}" for fault in faults)]
+    options = ["--watchdog", str(watchdog), "--log", record, *(f"--fault={fault}" for fault in faults)]
     device = VelocityArm(arm, SerialWire("", BAUD), driving)
     return Lab(RehearsalArm(device, Emulator(options), bench), VirtualCamera(bench))

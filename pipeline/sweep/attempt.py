@@ -15,11 +15,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
+from hardware.arm.signals import POLITE
 from pipeline.origin import ROOT
 from pipeline.sweep.ledger import DONE, FAILED, PENDING, RUNNING, Job, Ledger
 
 PIPELINE = (sys.executable, "-m", "pipeline")
-INTERRUPTED = (130, -signal.SIGINT)
+INTERRUPTED = {code for number in POLITE for code in (128 + number, -number)}
 POOLS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 

@@ -1,0 +1,45 @@
+"""Whole runs by the command line whose process is told to end while the arm moves: it stands, and the run goes on."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from rig import events
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = ("+experiment=quick", "hardware=emulator", "steps=[generate,execute,extract]", "leave=[]", "camera.fps=25")
+
+
+def told_to_end(number, record, *arguments):
+    """Exit status and words of a command that gets a signal once the arm moves; record: the emulator's, whose arm
+    stands in the end."""
+    record.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "pipeline", *arguments]
+    run = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    while "moves" not in {noted["event"] for noted in (events(record) if record.exists() else [])}:
+        assert run.poll() is None, run.stderr.read()
+        time.sleep(0.02)
+    run.send_signal(number)
+    words = run.communicate(timeout=20)[1]
+    noted = events(record)
+    assert {"latched", "stands"} <= {e["event"] for e in noted}, noted
+    assert noted[-1]["state"] == "latched"
+    assert max(map(abs, noted[-1]["speeds"])) < 0.02
+    return run.returncode, words
+
+
+def test_a_run_told_to_end_while_the_arm_moves_leaves_it_at_rest_and_goes_on(tmp_path):
+    record, folder = tmp_path / "record", tmp_path / "run"
+    asked = (*SMALL, f"hardware.record={record}", f"hydra.run.dir={folder}")
+    status, words = told_to_end(signal.SIGTERM, record, *asked)
+    assert status == 143
+    assert f"To go on: python -m pipeline resume {folder}" in words
+    assert not (folder / "run.json").exists()
+    assert told_to_end(signal.SIGINT, record, "resume", str(folder))[0] == 130
+    command = [sys.executable, "-m", "pipeline", "resume", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=120)
+    assert {step.name for step in (folder / "iterations/01").iterdir()} == {"motion", "trial", "points"}
+    assert json.loads((folder / "run.json").read_text())["sentence"]
