@@ -12,7 +12,7 @@ from stages.estimate.forward import Case
 from stages.model.hand import HandMotion, rested
 from stages.model.model import Model
 from stages.model.state import State
-from stages.model.string import String, simulate
+from stages.model.string import simulate
 
 BEGINNING = 0.05  # [s] of simulated time that a batch costs before its first step
 APART = 1.15  # times what steps cost where each candidate has a hand of its own
@@ -71,7 +71,7 @@ def _seen(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.nd
     moments = [np.atleast_2d(model.moments(values, case.times)) for case in cases]
     counted = [m if begin is None else begin.counted(m) for m, begin in zip(moments, begun, strict=True)]
     string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
-    states = _of_each(model.string, [begin for begin in begun if begin is not None], len(values))
+    states = _of_each([begin for begin in begun if begin is not None], len(values))
     times = _below(_lasting(counted), len(values))
     points = simulate(model.string, _side_by_side(hands, len(values)), string, times, states)
     pairs = zip(np.split(points.points, len(cases)), moments, cases, strict=True)
@@ -90,13 +90,13 @@ def _since(hand: HandMotion, begin: State | None) -> HandMotion:
     return hand if begin is None else hand.since(begin.t)
 
 
-def _of_each(string: String, states: Sequence[State], count: int) -> State | None:
+def _of_each(states: Sequence[State], count: int) -> State | None:
     """The states of several trials, for so many candidates of each, whose time counts from there; None of those at
     rest."""
     if not states:
         return None
-    angle, rate = (np.repeat(each, count, axis=0) for each in zip(*(s.segments(string) for s in states), strict=True))
-    return State(0.0, string.middles(), angle, rate)
+    rows = zip(*((state.s, state.angle, state.rate) for state in states), strict=True)
+    return State(0.0, *(_below([np.atleast_2d(part) for part in parts], count) for parts in rows))
 
 
 def _lasting(times: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -77,6 +77,9 @@ SLOTS: dict[str, Slot] = {
     "density": Slot("mass per length over its nominal value, less 1", "1", {"s": "m", "length": "m"}),
     "tip_mass": Slot("mass at the tip over nominal mass per length", "m", {"length": "m"}),
     "tip_length": Slot("string at the tip beyond its length, of its mass and in its air", "m", {"length": "m"}),
+    # for a string that does not begin where the grasp is said to be; measured points are told from there all the same
+    "hidden_length": Slot("free string before the stated grasp", "m", {}),
+    "grasp_offset": Slot("where the free string begins, from the stated grasp, (along, across)", "m", {}),
 }
 
 # Slots whose value times one of its arguments belongs to another slot: which, and the argument.

@@ -19,7 +19,7 @@ import numpy as np
 
 from stages.model.effect import placed
 from stages.model.leaning import leaning
-from stages.model.statics import ENOUGH, FLOOR, ITERATIONS, LARGEST_TURN, forces, guessed, moments, sloped
+from stages.model.statics import ENOUGH, FLOOR, ITERATIONS, LARGEST_TURN, forces, guessed, moments, plain, sloped
 
 if TYPE_CHECKING:
     from stages.model.string import String
@@ -47,7 +47,7 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
 def _settled(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angles and lengths, as `hanging`, where no force depends on the place. pose: (C, 3)."""
     angles = guessed(string, material, pose[:, 2])
-    lengths = np.full_like(angles, string.segment)
+    lengths = plain(string, material)
     last, share = np.zeros_like(angles), np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
@@ -78,9 +78,8 @@ def stretched(string: String, material: np.ndarray, pose: np.ndarray, angles: np
 
     material: (C, P). pose: (1 or C, 3) of the grasp.
     """
-    plain = np.full(angles.shape, string.segment)
-    force = forces(string, material, np.broadcast_to(pose, (len(material), 3)), angles, plain)
-    lengths = plain
+    lengths = plain(string, material)
+    force = forces(string, material, np.broadcast_to(pose, (len(material), 3)), angles, lengths)
     for _ in range(4):
         lengths = _lengths(string, material, force, angles, lengths)
     return lengths
@@ -91,11 +90,12 @@ def _lengths(
 ) -> np.ndarray:
     """Lengths at which tension balances the pull along each segment: two steps of Newton's method from `lengths`."""
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
-    stretch = lengths / string.segment - 1
+    segment = string.segments(material)[:, None]
+    stretch = lengths / segment - 1
     for _ in range(2):
         tension, rise = sloped(string, material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
         stretch = np.maximum(stretch - (tension - along) / rise, -0.9)
-    return string.segment * (1 + stretch)
+    return segment * (1 + stretch)
 
 
 def _newton(

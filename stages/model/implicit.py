@@ -197,7 +197,8 @@ class ImplicitLeapfrog(Integrator):
         _, (stiffness, damping) = slopes(string, material)
         stiffness[1] += turning_back(string, material)
         axial, bending, grasp = (0.5 * dt * damping + 0.25 * dt**2 * stiffness)[..., None]
-        hinges = np.repeat(bending / string.segment, string.points - 2, axis=1)
+        segment = string.segments(material)[:, None]
+        hinges = np.repeat(bending / segment, string.points - 2, axis=1)
         masses, _ = string.masses(material)
         bend = np.concatenate([grasp, hinges], axis=1)
-        return {"MASS": masses, "AXIAL": axial / string.segment, "BEND": bend, "STEADY": bend}
+        return {"MASS": masses, "AXIAL": axial / segment, "BEND": bend, "STEADY": bend}

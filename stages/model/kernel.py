@@ -56,8 +56,8 @@ ROWS = (
 
 # What a law's argument is in the text of the loop.
 EXPRESSIONS = {
-    "tension": {"stretch": "stretch", "rate": "rate", "s": "s_middle"},
-    "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge"},
+    "tension": {"stretch": "stretch", "rate": "rate", "s": "s_middle<<longer>>"},
+    "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge<<longer>>"},
     "held": {"change": "change", "dt": "lapse"},
     "held_moment": {},
     "hinge_stiffness": {},
@@ -65,12 +65,13 @@ EXPRESSIONS = {
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
     "load": {
         **{"x": "atx", "y": "aty", "vx": "qx", "vy": "qy", "ux": "(qx - airx)", "uy": "(qy - airy)"},
-        **{"tx": "lx", "ty": "ly", "s": "s_point", "t": "t", "dt": "dt"},
+        **{"tx": "lx", "ty": "ly", "s": "s_point<<longer>>", "t": "t", "dt": "dt"},
     },
     "acceleration": {"x": "atx", "y": "aty", "t": "t"},
     "flow": {"x": "atx", "y": "aty", "t": "t"},
-    "rest_curvature": {"s": "s_hinge", "length": "(number(n) - 1.0) * length"},
+    "rest_curvature": {"s": "s_hinge<<longer>>", "length": "(number(n) - 1.0) * length<<longer>>"},
 }
+HIDDEN = ("LONGER", "OVER")  # rows of strings that begin elsewhere: length over that stated, and one over a segment's
 
 Run = Callable[..., None]
 
@@ -118,6 +119,7 @@ def source(
     def at(slot: str, argument: str) -> str:
         return _sum(slots, slot, names, {PER[slot][1]: argument})
 
+    hidden = any("hidden_length" in e.laws() for e in effects)
     heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
@@ -137,6 +139,7 @@ def source(
         "load": _vector(slots, "load", names, "load"),
         "acceleration": _vector(slots, "acceleration", names, "fall"),
         "weight": "B[WEIGHT + p]" if heavy else "1.0",
+        "over": "over = B[OVER + j]" if hidden else "",
         "apart": "\n".join(precision.segment),
         "kink": precision.kink,
         "place": "\n".join(precision.place),
@@ -155,7 +158,8 @@ def source(
         "W": str(width),
         **{name: _fill(text, pieces) for name, text in PIECES.items()},
     }
-    return precision.text(_fill(TEMPLATE, fill))
+    text = _fill(TEMPLATE, fill).replace("<<longer>>", " * B[LONGER + j]" if hidden else "")
+    return precision.text(text)
 
 
 def _memory(effects: Sequence[type[StringEffect]], names: Sequence[str], passes: int) -> Iterator[str]:
@@ -173,10 +177,12 @@ def _memory(effects: Sequence[type[StringEffect]], names: Sequence[str], passes:
 
 
 def kinds(integrator: Integrator, precision: Precision, effects: Sequence[type[StringEffect]]) -> dict[str, int]:
-    """Which of a point's rows is which, by name; the last are what its hinge was bent to and each effect holds."""
+    """Which of a point's rows is which, by name; the last are how long a string really is, and what its hinge was bent
+    to and each effect holds."""
+    hidden = HIDDEN if any("hidden_length" in e.laws() for e in effects) else ()
     holding = sum("held" in e.laws() for e in effects)
     memory = ("CURVED", *(f"HELD{i}" for i in range(holding))) if holding else ()
-    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows, *memory))}
+    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows, *hidden, *memory))}
 
 
 def rows(
@@ -306,6 +312,7 @@ def _ours_alone(folder: Path) -> bool:
 # segment whose forces are then known, and of the point at its start, which then moves.
 PIECES = {
     "segment": """
+<<over>>
 <<apart>>
 wx = B[VX + k + NEXT] - B[VX + k]
 wy = B[VY + k + NEXT] - B[VY + k]

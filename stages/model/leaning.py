@@ -25,6 +25,7 @@ from stages.model.statics import (
     beyond,
     guessed,
     moments,
+    plain,
     shape,
     sloped,
     weight,
@@ -44,7 +45,7 @@ def leaning(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     material: (C, P). pose: (C, 3) of the grasp.
     """
     angles = guessed(string, material, pose[:, 2])
-    now = _Leaning(string, material, pose, angles, np.full_like(angles, string.segment))
+    now = _Leaning(string, material, pose, angles, plain(string, material))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
         some = now.only(moving)
@@ -136,9 +137,14 @@ class _Leaning:
         return moments(self.string, self.material, self.pose[:, 2], self.angles)
 
     @property
+    def segment(self) -> np.ndarray:
+        """Rest length of a segment, (C, 1) [m]."""
+        return self.string.segments(self.material)[:, None]
+
+    @property
     def stretch(self) -> np.ndarray:
         """(C, n - 1)."""
-        return self.lengths / self.string.segment - 1
+        return self.lengths / self.segment - 1
 
     @cached_property
     def tension(self) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +186,7 @@ class _Leaning:
         diagonal = stiffness[:, :-1] + stiffness[:, 1:] + along
         matrix[:, :count, :count] = _full(-stiffness[:, 1:-1], diagonal)
         turns, stretches = np.arange(count), np.arange(count, 2 * count)
-        matrix[:, stretches, stretches] = self.tension[1] / self.string.segment
+        matrix[:, stretches, stretches] = self.tension[1] / self.segment
         matrix[:, turns, stretches] = matrix[:, stretches, turns] = -across
         return matrix
 

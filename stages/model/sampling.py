@@ -1,4 +1,4 @@
-"""Positions between the ticks of a simulation."""
+"""Positions between the ticks of a simulation, and between its mass points."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 NODES = 6  # ticks that the polynomial goes through
+ALONG = 4  # mass points that the curve between them goes through
 WHOLE = 1e-6  # of a tick, which is as good as none
 FAR = 1e3  # [m] where no tip is
 
@@ -51,6 +52,23 @@ def sampled(ticks: np.ndarray, position: np.ndarray, last: np.ndarray) -> np.nda
         return ticks if np.array_equal(whole, np.arange(ticks.shape[1])) else ticks[:, whole]
     each = np.broadcast_to(position, (len(ticks), position.shape[-1]))
     return _interpolated(ticks, each, np.broadcast_to(last, len(ticks)), NODES)
+
+
+def between(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Places between the points of a curve, by the cubic through the four nearest, and straight on before the first.
+
+    points: (C, F, n, 2). place: (C, M) in numbers of points. (C, F, M, 2).
+    """
+    width = min(ALONG, points.shape[2])
+    first = np.clip(np.floor(place).astype(int) - (width // 2 - 1), 0, points.shape[2] - width)
+    result = np.zeros((*points.shape[:2], place.shape[1], 2))
+    for i in range(width):
+        others = np.array([m for m in range(width) if m != i])
+        weight = np.prod((place - first - others[:, None, None]) / (i - others[:, None, None]), axis=0)
+        straight = (1 - place, place, *[0 * place] * (width - 2))[i]
+        share = np.where(place < 0, straight, weight)[:, None, :, None]
+        result += share * np.take_along_axis(points, (first + i)[:, None, :, None], axis=2)
+    return result
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

@@ -55,7 +55,7 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     stiffness, damping = string.integrator.explicit(*slopes(string, material))
     if "held_moment" not in string.integrator.averaged:
         stiffness = stiffness + np.array([[0.0], [1.0], [0.0]]) * turning_back(string, material)
-    length = string.segment
+    length = string.segments(material)
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
     taut = np.array([[1 + TAUT], [1.0], [1.0]])
     stiff, damped = taut * stiffness * reach, damping * reach
@@ -167,7 +167,8 @@ def _operators(string: String, material: np.ndarray) -> tuple[np.ndarray, np.nda
 
     axial: first differences, bending: second differences, grasp: the first segment's turn.
     """
-    masses, _ = string.masses(material)
+    longer = string.longer(material)
+    masses = string.masses(material)[0] / longer[:, None]  # alike in strings that differ in length alone
     distinct, which = np.unique(masses, axis=0, return_inverse=True)
     free = string.points - 1
     first = np.eye(free) - np.eye(free, k=-1)
@@ -176,5 +177,5 @@ def _operators(string: String, material: np.ndarray) -> tuple[np.ndarray, np.nda
     for mass in distinct:
         root = 1.0 / np.sqrt(mass[1:])
         tables.append([np.linalg.norm(rows * root, ord=2) ** 2 for rows in (first, second, first[:1])])
-    axial, bending, grasp = np.array(tables)[which.ravel()].T
+    axial, bending, grasp = np.array(tables)[which.ravel()].T / longer
     return axial, bending, grasp

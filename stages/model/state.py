@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from stages.model.string import String
 
 
 @dataclass(frozen=True)
@@ -20,9 +15,9 @@ class State:
     turns. A start in these goes along with the hand, wherever a candidate's hand is, and cannot set the string
     ringing along itself by noise; its stretch each candidate finds from its own tension.
 
-    t: when [s], one moment or one for each candidate, (C,). s: (M,) rest arc lengths, increasing [m].
-    angle: (M,) direction there, continuous from the grasp's [rad]. rate: (M,) its time derivative [rad/s]. Both may
-    be each candidate's own, (C, M).
+    t: when [s], one moment or one for each candidate, (C,). s: (M,) rest arc lengths from the stated grasp, increasing
+    [m]. angle: (M,) direction there, continuous from the grasp's [rad]. rate: (M,) its time derivative [rad/s]. All
+    three may be each candidate's own, (C, M).
     """
 
     t: float | np.ndarray
@@ -41,10 +36,30 @@ class State:
     def of(self, chosen: np.ndarray | slice) -> State:
         """Of some candidates, whose numbers are given."""
         t = self.t if np.ndim(self.t) == 0 else np.asarray(self.t)[chosen]
-        angle, rate = (each if each.ndim == 1 else each[chosen] for each in (self.angle, self.rate))
-        return replace(self, t=t, angle=angle, rate=rate)
+        s, angle, rate = (each if each.ndim == 1 else each[chosen] for each in (self.s, self.angle, self.rate))
+        return replace(self, t=t, s=s, angle=angle, rate=rate)
 
-    def segments(self, string: String) -> tuple[np.ndarray, np.ndarray]:
-        """Angles [rad] and their rates [rad/s] of a string's segments, (n - 1,) each, or (C, n - 1)."""
-        along = partial(np.interp, string.middles(), self.s)
-        return np.apply_along_axis(along, -1, self.angle), np.apply_along_axis(along, -1, self.rate)
+    def led_on(self, before: np.ndarray, direction: np.ndarray, turning: np.ndarray) -> State:
+        """With what lies before the stated grasp, (C,) [m] long: it bends evenly, to a direction [rad] that turns at a
+        rate [rad/s], (C,) each."""
+
+        def grown(end: np.ndarray, part: np.ndarray) -> np.ndarray:
+            rows = np.broadcast_to(part, (len(before), part.shape[-1]))
+            return np.column_stack([np.broadcast_to(end, len(before)), rows])
+
+        first = np.minimum(-before, self.s[..., 0])
+        angle, rate = grown(direction, self.angle), grown(turning, self.rate)
+        return replace(self, s=grown(first, self.s), angle=angle, rate=rate)
+
+    def segments(self, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angles [rad] and their rates [rad/s] of segments whose middles are at (M,) or (C, M) [m], of that shape."""
+        return _between(middles, self.s, self.angle), _between(middles, self.s, self.rate)
+
+
+def _between(x: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values at x between their nodes, as np.interp, each (M,) or of all candidates (C, M)."""
+    if x.ndim == nodes.ndim == values.ndim == 1:
+        return np.interp(x, nodes, values)
+    count = max(len(each) for each in (x, nodes, values) if each.ndim == 2)
+    rows = (np.broadcast_to(each, (count, each.shape[-1])) for each in (x, nodes, values))
+    return np.array([np.interp(*row) for row in zip(*rows, strict=True)])

@@ -29,7 +29,13 @@ def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarr
     _, stiffness = sloped(string, material, "moment", "curvature", zero, {"rate": zero})
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY) ** (1 / 3)
     fall = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
-    return theta[:, None] + fall[:, None] * (1 - np.exp(-string.middles() / scale))
+    middles = string.middles() * string.longer(material)[:, None]
+    return theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
+
+
+def plain(string: String, material: np.ndarray) -> np.ndarray:
+    """Rest lengths of the segments, (C, n - 1) [m]."""
+    return np.repeat(string.segments(material)[:, None], string.points - 1, axis=1)
 
 
 def forces(
@@ -50,7 +56,7 @@ def weight(string: String, material: np.ndarray, places: np.ndarray, tangent: np
     """Force over nominal mass per length on each free point at rest, (C, n - 1, 2) [m^2/s^2]."""
     masses, cells = string.masses(material)
     x, y = places[..., 0], places[..., 1]
-    s = string.arc_lengths()[None, 1:]
+    s = string.places(material)[:, 1:]
     pull = load(string, material, {"x": x, "y": y, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": s})
     fall = vector_sum(string, material, "acceleration", {"x": x, "y": y, "t": np.zeros((1, 1))})
     return pull * cells[:, 1:, None] + fall * masses[:, 1:, None]
@@ -68,28 +74,37 @@ def moments(
     zero = np.zeros((1, 1))
     hinge = angles[:, :1] - theta[:, None] - grasp_set(string, material)
     first, first_slope = sloped(string, material, "grasp_moment", "angle", hinge, {"rate": zero})
-    s = string.arc_lengths()[None, 1:-1]
+    s = string.places(material)[:, 1:-1]
     bend = curvatures(string, material, angles)
     others, others_slope = sloped(string, material, "moment", "curvature", bend, {"rate": zero, "s": s})
     end = np.zeros((len(material), 1))
-    slopes = [first_slope, others_slope / string.segment, end]
+    slopes = [first_slope, others_slope / string.segments(material)[:, None], end]
     return np.concatenate([first, others, end], axis=1), np.concatenate(slopes, axis=1)
 
 
 def curvatures(string: String, material: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Of the hinges, beyond that at rest, (C, n - 2) [1/m]. angles: (C, n - 1) of the segments [rad]."""
-    s = string.arc_lengths()[None, 1:-1]
-    return np.diff(angles, axis=1) / string.segment - _at_rest(string, material, s)
+    s = string.places(material)[:, 1:-1]
+    return np.diff(angles, axis=1) / string.segments(material)[:, None] - _at_rest(string, material, s)
 
 
 def grasp_set(string: String, material: np.ndarray) -> np.ndarray:
     """Angle at rest of the hinge at the grasp, from its share of the first segment's curvature, (C, 1) [rad]."""
-    return string.grasp_cell * string.segment * _at_rest(string, material, np.zeros((1, 1)))
+    return string.grasp_cell * string.segments(material)[:, None] * _at_rest(string, material, np.zeros((1, 1)))
+
+
+def softness(string: String, material: np.ndarray) -> np.ndarray:
+    """Length of string [m] that turns as far as the hinge at the grasp under a moment, (C,)."""
+    zero = np.zeros((1, 1))
+    _, bending = sloped(string, material, "moment", "curvature", zero, {"rate": zero})
+    _, grasp = sloped(string, material, "grasp_moment", "angle", zero, {"rate": zero})
+    return (bending / np.maximum(grasp, FLOOR))[:, 0]
 
 
 def _at_rest(string: String, material: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Curvature at rest at these arc lengths, (C, M) [1/m]. s: (1, M) [m]."""
-    return slot_sum(string, material, "rest_curvature", {"s": s, "length": np.full((1, 1), string.length)})
+    """Curvature at rest at these arc lengths, (C, M) [1/m]. s: (1 or C, M) [m]."""
+    length = string.length * string.longer(material)[:, None]
+    return slot_sum(string, material, "rest_curvature", {"s": s, "length": length})
 
 
 def sloped(

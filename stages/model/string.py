@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stages.model import kernel
-from stages.model.effect import Law, StringEffect, arguments, placed
+from stages.model.effect import Law, StringEffect, arguments, placed, taken
 from stages.model.effects.air_drag import AirDrag
 from stages.model.effects.axial_damper import AxialDamper
 from stages.model.effects.axial_spring import AxialSpring
@@ -30,10 +30,10 @@ from stages.model.hand import HandMotion, rested
 from stages.model.integrator import Integrator, SemiImplicitEuler
 from stages.model.parameter import Parameter
 from stages.model.precision import Double, Precision
-from stages.model.sampling import asked, sampled, stayed, unpacked
+from stages.model.sampling import asked, between, sampled, stayed, unpacked
 from stages.model.stability import steps_per_tick
 from stages.model.state import State
-from stages.model.statics import curvatures, grasp_set
+from stages.model.statics import curvatures, grasp_set, softness
 
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -51,8 +51,9 @@ BASE: tuple[type[StringEffect], ...] = (
 class String:
     """A chain of mass points hung from the grasp.
 
-    length: rest length [m]. points: n, the first is held by the hand. effects: the forces
-    at work. reference_points: the n at which per-mass-point parameters are given.
+    length: rest length [m] from the stated grasp, before or beyond which an effect may have it begin.
+    points: n, the first is held by the hand. effects: the forces at work. reference_points: the n
+    at which per-mass-point parameters are given.
     tip_cell: mass of the last point, in segments; 1 is Eq. 1 (all points alike), 1/2 is
     second-order accurate in the number of points. grasp_cell: share of a segment's bending
     compliance that lies in the hinge at the grasp; 0 is Eq. 1, 1/2 second-order accurate.
@@ -147,6 +148,22 @@ class String:
         """(n - 1,) arc length of each segment's middle from the grasp [m]."""
         return self.arc_lengths()[1:] - self.segment / 2
 
+    def longer(self, material: np.ndarray) -> np.ndarray:
+        """Length of the free string over that stated, (...). material: (..., P)."""
+        total = np.ones(material.shape[:-1])
+        for effect in self.effects:
+            if law := effect.laws().get("hidden_length"):
+                total = total + law(**taken(law, self.own(effect, material))) / self.length
+        return total
+
+    def segments(self, material: np.ndarray) -> np.ndarray:
+        """Rest length of a segment as it really is, (...) [m]. material: (..., P)."""
+        return self.segment * self.longer(material)
+
+    def places(self, material: np.ndarray) -> np.ndarray:
+        """Arc length of each mass point from where the free string begins, (C, n) [m]. material: (C, P)."""
+        return self.arc_lengths() * self.longer(material)[:, None]
+
     def start(self) -> np.ndarray:
         """(P,) start values of the parameters."""
         return np.array([p.start for p in self.parameters])
@@ -175,7 +192,7 @@ class String:
             return material
         grasp, bending = (self.names.index(name) for name in names)
         softened = material.copy()
-        cell = self.grasp_cell * self.segment
+        cell = self.grasp_cell * self.segments(material)
         softened[..., grasp] = 1 / (1 / material[..., grasp] + cell / material[..., bending])
         return softened
 
@@ -226,12 +243,12 @@ class String:
 
         material: (C, P). Returns (C, n) each.
         """
-        cells = np.full((len(material), self.points), self.segment)
+        longer = self.longer(material)[:, None]
+        cells = np.repeat(self.segment * longer, self.points, axis=1)
         cells[:, -1] *= self.tip_cell
-        s = self.arc_lengths()[None]
         density = np.ones((len(material), self.points))
         tip = np.zeros((len(material), 1))
-        given = {"s": s, "length": np.array(self.length)}
+        given = {"s": self.places(material), "length": self.length * longer}
         for longer in self.added("tip_length", material, given):
             cells[:, -1:] += longer
         for denser in self.added("density", material, given):
@@ -256,7 +273,8 @@ def _value(placed: Placed, material: np.ndarray, given: Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class StringMotion:
-    """Simulated strings. points: (C, F, n, 2) [m], NaN where a run was rejected; finite: (C,) bool."""
+    """Simulated strings at `arc_lengths` from the stated grasp. points: (C, F, n, 2) [m], NaN where a run was rejected;
+    finite: (C,) bool."""
 
     points: np.ndarray
     finite: np.ndarray
@@ -288,12 +306,13 @@ def simulate(
     parts = []
     for level in np.unique(steps[possible]):
         chosen = np.flatnonzero(possible & (steps == level))
-        pose = poses if len(poses) == 1 else poses[chosen]
-        rate = rates if len(rates) == 1 else rates[chosen]
+        own = (each if len(each) == 1 else each[chosen] for each in (poses, rates))
+        pose, rate = _begun(string, material[chosen], *own)
         begins = None if initial is None else initial.of(chosen)
         ticks = _run(string, material[chosen], pose, rate, hand, int(level), begins)
-        own, end = (position, last) if times.ndim == 1 else (position[chosen], last[chosen])
-        parts.append((chosen, sampled(ticks, own, end), stayed(ticks, end)))
+        asked_for, end = (position, last) if times.ndim == 1 else (position[chosen], last[chosen])
+        points = _as_stated(string, material[chosen], sampled(ticks, asked_for, end))
+        parts.append((chosen, points, stayed(ticks, end)))
     return _gathered(parts, (len(material), times.shape[-1], string.points, 2))
 
 
@@ -309,6 +328,26 @@ def _gathered(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape:
         finite = finite & np.isfinite(points.sum(axis=(1, 2, 3)))
     points[~finite] = np.nan
     return StringMotion(points, finite)
+
+
+def _begun(string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of where the free string begins, and their rates, from those of the stated grasp, (1 or C, K, 3) each."""
+    for along, across in string.added("grasp_offset", material, {}):
+        if np.any(along) or np.any(across):
+            cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+            x, y = along * cos - across * sin, along * sin + across * cos
+            pose = pose + np.stack([x, y, 0 * x], axis=-1)
+            rate = rate + rate[..., 2:] * np.stack([-y, x, 0 * x], axis=-1)
+    return pose, rate
+
+
+def _as_stated(string: String, material: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points at the stated arc lengths, from those of the mass points of strings that begin elsewhere, (C, F, n, 2)."""
+    longer = string.longer(material)[:, None]
+    if np.all(longer == 1):
+        return points
+    last = string.points - 1
+    return between(points, np.minimum((np.arange(string.points) + (longer - 1) * last) / longer, last))
 
 
 def _lasting(hand: HandMotion, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -368,7 +407,11 @@ def _moving(
     Each candidate is stretched as it would be if it hung there at rest: let go without strain, a string would ring.
     """
     shape = (len(material), string.points - 1)
-    angles, turns = (np.broadcast_to(each, shape) for each in initial.segments(string))
+    middles = string.middles()
+    if np.any(hidden := (string.longer(material) - 1) * string.length):
+        initial = initial.led_on(hidden + softness(string, material), pose[:, 0, 2], rate[:, 0, 2])
+        middles = string.segments(material)[:, None] * (np.arange(shape[1]) + 0.5) - hidden[:, None]
+    angles, turns = (np.broadcast_to(each, shape) for each in initial.segments(middles))
     lengths = stretched(string, material, pose[:, 0], angles)
     across = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
@@ -425,6 +468,7 @@ def _buffers(
         "VX": velocity[..., 0],
         "VY": velocity[..., 1],
         "SET": grasp_set(string, material),
+        **_hidden(string, material),
         **_memory(string, material, angles),
     }
     buffers = kernel.rows(blocks, string.points, string.integrator, string.precision, string.effects)
@@ -433,6 +477,14 @@ def _buffers(
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
         buffers[:, : data.shape[1], kinds[name]] = lanes
     return positions, buffers.reshape(blocks, -1)
+
+
+def _hidden(string: String, material: np.ndarray) -> dict[str, np.ndarray]:
+    """The kernel's rows for strings that begin elsewhere than stated, (C, 1) each."""
+    if not any("hidden_length" in e.laws() for e in string.effects):
+        return {}
+    rows = (string.longer(material), 1 / string.segments(material))
+    return {name: row[:, None] for name, row in zip(kernel.HIDDEN, rows, strict=True)}
 
 
 def _memory(string: String, material: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:

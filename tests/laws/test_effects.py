@@ -32,6 +32,7 @@ NAMES = [
     "maxwell_slip",
     "dahl_friction",
     "standard_linear_solid",
+    "clamp",
     "anisotropic_drag",
     "resolution",
     "contact",
