@@ -145,6 +145,18 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
     assert np.abs(linear - exact.sol(middle)[0]).max() > 0.03
 
 
+@pytest.mark.parametrize("hardening", [-5e-3, -3e-4, 5e-3])
+def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
+    """Softening comes near to stiffness / (2 sqrt(-hardening)): a string that yields, and buckles nowhere."""
+    k = np.arange(200.0)
+    moment = k * (1 + NonlinearBending.hinge_stiffness(k, 1.0, hardening))
+    assert np.diff(moment).min() > 0
+    small = np.sqrt(1e-3 / abs(hardening))
+    assert NonlinearBending.hinge_stiffness(small, 1.0, hardening) == pytest.approx(hardening * small**2, rel=2e-3)
+    if hardening < 0:
+        assert moment.max() < 0.5 / np.sqrt(-hardening)
+
+
 @pytest.mark.parametrize("cycles", [20.0, 80.0])
 def test_dry_friction_takes_the_same_from_a_cycle_at_any_rate(cycles):
     """4 times friction times amplitude; 2 % less at the slower rate, where it passes through rest smoothly."""
@@ -155,7 +167,12 @@ def test_dry_friction_takes_the_same_from_a_cycle_at_any_rate(cycles):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("internal_friction.friction", 5e-3), ("nonlinear_bending.hardening", 5e-3)]
+    ("name", "value"),
+    [
+        ("internal_friction.friction", 5e-3),
+        ("nonlinear_bending.hardening", 5e-3),
+        ("nonlinear_bending.hardening", -2e-3),
+    ],
 )
 def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_make_of_it(name, value):
     """A swing with what would ask for 5 to 8 times the steps if it were explicit; noise is 0.7 mm."""
