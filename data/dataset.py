@@ -19,8 +19,9 @@ import yaml
 
 from data.about import FORMAT, NAME, about
 from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
+from data.errors import printable
 from data.films import Shots, filmed, listed, videos
-from data.foreign import inside, json_block, leaves, own, printable
+from data.foreign import inside, json_block, leaves, own
 from data.images import ImageFiles, Images
 from data.rows import Rows, from_csv, sifted
 from data.schema import Column, DataError, Table

@@ -55,11 +55,6 @@ def leaves(folder: Path, file: str) -> bool:
     return "\0" not in file and not Path(os.path.realpath(folder / file)).is_relative_to(folder.resolve())
 
 
-def printable(text: str) -> str:
-    """A text that others wrote, its control characters spelt out: an escape sequence would steer the terminal."""
-    return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
-
-
 def yaml_block(path: Path) -> dict[str, Any]:
     """The names and values of a YAML file: plain values only. Raises DataError naming the file and the remedy."""
     return plain(_block(path, yaml.load, _Plain, "not valid YAML"), path)

@@ -9,12 +9,14 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from PIL import Image
 
 from data.foreign import regular
+from data.later import Later
 from data.schema import DataError
+
+cv2 = Later("cv2")
 
 MOST_FILE = 1 << 28  # [bytes] of an image file: more than twice the largest sensors' 16-bit colours unpacked
 MOST_PIXELS = 1 << 26  # of an image: the largest sensors have 5e7, and a byte each, in three colours, takes 0.2 GB
@@ -22,11 +24,6 @@ MOST_FRAMES = 1 << 20  # of a video: a quarter of an hour at 1000 a second
 CONTAINERS = (b"RIFF", b"\x1aE\xdf\xa3")  # how AVI and Matroska begin
 ATOMS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")  # how MP4 and QuickTime do, from byte 4
 ROOM = 1 << 29  # [bytes] of images that are held at a time
-PACKING = (
-    *(cv2.IMWRITE_PNG_COMPRESSION, 1),
-    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
-    *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB),
-)
 
 
 class Images(Sequence[np.ndarray]):
@@ -73,7 +70,7 @@ class Video(Images):
     path: Path
 
     @cached_property
-    def _capture(self) -> cv2.VideoCapture:
+    def _capture(self) -> Any:
         if not _contained(self.path):
             raise DataError(f"{self.path}: no MP4, QuickTime, AVI or Matroska file. Convert it, or store PNGs.")
         capture = cv2.VideoCapture(str(self.path))
@@ -148,6 +145,11 @@ class Held(Images):
 
 def png(image: np.ndarray) -> bytes:
     """An image as PNG, without loss, packed fast rather than small: of a sensor's noise nothing repeats."""
-    good, content = cv2.imencode(".png", image, PACKING)
+    fast = (
+        *(cv2.IMWRITE_PNG_COMPRESSION, 1),
+        *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
+        *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB),
+    )
+    good, content = cv2.imencode(".png", image, fast)
     assert good, f"an image of shape {image.shape} and type {image.dtype} cannot be a PNG"
     return content.tobytes()

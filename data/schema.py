@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import pandas as pd
 import pyarrow as pa
 
+from data.errors import ExpectedError
+
 ARROW_TYPES = {
     "float": pa.float64(),
     "int": pa.int64(),
@@ -22,7 +24,7 @@ ARROW_TYPES = {
 PANDAS_TYPES = {"float": "float64", "int": "int64", "bool": "bool", "text": "object", "bytes": "object"}
 
 
-class DataError(Exception):
+class DataError(ExpectedError):
     """Data that cannot be used; the message names the field, the file and the remedy."""
 
 

@@ -24,20 +24,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from data import disk, foreign
+from data.errors import remedy_for
 from data.images import ImageFiles, png
 from data.schema import DataError, Table
 
 Artifact = TypeVar("Artifact")
 PIECE = 2**20  # [bytes] of a file that are hashed at a time
-OTHERWISE = "Choose another folder, or look at the disk"
 UNREADABLE = (pa.ArrowException, OSError, ValueError)
-REMEDIES = {
-    errno.ENOSPC: "Free space on the disk, or choose another folder",
-    errno.EDQUOT: "Free space within your quota, or choose another folder",
-    errno.EACCES: "Choose a folder that you may write to",
-    errno.EPERM: "Choose a folder that you may write to",
-    errno.EROFS: "Choose a folder that you may write to",
-}
 
 
 def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
@@ -193,11 +186,6 @@ def _aside(path: Path) -> Iterator[Path]:
         raise DataError(f"{path}: cannot be written ({why}). {remedy}; nothing half-written is left.") from error
     finally:
         _tidy(path)
-
-
-def remedy_for(error: BaseException) -> str:
-    """What to do about a place that cannot be written."""
-    return REMEDIES.get(getattr(error, "errno", None) or 0, OTHERWISE)
 
 
 def _beside(path: Path, role: str = "part") -> Path:

@@ -1,7 +1,7 @@
 """The one place where Hydra looks for launchers. What ours does is in `pipeline.sweep`."""
 
-from pipeline.sweep.launcher import LedgerLauncher
+from pipeline.sweep.begun import BegunLater
 
 
-class Ledger(LedgerLauncher):
+class Ledger(BegunLater):
     """Runs what is missing of a sweep."""

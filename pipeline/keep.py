@@ -19,6 +19,7 @@ from typing import Any
 
 from data import dataset, disk, store
 from data.artifacts import Diagnosis, Points, Trial
+from data.errors import remedy_for
 from data.schema import DataError
 from pipeline.brought import EXTENDED, FROM_DATASETS
 from pipeline.fresh import Found, look, made_now, performed, place_of, repeatable
@@ -103,7 +104,7 @@ def alone(folder: Path) -> Iterator[None]:
                 f"{folder}: another process is working in this folder. Wait for it, or choose another folder."
             ) from error
         except OSError as error:
-            raise DataError(f"{folder}: cannot be written ({error.strerror}). {store.remedy_for(error)}.") from error
+            raise DataError(f"{folder}: cannot be written ({error.strerror}). {remedy_for(error)}.") from error
         new = _names(folder) <= {LOCK}
         try:
             yield

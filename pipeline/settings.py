@@ -16,6 +16,7 @@ from hydra.utils import get_object
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
+from data.errors import ExpectedError
 from pipeline.targets import ROLES
 
 Built = TypeVar("Built")
@@ -23,8 +24,8 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 FROM_THE_RUN = ("seed", "manipulation", "trial", "progress")
 
 
-class UserError(Exception):
-    """Something the user can put right; the message says what, where and how."""
+class UserError(ExpectedError):
+    """A setting or an argument that cannot be used."""
 
 
 def composed(overrides: Sequence[str] = ()) -> Any:

@@ -15,8 +15,10 @@ from typing import Any, Protocol, Self
 import numpy as np
 import pandas as pd
 
+from data.errors import ExpectedError
 
-class HardwareError(Exception):
+
+class HardwareError(ExpectedError):
     """A device cannot do what is asked; the message names the device, the fault and the remedy."""
 
 

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from data import dataset
-from data.foreign import printable
+from data.errors import printable
 from data.schema import DataError
 from pipeline.brought import with_brought_settings
 from pipeline.settings import UserError, build, composed, names_given

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from data import dataset, store
-from data.foreign import printable
+from data.errors import printable
 from data.schema import DataError
 from pipeline import keep
 from pipeline.compare import differing_files

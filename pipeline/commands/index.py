@@ -16,7 +16,7 @@ from rich.text import Text
 
 from data import dataset, store
 from data.artifacts import FIT
-from data.foreign import printable
+from data.errors import printable
 from data.schema import Column, DataError, Table
 from pipeline import keep
 from pipeline.fresh import reasons_of

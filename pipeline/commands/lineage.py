@@ -11,7 +11,7 @@ from rich.text import Text
 from rich.tree import Tree
 
 from data import store
-from data.foreign import printable
+from data.errors import printable
 from pipeline.commands.stored import run_of
 from pipeline.fresh import leaves
 from pipeline.settings import UserError

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from data.foreign import printable
+from data.errors import printable
 from pipeline.commands.stored import NotMadeError, run_of, stored_world, walk
 from pipeline.fresh import FOLDERS, inputs, look, performed, place_of
 from pipeline.settings import UserError

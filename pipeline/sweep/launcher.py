@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from hydra.core.utils import JobReturn, JobStatus
-from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -28,16 +27,15 @@ from pipeline.sweep.show import left, line, summary
 WHERE = "conf/hydra/launcher or the command line"
 
 
-class LedgerLauncher(Launcher):
+class LedgerLauncher:
     """by: the function that runs jobs. finish: the one that makes table and page of a sweep's folder. retry: run those
     that failed again. ahead: jobs that run before the others, so that machine code is compiled once, not by many at a
     time. settings: of the function `by`."""
 
-    launched: tuple[Path, Callable[[Path], list[Job]]] | None = None  # this process' sweep, and what finishes it
-
     def __init__(self, by: str, finish: str, retry: bool, ahead: int, **settings: Any) -> None:
         """As the config has it; `setup` checks it, for Hydra hides what goes wrong here."""
         self.by, self.finish, self.retry, self.ahead, self.settings = by, finish, retry, ahead, settings
+        self.launched: tuple[Path, Callable[[Path], list[Job]]] | None = None  # the sweep's folder, what finishes it
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Take what Hydra hands over before `launch`, and check the settings; raises UserError."""
@@ -55,7 +53,7 @@ class LedgerLauncher(Launcher):
         jobs = [self._job(overrides, initial_job_idx + i) for i, overrides in enumerate(job_overrides)]
         for job in jobs:
             ledger.add(job)
-        LedgerLauncher.launched = ledger.folder, loaded(self.finish, "hydra.launcher.finish", WHERE)
+        self.launched = ledger.folder, loaded(self.finish, "hydra.launcher.finish", WHERE)
         keys = [job.key for job in jobs]
         self._run(ledger, keys)
         ledger.settle(keys)  # not after an interruption, which is no failure
@@ -82,15 +80,14 @@ class LedgerLauncher(Launcher):
                     said = left(time.monotonic() - begun, len(keys) - ended, left_at_first)
                     console.print(line(ledger.read(key), said), soft_wrap=True, highlight=False)
 
-
-def ended() -> int:
-    """Write table and page of this process' sweep, if it had one, and say how it stands: 0 if all its jobs are done."""
-    if LedgerLauncher.launched is None:
-        return 0
-    folder, finish = LedgerLauncher.launched
-    jobs = finish(folder)
-    Console(stderr=True).print(summary(jobs, folder), soft_wrap=True, highlight=False, markup=False)
-    return int(any(job.state != DONE for job in jobs))
+    def ended(self) -> int:
+        """Write table and page of the sweep, if it was begun, and say how it stands: 0 if all its jobs are done."""
+        if self.launched is None:
+            return 0
+        folder, finish = self.launched
+        jobs = finish(folder)
+        Console(stderr=True).print(summary(jobs, folder), soft_wrap=True, highlight=False, markup=False)
+        return int(any(job.state != DONE for job in jobs))
 
 
 def _returned(ledger: Ledger, job: Job) -> JobReturn:

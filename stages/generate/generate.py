@@ -23,6 +23,7 @@ from data.artifacts import (
     Estimate,
     Motion,
 )
+from data.errors import ExpectedError
 from data.schema import DataError
 from stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
 from stages.generate.space import check_reach
@@ -37,7 +38,7 @@ FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
 HIT = "hit"
 
 
-class MotionNotFoundError(Exception):
+class MotionNotFoundError(ExpectedError):
     """No motion was found in the budget; the message says why the tries failed and what to change."""
 
 

@@ -8,9 +8,11 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
+from data.later import Later
 from stages.model.lens import Lens
+
+transform = Later("scipy.spatial.transform")
 
 FACING = np.diag([1.0, -1.0, -1.0])  # a camera's y is down, and it looks at the plane from the front
 
@@ -85,7 +87,7 @@ class Camera:
         The axis meets the plane at the distance focal / px_per_m, and the origin lies in the direction of origin_px.
         """
         assert self.lens is not None
-        turn = Rotation.from_euler("XYZ", [*self.tilt, -self.rotation]).as_matrix() @ FACING
+        turn = transform.Rotation.from_euler("XYZ", [*self.tilt, -self.rotation]).as_matrix() @ FACING
         normal, straight = turn[:, 2], np.linalg.solve(self.lens.matrix, [*self.origin_px, 1.0])
         depth = self.lens.mean_focal / self.px_per_m * normal[2] / (normal @ straight)
         return np.column_stack([turn[:, :2], depth * straight])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-CLOSE = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+from data.later import Later
+
+cv2 = Later("cv2")
 
 
 @dataclass(frozen=True)
@@ -50,5 +51,6 @@ class Lens:
         flat = np.asarray(pixels, dtype=float).reshape(-1, 1, 2)
         if not len(flat):
             return np.zeros(np.shape(pixels))
-        rays = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), None, None, None, CLOSE)
-        return rays.reshape(np.shape(pixels))
+        close = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        rays = cv2.undistortPoints(flat, self.matrix, np.array(self.distortion), None, None, None, close)
+        return np.asarray(rays).reshape(np.shape(pixels))

@@ -50,14 +50,14 @@ def same(a, b):
         pd.testing.assert_frame_equal(a[name], b[name], check_exact=True, obj=name)
 
 
-def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch):
+def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch, capsys, tmp_path):
     """Sums of long columns by several threads differ in their last digit, and a fit that stops a step later by more."""
-    monkeypatch.setattr(sys, "argv", ["pipeline"])
-    seen = []
-    monkeypatch.setattr(shell, "main", lambda: seen.extend(threadpool_info()))
-    with threadpool_limits(2, "blas"), pytest.raises(SystemExit):
-        shell.called()
-    assert {pool["num_threads"] for pool in seen if pool["user_api"] == "blas"} == {1}
+    for words, place in ((["seed=1"], "pipeline.job.main"), (["index"], "pipeline.commands.index.main")):
+        seen = []
+        monkeypatch.setattr(place, lambda given, seen=seen: seen.extend(threadpool_info()) or 0)
+        with threadpool_limits(2, "blas"):
+            called(monkeypatch, capsys, *words, f"hydra.run.dir={tmp_path}")
+        assert {pool["num_threads"] for pool in seen if pool["user_api"] == "blas"} == {1}
 
 
 def test_a_run_leaves_everything_on_disk(quick):
@@ -298,3 +298,5 @@ def test_help_helps():
     assert shown.returncode == 0
     assert "+experiment=stringB" in shown.stdout
     assert "trials=" in shown.stdout
+    assert "experiment/paper: A_300_900, " in shown.stdout
+    assert "\nname: stringB\n" in pipeline("+experiment=stringB", "--help").stdout

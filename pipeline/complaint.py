@@ -1,0 +1,34 @@
+"""What a person is told, and the shell, where a command cannot be carried out."""
+
+from __future__ import annotations
+
+import difflib
+import re
+
+from hydra.core.global_hydra import GlobalHydra
+from rich.console import Console
+from rich.markup import escape
+
+from data.errors import printable
+from pipeline.settings import composed, flat
+
+INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
+
+
+def complain(error: Exception, console: Console) -> None:
+    """One clear message."""
+    console.print(f"[bold red]Error:[/] {escape(printable(str(error)))}", highlight=False, soft_wrap=True)
+
+
+def refusal(error: BaseException) -> str:
+    """What Hydra says, with the nearest setting there is."""
+    said = str(error).strip().splitlines()[0]
+    key = re.match(r"Could not override '([^']+)'", said)
+    if key is None:
+        said = "\n".join(line for line in str(error).splitlines() if line.strip() and "provider" not in line)
+        return said.removesuffix("Config search path:").strip()
+    GlobalHydra.instance().clear()
+    names = list(flat(composed()))
+    near = difflib.get_close_matches(key[1], names, 1)
+    remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
+    return f"{key[1]} (command line): there is no such setting. {remedy}"

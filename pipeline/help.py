@@ -1,0 +1,53 @@
+"""`python -m pipeline --help`: what can be asked, and every setting.
+
+Hydra's own help takes a second to list the options of all groups, for it reads them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import yaml
+
+from pipeline.commands import listed
+from pipeline.settings import CONF, composed
+
+PAGE = """\
+Cast an unknown string at a target with a robot arm, and learn the string from each cast.
+
+  python -m pipeline +experiment=stringB              one experiment of the paper
+  python -m pipeline target.x=0.45 target.y=0.65      any setting, by its name
+  python -m pipeline --multirun estimate.beta=0.99,0.995 seed=0,1,2
+  python -m pipeline +experiment=sweep hydra/launcher=joblib   side by side; or ray, slurm
+  python -m pipeline +experiment=sweep hydra.sweep.dir=...     go on with a sweep, or see how it stands
+  python -m pipeline +experiment=estimate trials=outputs/...   estimate again from stored trials
+  python -m pipeline +experiment=diagnose trials=outputs/...   what does the simulation get wrong, and why?
+  python -m pipeline +experiment=decide trials=outputs/...     and perform the motion that decides between look-alikes
+  python -m pipeline +experiment=calibrate source=images source.folder=tilted plane.folder=flat   measure the camera
+  python -m pipeline +experiment=stringB calibrated=outputs/...   with the camera that was measured
+  python -m pipeline +experiment=align                         measure camera and clock against the arm
+  python -m pipeline +experiment=stringB extended=outputs/...  with the model that a diagnosis or an alignment made
+
+Commands (python -m pipeline <command> --help says more):
+{commands}
+
+Groups and their options (group=option, +experiment=option):
+{groups}
+
+Settings of this call:
+{settings}
+"""
+
+
+def page(overrides: Sequence[str]) -> str:
+    """The help, with the settings as these overrides make them."""
+    settings = yaml.safe_dump(composed(overrides), sort_keys=False, allow_unicode=True)
+    return PAGE.format(commands=listed(), groups="\n".join(groups()), settings=settings)
+
+
+def groups() -> Iterator[str]:
+    """Each group of settings but Hydra's own, with its options."""
+    for folder in sorted(path for path in CONF.rglob("*") if path.is_dir() and path != CONF / "hydra"):
+        options = sorted(file.stem for file in folder.glob("*.yaml"))
+        if options and CONF / "hydra" not in folder.parents:
+            yield f"{folder.relative_to(CONF).as_posix()}: {', '.join(options)}"

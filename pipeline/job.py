@@ -1,0 +1,58 @@
+"""One run, or one job of a sweep, from the settings that Hydra has composed to its end."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from data.errors import ExpectedError
+from pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
+from pipeline.complaint import INTERRUPTED, complain
+from pipeline.keep import forget
+from pipeline.perform import perform
+from pipeline.run import Result
+from pipeline.settings import names_given
+from pipeline.world import world
+
+logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names of trials that look like dates
+
+
+def main(config: DictConfig) -> float | None:
+    """E after the last estimation, if there is one. Ends the process where the run is refused or interrupted."""
+    console = Console(stderr=True)
+    try:
+        result = run(config, console)
+    except ExpectedError as error:
+        complain(error, console)
+        forget(Path(HydraConfig.get().runtime.output_dir))
+        sys.exit(1)
+    except KeyboardInterrupt:
+        place = HydraConfig.get().runtime.output_dir
+        console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True, markup=False)
+        sys.exit(INTERRUPTED)
+    last = result.iterations[-1].done.get("estimate") if result.iterations else None
+    return None if last is None else float(last.fit["after"].iloc[0])
+
+
+def run(config: DictConfig, console: Console) -> Result:
+    """Check, run, report."""
+    given = names_given(HydraConfig.get().overrides.task)
+    if config.trials is not None and "execute" in config.steps:
+        check_bench(Path(config.trials), given)
+    settings = with_brought_settings(config, given)
+    refuse_brought_limits(settings, OmegaConf.to_container(config, resolve=True), f"trials={config.trials}")
+    here = world(settings, where)
+    return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
+
+
+def where(block: str) -> str:
+    """The file a block comes from, for messages."""
+    choice = HydraConfig.get().runtime.choices.get(block)
+    given = any(o.lstrip("+").startswith((f"{block}.", f"{block}=")) for o in HydraConfig.get().overrides.task)
+    file = f"conf/{block}/{choice}.yaml" if choice else "conf/config.yaml"
+    return f"{file} or the command line" if given else file

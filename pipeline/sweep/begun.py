@@ -1,0 +1,35 @@
+"""What Hydra loads of sweeps for every command line; what launches them is loaded for a sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, ClassVar
+
+from hydra.core.utils import JobReturn
+from hydra.plugins.launcher import Launcher
+
+
+class BegunLater(Launcher):
+    """A launcher that hands all to `pipeline.sweep.launcher.LedgerLauncher`."""
+
+    sweep: ClassVar[Any] = None  # the launcher of this process' sweep
+
+    def __init__(self, **settings: Any) -> None:
+        """As the config has it."""
+        self.launcher = import_module("pipeline.sweep.launcher").LedgerLauncher(**settings)
+
+    def setup(self, **given: Any) -> None:
+        """Take what Hydra hands over before `launch`, and check the settings; raises UserError."""
+        self.launcher.setup(**given)
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
+        """Run what is missing of these jobs. Each returns E after its last estimation, NaN if there is none."""
+        BegunLater.sweep = self.launcher
+        jobs: Sequence[JobReturn] = self.launcher.launch(job_overrides, initial_job_idx)
+        return jobs
+
+
+def ended() -> int:
+    """Write table and page of this process' sweep, if it had one, and say how it stands: 0 if all its jobs are done."""
+    return 0 if BegunLater.sweep is None else int(BegunLater.sweep.ended())
