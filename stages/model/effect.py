@@ -16,8 +16,9 @@ arithmetic and numpy functions without branches. They return what they add. Ever
 per mass per length, so that a law knows nothing of mass points.
 
 A law with memory is two: `held` says what a hinge holds after its curvature has changed by `change`
-within `dt`, from what it held before, and `held_moment` the moment of that. A string at rest has come
-there slowly from straight: it holds `held(held=0, change=curvature, dt=inf)`.
+within `dt`, from what it held before, and `held_moment` the moment of that. A string that hangs at rest
+holds nothing, for the swings that die down there leave it on neither side; one that is let go elsewhere
+was pulled there slowly, and holds `held(held=0, change=curvature - curvature_at_rest, dt=inf)`.
 """
 
 from __future__ import annotations

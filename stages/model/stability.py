@@ -103,7 +103,7 @@ def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np
     da, db = 1e-4 * np.ptp(values), 1e-4 * np.ptp(speeds)
 
     around = {first: np.hstack([a + da, a - da, a, a]), second: np.hstack([b, b, b + db, b - db])}
-    total = slot_sum(string, material, slot, around, (*string.integrator.averaged, "held_moment"))
+    total = slot_sum(string, material, slot, around, string.integrator.averaged)
     more, less, faster, slower = np.split(total, 4, axis=1)
     return (more - less) / (2 * da), (faster - slower) / (2 * db)
 
@@ -111,8 +111,8 @@ def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np
 def slot_sum(
     string: String, material: np.ndarray, slot: str, given: dict[str, np.ndarray], apart: Sequence[str] = ()
 ) -> np.ndarray:
-    """Sum of a slot's scalar laws for all candidates, (C, M), with those that are per one of its arguments, and
-    moments with those that a slow approach leaves.
+    """Sum of a slot's scalar laws for all candidates, (C, M), with those that are per one of its arguments; not of what
+    hinges hold.
 
     given: the slot's arguments, (1 or C, M) each. apart: slots of the latter that do not count.
     """
@@ -124,9 +124,6 @@ def slot_sum(
         if other == slot and per not in apart:
             for each in string.added(per, material, given):
                 total = total + each * given[name]
-    if slot == "moment" and "held_moment" not in apart:
-        for each in string.held_moments(material, string.held(material, given["curvature"])):
-            total = total + each
     return total
 
 

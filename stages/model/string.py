@@ -218,6 +218,11 @@ class String:
         start = [np.zeros((1, 1))] * len(laws) if before is None else before
         return [_value(law, material, {**known, "held": held}) for law, held in zip(laws, start, strict=True)]
 
+    @property
+    def holds(self) -> bool:
+        """Whether a hinge holds anything: an effect with a memory is at work."""
+        return "held" in self._laws
+
     def held_moments(self, material: np.ndarray, held: Sequence[np.ndarray]) -> Iterator[Any]:
         """The moment of what hinges hold, for each effect with a memory. held: in the order of `self.held`."""
         for law, state in zip(self._laws.get("held_moment", ()), held, strict=True):
@@ -371,9 +376,10 @@ def _run(
     parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1), dtype=number)
     own = pose if len(pose) == 1 else pose[index]
     start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
-    angles, lengths, velocity = (part[index] for part in start)
+    angles, lengths, velocity, hung = (part[index] for part in start)
     constants = string.integrator.constants(*string.at_work(material[index]), hand.tick / steps)
-    positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, constants)
+    further = {**constants, **_memory(string, material[index], angles, hung)}
+    positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further)
     shared = len(pose) == 1
     cubic = string.precision.hand(_cubic(own, rate if shared else rate[index], hand.tick))
     if shared:
@@ -393,16 +399,17 @@ def _run(
     return unpacked(out, count)
 
 
-def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angles and lengths of the segments in equilibrium, and velocities of the points: none. As `_moving`."""
+def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Angles and lengths of the segments in equilibrium, velocities of the points: none, and angles. As `_moving`."""
     angles, lengths = hanging(*string.at_work(material), pose[:, 0])
-    return angles, lengths, np.zeros((len(material), string.points, 2))
+    return angles, lengths, np.zeros((len(material), string.points, 2)), angles
 
 
 def _moving(
     string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, initial: State
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angles [rad] and lengths [m] of the segments, (C, n - 1) each, and velocities of the points (C, n, 2) [m/s].
+) -> tuple[np.ndarray, ...]:
+    """Angles [rad] and lengths [m] of the segments, (C, n - 1) each, velocities of the points (C, n, 2) [m/s], and
+    the angles at which its hinges would hold nothing: where it would hang at rest, if they hold anything.
 
     Each candidate is stretched as it would be if it hung there at rest: let go without strain, a string would ring.
     """
@@ -416,7 +423,9 @@ def _moving(
     across = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
     relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
     hand = np.broadcast_to(rate[:, :1, :2], (len(material), 1, 2))
-    return angles, lengths, np.concatenate([hand, hand + relative], axis=1)
+    velocity = np.concatenate([hand, hand + relative], axis=1)
+    hung = hanging(*string.at_work(material), pose[:, 0])[0] if string.holds else angles
+    return angles, lengths, velocity, hung
 
 
 def _set_back(
@@ -453,7 +462,8 @@ def _buffers(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The initial state: positions (C, n, 2) [m], and the kernel's rows filled with it.
 
-    velocity: of the points, (C, n, 2) [m/s]. constants: further rows, those of the integrator, (C, 1 to n) each.
+    velocity: of the points, (C, n, 2) [m/s]. constants: further rows, of the integrator and of
+    hinges with a memory, (C, 1 to n) each.
     """
     width = string.precision.width
     blocks = len(material) // width
@@ -469,7 +479,6 @@ def _buffers(
         "VY": velocity[..., 1],
         "SET": grasp_set(string, material),
         **_hidden(string, material),
-        **_memory(string, material, angles),
     }
     buffers = kernel.rows(blocks, string.points, string.integrator, string.precision, string.effects)
     kinds = kernel.kinds(string.integrator, string.precision, string.effects)
@@ -487,14 +496,17 @@ def _hidden(string: String, material: np.ndarray) -> dict[str, np.ndarray]:
     return {name: row[:, None] for name, row in zip(kernel.HIDDEN, rows, strict=True)}
 
 
-def _memory(string: String, material: np.ndarray, angles: np.ndarray) -> dict[str, np.ndarray]:
+def _memory(string: String, material: np.ndarray, angles: np.ndarray, hung: np.ndarray) -> dict[str, np.ndarray]:
     """The kernel's rows for hinges with a memory: what they are bent to, and what they then hold, (C, n - 1) each.
 
-    angles: (C, n - 1) of the segments [rad]. The grasp's hinge, which comes first, has none.
+    angles: (C, n - 1) of the segments [rad]; hung: those at which hinges hold nothing, from which the string was pulled
+    slowly. The grasp's hinge, which comes first, has none.
     """
-    bent = curvatures(string, material, angles)
-    held = {f"HELD{i}": np.broadcast_to(each, bent.shape) for i, each in enumerate(string.held(material, bent))}
-    rows = {"CURVED": bent, **held} if held else {}
+    if not string.holds:
+        return {}
+    bent, before = (curvatures(string, material, each) for each in (angles, hung))
+    held = {f"HELD{i}": np.broadcast_to(h, bent.shape) for i, h in enumerate(string.held(material, bent - before))}
+    rows = {"CURVED": bent, **held}
     return {name: np.pad(values, ((0, 0), (1, 0))) for name, values in rows.items()}
 
 

@@ -10,11 +10,14 @@ from hypothesis import strategies as st
 
 from data.artifacts import JOINTS
 from stages.model.effect import StringEffect, arguments, taken
-from stages.model.hand import joint_motion
+from stages.model.equilibrium import hanging
+from stages.model.hand import HandMotion, joint_motion
 from stages.model.implicit import ImplicitLeapfrog
 from stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stages.model.library import library, named
 from stages.model.stability import turning_back
+from stages.model.state import State
+from stages.model.string import simulate
 
 CAP, SLIP = 0.05, 0.04  # [m3/s2], [1/m]: of a cable
 KNOWN = {
@@ -138,14 +141,34 @@ def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
     np.testing.assert_allclose(tip(model, motion, {}, RungeKutta4(), 5e-5), plain, atol=1e-12)
 
 
-def test_at_rest_a_hinge_holds_what_a_slow_approach_leaves(arm):
-    """The string held out with friction hangs less than without, and stays there."""
+def test_a_string_that_hangs_at_rest_holds_nothing(arm):
+    """It hangs as without friction, and stays there: begun in equilibrium, or let go where that is."""
     model = ordinary(arm).with_effects(library()["maxwell_slip"])
     still = joint_motion(np.arange(0, 0.3, 0.005), np.tile([0.4, 0.2, 0.1], (60, 1)))
     values = {"maxwell_slip.cap": 5e-3, "maxwell_slip.slip": 0.5}
-    held = tip(model, still, values, SemiImplicitEuler(), 1e-4)
-    assert np.abs(held - held[0]).max() < 1e-9
-    assert held[0, 0] > tip(model, still, {}, SemiImplicitEuler(), 1e-4)[0, 0] + 1e-3
+    held, free = (tip(model, still, own, SemiImplicitEuler(), 1e-4) for own in (values, {}))
+    np.testing.assert_allclose(held, np.tile(free[0], (80, 1)), atol=1e-9)
+    hand, times = still.grasp(arm), still.tick * np.arange(60)
+    given = model.string.material(model.values(TRUTH | values)[None])
+    angles, _ = hanging(model.string, given, hand.pose[:, 0])
+    let_go = State(0.0, model.string.middles(), angles[0], np.zeros_like(angles[0]))
+    points = simulate(model.string, hand, model.values(TRUTH | values)[None], times, let_go).points
+    np.testing.assert_allclose(points[0, :, -1], np.tile(free[0], (60, 1)), atol=1e-6)
+
+
+def test_pulled_aside_within_its_slip_a_string_is_only_stiffer(arm):
+    """A string that begins elsewhere was pulled there slowly: while it sticks, a stop adds cap / slip to the stiffness."""
+    string = ordinary(arm).with_effects(library()["maxwell_slip"]).string
+    down = HandMotion(0.0, 0.005, np.tile([0.0, 0.0, -np.pi / 2], (1, 61, 1)), np.zeros((1, 61, 3)))
+    pulled = State(0.0, string.middles(), -np.pi / 2 + 0.5 * string.middles(), np.zeros(string.points - 1))
+    bent = TRUTH | {"bending_stiffness": 30 * TRUTH["bending_stiffness"]}
+    stiffness = string.material(string.values(bent))[string.names.index("bending_stiffness")]
+    sticks = bent | {"maxwell_slip.cap": 4.0 * stiffness, "maxwell_slip.slip": 4.0}
+    stiffer = bent | {"bending_stiffness": 2 * bent["bending_stiffness"]}
+    values = np.stack([string.values(each) for each in (sticks, stiffer, bent)])
+    tips = simulate(string, down, values, 0.005 * np.arange(61), pulled).tip
+    assert np.abs(tips[0] - tips[1]).max() < 1e-4
+    assert np.abs(tips[0] - tips[2]).max() > 1e-3
 
 
 @pytest.mark.parametrize(
