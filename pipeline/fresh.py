@@ -14,22 +14,12 @@ from typing import Any
 
 from data import store
 from data.schema import DataError
+from pipeline.folder import place_of
 from pipeline.origin import origin
 from pipeline.settings import UserError, leaves
 from pipeline.sources import sources
 from pipeline.steps import STEPS, Past, step_seed
-from pipeline.world import World
 
-FOLDERS = {
-    "generate": "motion",
-    "excite": "motion",
-    "execute": "trial",
-    "extract": "points",
-    "estimate": "estimate",
-    "align": "alignment",
-    "diagnose": "diagnosis",
-    "propose": "motion",
-}
 LAB = "hardware.virtual."  # what it does can be done again, to the bit
 
 
@@ -42,8 +32,8 @@ class Found:
     reasons: tuple[str, ...] = ()
 
 
-def look(world: World, folder: Path, name: str, past: Past) -> Found:
-    """A step's artifact in a run's folder, and what has changed since it was made."""
+def look(config: Mapping[str, Any], folder: Path, name: str, past: Past) -> Found:
+    """A step's artifact in a run's folder, and what has changed since it was made. config: the run's settings."""
     place = folder / place_of(past.number, name)
     if not place.is_dir():
         return Found(None, ("it has not been made yet",))
@@ -52,7 +42,7 @@ def look(world: World, folder: Path, name: str, past: Past) -> Found:
         made = [store.origin_of(file) for file in sorted(place.glob("*.parquet"))]
     except DataError as error:
         return Found(None, (str(error),))
-    return Found(artifact, tuple(changes(made[0], made_now(world, folder, name, past), STEPS[name].uses)))
+    return Found(artifact, tuple(changes(made[0], made_now(config, folder, name, past), STEPS[name].uses)))
 
 
 def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[str, ...]:
@@ -78,11 +68,11 @@ def _there(folder: Path, paths: Mapping[str, str], trials: str | None) -> dict[s
     return {path: store.content_hash(place) for path, place in known.items() if place.is_dir() or place.is_file()}
 
 
-def made_now(world: World, folder: Path, name: str, past: Past) -> dict[str, Any]:
+def made_now(config: Mapping[str, Any], folder: Path, name: str, past: Past) -> dict[str, Any]:
     """The origin that a step would have if it were made now."""
-    config = {key: world.config[key] for key in STEPS[name].uses}
-    seed = step_seed(world.seed, past.number, name)
-    return origin(world.config, name, seed, inputs(folder, name, past)) | {"sources": sources(config)}
+    used = {key: config[key] for key in STEPS[name].uses}
+    seed = step_seed(int(config["seed"]), past.number, name)
+    return origin(config, name, seed, inputs(folder, name, past)) | {"sources": sources(used)}
 
 
 def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]) -> list[str]:
@@ -124,17 +114,12 @@ def inputs(folder: Path, name: str, past: Past) -> dict[str, str]:
     return {place.as_posix(): store.content_hash(folder / place) for place in there} | dict(past.hashes)
 
 
-def place_of(number: int, step: str) -> Path:
-    """The folder of a step's artifact, relative to the run's."""
-    return Path("iterations") / f"{number:02d}" / FOLDERS[step]
-
-
-def repeatable(world: World, name: str) -> bool:
+def repeatable(config: Mapping[str, Any], name: str) -> bool:
     """Whether a step can be made again: all but what a real arm and camera did."""
-    return name != "execute" or str(world.config["hardware"]["_target_"]).startswith(LAB)
+    return name != "execute" or str(config["hardware"]["_target_"]).startswith(LAB)
 
 
-def performed(world: World, folder: Path, name: str, number: int) -> bool:
+def performed(config: Mapping[str, Any], folder: Path, name: str, number: int) -> bool:
     """Whether a real arm has moved by what this step made: then it stays, for what was measured hangs on it."""
     nearest = number if name in ("generate", "excite", "propose", "execute") else number + 1
-    return not repeatable(world, "execute") and (folder / place_of(nearest, "execute")).is_dir()
+    return not repeatable(config, "execute") and (folder / place_of(nearest, "execute")).is_dir()

@@ -22,19 +22,17 @@ from data.artifacts import Diagnosis, Points, Trial
 from data.errors import remedy_for
 from data.schema import DataError
 from pipeline.brought import EXTENDED, FROM_DATASETS
-from pipeline.fresh import Found, look, made_now, performed, place_of, repeatable
-from pipeline.log import LOG
+from pipeline.folder import ENDED, FAILED, LOCK, LOG, place_of
+from pipeline.fresh import Found, look, made_now, performed, repeatable
+from pipeline.make import make
 from pipeline.origin import origin
 from pipeline.run import Iteration, Result, in_numbers
 from pipeline.show import Bar
-from pipeline.steps import STEPS, Past, step_seed
+from pipeline.steps import STEPS, Past
 from pipeline.world import World
 
 log = logging.getLogger(__name__)
 
-ENDED = "run.json"
-FAILED = "failed.txt"  # why a run stopped
-LOCK = ".lock"
 NOTHING = {"config.json", LOCK, FAILED, LOG}  # what a run that made nothing leaves
 HOW_MANY = {"study": ("benches", "first", "processes"), "hits": ("seeds", "first", "processes")}  # no row depends on it
 
@@ -50,7 +48,7 @@ class Keeper:
 
     def step(self, name: str, past: Past) -> Any:
         """Read a step's artifact if it is there and fresh, else make and store it."""
-        found = look(self.world, self.folder, name, past)
+        found = look(self.world.config, self.folder, name, past)
         if found.artifact is not None and not found.reasons:
             log.info("%s is there, and fresh", place_of(past.number, name))
             return found.artifact
@@ -70,7 +68,7 @@ class Keeper:
 
     def _stays(self, found: Found, name: str, number: int) -> bool:
         """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
-        stays = performed(self.world, self.folder, name, number)
+        stays = performed(self.world.config, self.folder, name, number)
         if stays and found.artifact is None:
             raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
         kept = "The arm has moved by it: it stays." if stays else "It is made again."
@@ -83,9 +81,9 @@ class Keeper:
         """Make and store a step; its footers also say when, and how long it took."""
         with self.bar(f"{past.number}. {name}") as progress:
             at, begun = datetime.now(UTC), time.monotonic()
-            made = STEPS[name].make(self.world, past, step_seed(self.world.seed, past.number, name), progress)
+            made = make(name, self.world, past, progress)
             took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
-            store.save(made, place, made_now(self.world, self.folder, name, past) | took)
+            store.save(made, place, made_now(self.world.config, self.folder, name, past) | took)
             log.info("%s made in %.1f s", place_of(past.number, name), took["made"]["seconds"])
 
 
@@ -156,7 +154,7 @@ def end(result: Result) -> None:
 def without_frames(world: World, result: Result) -> None:
     """Remove the frames of a run that has ended; all that was read in them stays. A real camera's are kept: nobody can
     film them again."""
-    if not repeatable(world, "execute"):
+    if not repeatable(world.config, "execute"):
         return
     for made in (result.folder / place_of(i.number, "execute") for i in result.iterations if "execute" in i.done):
         for inside in (path for path in made.iterdir() if path.is_dir()):

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-LOG = "run.log"
+from pipeline.folder import LOG
+
 OURS = ("data", "hardware", "pipeline", "stages")
 for ours in map(logging.getLogger, OURS):
     ours.propagate = False  # to handlers of others, who may have closed what they write to

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from pipeline import keep
+from pipeline.folder import ENDED
 from pipeline.log import kept
 from pipeline.run import Result, work
 from pipeline.settings import UserError
@@ -39,7 +40,7 @@ def perform(here: World, folder: Path, console: Console) -> Result:
 
 def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
     """All but a study. The report comes before run.json, which says that all is there."""
-    if "execute" in here.config["steps"] and not (folder / keep.ENDED).exists():
+    if "execute" in here.config["steps"] and not (folder / ENDED).exists():
         check_devices(here)
     with bars(console) as bar:
         result = work(here, folder, keep.Keeper(here, folder, bar, lambda words: console.print(escape(words))))

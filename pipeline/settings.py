@@ -118,13 +118,18 @@ def _check_names(given: Mapping[str, Any], wanted: Mapping[str, Any], place: str
 
 
 def loaded(target: Any, place: str, where: str) -> Any:
-    """The function or class that fills a role. place: of the setting, whose last name is the role, such as
-    `string.integrator`; where: the file it comes from. Raises UserError for a name that the role does not list."""
-    allowed = ROLES.get(place.rpartition(".")[2], ())
-    if target not in allowed:
-        choices = f"Choose {' or '.join(allowed)}" if allowed else "Remove it: no code is chosen here"
+    """The function or class that fills a role; as `allowed`."""
+    return get_object(allowed(target, place, where))
+
+
+def allowed(target: Any, place: str, where: str) -> str:
+    """The name of what fills a role. place: of the setting, whose last name is the role, such as `string.integrator`;
+    where: the file it comes from. Raises UserError for a name that the role does not list."""
+    known = ROLES.get(place.rpartition(".")[2], ())
+    if target not in known:
+        choices = f"Choose {' or '.join(known)}" if known else "Remove it: no code is chosen here"
         raise UserError(f"{place}._target_ = {target!r} ({where}): it may not be named here. {choices}.")
-    return get_object(target)
+    return str(target)
 
 
 def chosen(block: Mapping[str, Any], place: str, where: str) -> Any:

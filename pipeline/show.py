@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.run import Iteration, Result
-from pipeline.steps import Progress as Report
+from stages.progress import Progress as Report
 
 Bar = Callable[[str], AbstractContextManager[Report]]
 

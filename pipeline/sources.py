@@ -4,30 +4,36 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import inspect
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pipeline.origin import CODE, ROOT
-from pipeline.settings import loaded
-from stages.model.library import library, named
+from pipeline.settings import allowed
+from stages.model.library import files, kind_of
 
-GLUE = ("pipeline/steps.py", "pipeline/world.py")  # they hand every stage what it is given
+GLUE = ("pipeline/steps.py", "pipeline/make.py", "pipeline/world.py")  # they hand every stage what it is given
 LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect without naming any
-MODEL = "stages.model.model"
+MODEL = "stages/model/model.py"
 
 
 def sources(settings: Mapping[str, Any]) -> dict[str, str]:
     """Hashes of the files behind a step, by path. settings: those that the step uses."""
-    modules = {loaded(target, role, "config.json").__module__ for role, target in targets(settings)}
-    modules |= {MODEL} if "string" in settings else set()
-    effects = {Path(inspect.getfile(effect)) for effect in named(settings.get("effects", []))}
-    files = closure({root for root in map(_file, modules) if root is not None} | effects) | {
-        ROOT / name for name in GLUE
-    }
-    return {_short(file): _digest(file) for file in sorted(files)}
+    roots = {home(allowed(target, role, "config.json")) for role, target in targets(settings)}
+    roots |= {ROOT / MODEL} if "string" in settings else set()
+    effects = files()
+    roots |= {effects[kind_of(name)[0]] for name in settings.get("effects", [])}
+    behind = closure(roots) | {ROOT / name for name in GLUE}
+    return {_short(file): _digest(file) for file in sorted(behind)}
+
+
+def home(target: str) -> Path:
+    """The file in which a `_target_` of ours is defined, without loading it, which takes seconds: that of the module it
+    is in, or of its own name, from where a package has it."""
+    file = _file(target) or _file(target.rpartition(".")[0])
+    assert file is not None, f"{target} lies in no file of ours"
+    return file
 
 
 def targets(block: Any, role: str = "") -> Iterator[tuple[str, Any]]:
@@ -39,10 +45,10 @@ def targets(block: Any, role: str = "") -> Iterator[tuple[str, Any]]:
             yield from targets(value, name)
 
 
-def closure(files: Iterable[Path]) -> set[Path]:
-    """The files, and all of ours that they import."""
+def closure(roots: Iterable[Path]) -> set[Path]:
+    """Files, and all of ours that they import."""
     found: set[Path] = set()
-    ahead = list(files)
+    ahead = list(roots)
     while ahead:
         file = ahead.pop()
         if file not in found:
@@ -55,8 +61,7 @@ def closure(files: Iterable[Path]) -> set[Path]:
 def _imported(file: Path) -> tuple[Path, ...]:
     """Files of ours that a file imports itself, wherever in it."""
     if file == LIBRARY:
-        effects = tuple(Path(inspect.getfile(effect)) for effect in library().values())
-        return effects + _named_in(file)
+        return (*files().values(), *_named_in(file))
     return _named_in(file)
 
 

@@ -10,14 +10,12 @@ from typing import Any
 from data import dataset, store
 from data.errors import printable
 from data.schema import DataError
-from pipeline import keep
 from pipeline.compare import differing_files
+from pipeline.folder import ENDED, FAILED, LOG
 from pipeline.fresh import pairs
 from pipeline.settings import UserError, leaves
 
-DRAWN = frozenset(
-    {"config.json", keep.ENDED, keep.FAILED, keep.LOG, "report.html"}
-)  # compared by another heading, or drawn
+DRAWN = frozenset({"config.json", ENDED, FAILED, LOG, "report.html"})  # compared by another heading, or drawn
 Parts = list[str]
 
 
@@ -87,9 +85,9 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _numbered(run: Path) -> dict[str, Any]:
     """run.json with its casts by number instead of a list; little of a run that has not ended."""
-    if not (run / keep.ENDED).exists():
+    if not (run / ENDED).exists():
         return {"ended": False}
-    ended = dataset.settings(run / keep.ENDED)
+    ended = dataset.settings(run / ENDED)
     return ended | {"iterations": {str(row["number"]): row for row in ended["iterations"]}}
 
 

@@ -18,7 +18,7 @@ from data import dataset, store
 from data.artifacts import FIT
 from data.errors import printable
 from data.schema import Column, DataError, Table
-from pipeline import keep
+from pipeline.folder import ENDED, FAILED
 from pipeline.fresh import reasons_of
 from pipeline.origin import PACKAGES, code, versions
 from pipeline.settings import UserError
@@ -78,7 +78,7 @@ def write(runs: pd.DataFrame, to: Path) -> None:
 def row(run: Path) -> dict[str, Any]:
     """One run. What is damaged does not stop the list: it says so."""
     try:
-        settings, ended = dataset.settings(run / "config.json"), _json(run / keep.ENDED)
+        settings, ended = dataset.settings(run / "config.json"), _json(run / ENDED)
         return {"experiment": str(settings["name"]), **_ending(run, ended), **_steps(run)}
     except (DataError, *OTHERWISE) as error:
         nothing: dict[str, Any] = {"experiment": "", "outcome": "", "date": "", "iterations": 0, "best_E": float("nan")}
@@ -109,7 +109,7 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
     """State, outcome and words."""
-    failed = run / keep.FAILED
+    failed = run / FAILED
     if ended:
         diagnosis = run / "diagnosis.json"
         cast = "hit" if ended["hit"] else "missed"

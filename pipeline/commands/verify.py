@@ -17,10 +17,12 @@ from data import store
 from pipeline import keep
 from pipeline.commands.stored import NotMadeError, stored_world, walk
 from pipeline.compare import differences, differing_files
-from pipeline.fresh import look, place_of, repeatable
+from pipeline.folder import ENDED, place_of
+from pipeline.fresh import look, repeatable
+from pipeline.make import make
 from pipeline.run import Result, in_numbers
 from pipeline.show import bars
-from pipeline.steps import STEPS, Past, step_seed
+from pipeline.steps import Past
 from pipeline.world import World
 
 
@@ -56,15 +58,15 @@ def verify(here: World, folder: Path, aside: Path, bar: Callable[[str], Abstract
 
     def ask(name: str, past: Past) -> Any:
         place = place_of(past.number, name)
-        found = look(here, folder, name, past)
+        found = look(here.config, folder, name, past)
         if found.artifact is None:
             outcome.note(place.as_posix(), list(found.reasons))
             raise NotMadeError
-        if not repeatable(here, name):
+        if not repeatable(here.config, name):
             outcome.note(place.as_posix(), [], "measured with a real arm and camera, cannot be computed again")
             return found.artifact
         with bar(f"{past.number}. {name}") as progress:
-            made = STEPS[name].make(here, past, step_seed(here.seed, past.number, name), progress)
+            made = make(name, here, past, progress)
             store.save(made, aside / place, {})
         faults = _lines(differing_files(folder / place, aside / place))
         since = [f"since it was made: {reason}" for reason in found.reasons] if faults else []
@@ -85,12 +87,12 @@ def _ending(here: World, folder: Path, aside: Path, result: Result, outcome: Out
         written = [*sorted(aside.glob("*.parquet")), aside / "dataset.yaml"]
         faults = {path.name: differences(folder / path.name, path) for path in written}
         outcome.note("the run as a dataset", _lines(faults))
-    path = folder / keep.ENDED
+    path = folder / ENDED
     if not path.is_file():
-        outcome.note(keep.ENDED, ["it is missing: the run has not ended; `resume` ends it"])
+        outcome.note(ENDED, ["it is missing: the run has not ended; `resume` ends it"])
         return
     same = json.loads(path.read_text(encoding="utf-8")) == json.loads(json.dumps(in_numbers(result)))
-    outcome.note(keep.ENDED, [] if same else ["it says something else than the steps"])
+    outcome.note(ENDED, [] if same else ["it says something else than the steps"])
 
 
 def _lines(faults: Mapping[str, list[str]]) -> list[str]:

@@ -9,7 +9,8 @@ from typing import Any
 
 from data.errors import printable
 from pipeline.commands.stored import NotMadeError, run_of, stored_world, walk
-from pipeline.fresh import FOLDERS, inputs, look, performed, place_of
+from pipeline.folder import FOLDERS, place_of
+from pipeline.fresh import inputs, look, performed
 from pipeline.settings import UserError
 from pipeline.steps import Past
 from pipeline.world import World
@@ -54,12 +55,12 @@ def states_of(here: World, folder: Path) -> list[State]:
 
     def ask(name: str, past: Past) -> Any:
         place = place_of(past.number, name).as_posix()
-        found = look(here, folder, name, past)
+        found = look(here.config, folder, name, past)
         above = [states[other] for other in inputs(folder, name, past) if other in states]
         doubt = [
             f"{state.place}, an input, is to be made again" for state in above if state.reasons and not state.stays
         ]
-        stays = performed(here, folder, name, past.number)
+        stays = performed(here.config, folder, name, past.number)
         states[place] = State(place, (*found.reasons, *doubt), (folder / place).is_dir(), stays)
         if found.artifact is None:
             raise NotMadeError

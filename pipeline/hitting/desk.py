@@ -15,8 +15,9 @@ import pandas as pd
 
 from data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Motion, Points, Trial
 from hardware.virtual.bench import Bench
+from pipeline.make import make
 from pipeline.run import Iteration
-from pipeline.steps import STEPS, Past, step_seed
+from pipeline.steps import Past
 from pipeline.world import World
 from stages.execute import padded
 from stages.judge import Verdict, judge
@@ -50,8 +51,7 @@ class PointDesk:
         """Nobody reads along."""
 
     def _made(self, name: str, past: Past) -> Any:
-        seed = step_seed(self.world.seed, past.number, name)
-        return STEPS[name].make(self.world, past, seed, lambda share: None)
+        return make(name, self.world, past, lambda share: None)
 
     def _generate(self, past: Past) -> Motion:
         begun = time.process_time()

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
+from data.later import Later
 from data.schema import DataError
 from stages.model.arm import Arm
 from stages.model.effect import HandEffect
+
+interpolate = Later("scipy.interpolate")
 
 HAND_TICK = 0.005
 ARRIVED = 0.5  # [s] of rest after which nothing lags any more; a film may go on for much longer
@@ -51,7 +53,7 @@ class HandMotion:
         place = np.clip(ticks, 0, known[-1])
         before = np.minimum(place.astype(int), known[-1] - 1)
         row = np.arange(len(self.pose))[:, None]
-        cubic = CubicHermiteSpline(known, self.pose, self.rate * self.tick, axis=1)
+        cubic = interpolate.CubicHermiteSpline(known, self.pose, self.rate * self.tick, axis=1)
         pose, rate = (
             np.polyval(part.c[:, before, row], (place - before)[..., None]) for part in (cubic, cubic.derivative())
         )
@@ -118,7 +120,7 @@ def joint_motion(t: np.ndarray, angles: np.ndarray, tick: float = HAND_TICK) -> 
     """
     grid = _grid(t, tick)
     batch = angles if angles.ndim == 3 else angles[None]
-    spline = CubicSpline(t, batch, axis=1, bc_type="natural")
+    spline = interpolate.CubicSpline(t, batch, axis=1, bc_type="natural")
     return JointMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
 
 
@@ -127,7 +129,7 @@ def hand_motion_from_grasp(t: np.ndarray, pose: np.ndarray, tick: float = HAND_T
     batch = np.array(pose if pose.ndim == 3 else pose[None], dtype=float)
     batch[..., 2] = np.unwrap(batch[..., 2], axis=1)
     grid = _grid(t, tick)
-    spline = CubicSpline(t, batch, axis=1, bc_type="natural")
+    spline = interpolate.CubicSpline(t, batch, axis=1, bc_type="natural")
     return HandMotion(float(grid[0]), tick, spline(grid), spline(grid, 1))
 
 
@@ -162,7 +164,7 @@ def _changed(
     change = effect.laws()[law](t, own, **{name: given[acts] for name, given in parameters.items()}) - own
     value, rate = (np.broadcast_to(each, (len(acts), *each.shape[1:])).copy() for each in (value, rate))
     value[acts] += change
-    rate[acts] += CubicSpline(t, change, axis=1, bc_type="natural")(t, 1)
+    rate[acts] += interpolate.CubicSpline(t, change, axis=1, bc_type="natural")(t, 1)
     return value, rate
 
 

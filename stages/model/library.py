@@ -27,27 +27,38 @@ def library() -> dict[str, type[Effect]]:
     Raises ValueError for a file that does not hold exactly one effect of its own name, and for
     two effects of the same name.
     """
-    found: dict[str, type[Effect]] = {}
-    for path in _files():
-        effect = _effect(path)
-        if effect.name in found:
-            raise ValueError(f"{path}: there is an effect '{effect.name}' already. Rename the file and its effect.")
-        found[effect.name] = effect
-    return found
+    return {name: _effect(path) for name, path in files().items()}
 
 
 def named(names: Sequence[str]) -> tuple[type[Effect], ...]:
     """The effects of these names; `maxwell_slip_2` is a second one of its kind. Raises UnknownEffectError."""
     known = library()
-    for name in names:
-        kind, _, number = name.rpartition("_")
-        if name not in known and kind in known and number.isdecimal() and int(number) > 1:
-            known[name] = another(known[kind], int(number))
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"Did you mean '{near[0]}'? " if near else ""
-            raise UnknownEffectError(f"there is no effect '{name}'. {hint}Known are: {', '.join(known)}")
-    return tuple(known[name] for name in names)
+    numbered = [(known[kind], number) for kind, number in map(kind_of, names)]
+    return tuple(effect if number == 1 else another(effect, number) for effect, number in numbered)
+
+
+def kind_of(name: str) -> tuple[str, int]:
+    """The kind of an effect, which is the name of its file, and which of this kind it is: `maxwell_slip` and 2 of
+    `maxwell_slip_2`. Raises UnknownEffectError."""
+    known = files()
+    kind, _, number = name.rpartition("_")
+    if name in known:
+        return name, 1
+    if kind in known and number.isdecimal() and int(number) > 1:
+        return kind, int(number)
+    near = difflib.get_close_matches(name, known, 1)
+    hint = f"Did you mean '{near[0]}'? " if near else ""
+    raise UnknownEffectError(f"there is no effect '{name}'. {hint}Known are: {', '.join(known)}")
+
+
+def files() -> dict[str, Path]:
+    """The file of each effect, by name, none of them loaded. Raises ValueError as `library`."""
+    found: dict[str, Path] = {}
+    for path in _files():
+        if path.stem in found:
+            raise ValueError(f"{path}: there is an effect '{path.stem}' already. Rename the file and its effect.")
+        found[path.stem] = path
+    return found
 
 
 def _files() -> Iterator[Path]:

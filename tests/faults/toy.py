@@ -18,7 +18,7 @@ from rich.console import Console
 from data import store
 from data.artifacts import Estimate, Motion, Points, Trial
 from pipeline import report
-from pipeline.log import LOG
+from pipeline.folder import LOG
 from pipeline.perform import perform
 from pipeline.world import world
 

@@ -133,7 +133,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
         ("stages/estimate/cma_es.py", set()),
         ("stages/model/string.py", {"generate", "execute", "extract", "estimate"}),  # through what was measured
         ("hardware/virtual/render.py", {"execute"}),
-        ("pipeline/steps.py", {"generate", "execute", "extract", "estimate"}),
+        ("pipeline/make.py", {"generate", "execute", "extract", "estimate"}),
         ("pipeline/report.py", set()),
     ],
 )

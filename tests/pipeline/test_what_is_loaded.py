@@ -1,10 +1,16 @@
 """Who asks does not wait for what only a run needs: by the names of modules, for times differ from machine to machine."""
 
+import inspect
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+
+from pipeline.sources import closure, home
+from pipeline.targets import ROLES
+from tests.faults.toy import toy_run, toy_world
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"cv2", "jinja2", "matplotlib", "numba", "scipy"}  # 0.1 to 0.5 s each
@@ -19,12 +25,29 @@ print("loaded:", *sorted({name.partition(".")[0] for name in sys.modules}))
 """
 
 
-@pytest.mark.parametrize(
-    ("words", "light"),
-    [(["--help"], {"pandas", "pyarrow", "PIL"}), (["check", "data/sample"], set())],
-)
+def loaded(*words):
+    """Packages that a command has loaded when it ends."""
+    command = [sys.executable, "-c", SHOWN, *map(str, words)]
+    asked = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return {*asked.stdout.splitlines()[-1].split()[1:]}
+
+
+@pytest.mark.parametrize(("words", "light"), [(["--help"], {"pandas", "pyarrow"}), (["check", "data/sample"], set())])
 def test_a_question_loads_little(words, light):
-    asked = subprocess.run([sys.executable, "-c", SHOWN, *words], cwd=ROOT, capture_output=True, text=True, check=True)
-    loaded = asked.stdout.splitlines()[-1].split()[1:]
-    assert "hydra" in loaded
-    assert not (HEAVY | light) & {*loaded}
+    packages = loaded(*words)
+    assert "hydra" in packages
+    assert not (HEAVY | light) & packages
+
+
+def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):
+    toy_run(tmp_path / "run", toy_world(1))
+    assert not HEAVY & loaded("index", tmp_path)
+
+
+def test_the_file_behind_a_name_is_the_one_that_loading_it_finds():
+    """A package that only passes a name on is taken for its home: it imports the file in which it is."""
+    for role, names in ROLES.items():
+        for name in names:
+            package, _, member = name.rpartition(".")
+            real = getattr(import_module(package), member)
+            assert Path(inspect.getfile(real)) in closure({home(name)}), (role, name)
