@@ -6,7 +6,8 @@ test --all         ... with the long ones
 bench              how fast strings are simulated, beside MuJoCo and PyElastica; see tests/speed
 setup              only make the environment
 
-The environment is `.venv`, made from `requirements.lock` and made again when that changes.
+The environment is `.venv`, made from `requirements.lock` and made again when that changes. In it, the package
+`stringcast` is this clone.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import os
 import subprocess
 import sys
 import venv
+from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
@@ -24,6 +26,8 @@ LOCK = ROOT / "requirements.lock"
 BENCH_LOCK = ROOT / "tests" / "speed" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
+PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")  # how the folders of this clone are one package
+TYPES = ENVIRONMENT / "types" / "stringcast"
 TIMED = "tests/drivers"  # by real clocks: they run alone
 CHECKS = (
     ("ruff", "check", "."),
@@ -43,38 +47,52 @@ def main(arguments: list[str]) -> int:
 
 
 def setup() -> None:
-    """Make `.venv` hold exactly what the lock says."""
+    """Make `.venv` hold exactly what the lock says, and this clone as the package."""
     if sys.version_info < (3, 11):
         sys.exit(
             f"stringcast needs Python 3.11 or newer; this is {sys.version.split()[0]}. Run tasks.py with a newer one."
         )
+    if ENVIRONMENT.is_symlink():
+        sys.exit(f"{ENVIRONMENT} is a link to another clone's environment. Remove it: each clone has its own.")
     if not installed(LOCK):
         print("Setting up .venv (once; a minute or two) ...", flush=True)
         venv.create(ENVIRONMENT, with_pip=True, clear=True)
-        install(LOCK)
+        install("--require-hashes", "-r", LOCK, made_of=[LOCK])
+    if not installed(*PACKAGE):
+        install("--no-deps", "--no-build-isolation", "--editable", ROOT, made_of=PACKAGE)
+        show_types()
 
 
-def mark(lock: Path) -> Path:
-    """A file in the environment that names the lock it was made from."""
-    return ENVIRONMENT / ("locked" if lock == LOCK else f"locked-{lock.parent.name}")
+def show_types() -> None:
+    """Lay the package out as folders for mypy, which does not follow the import hook of an editable package."""
+    if not TYPES.exists():
+        TYPES.mkdir(parents=True)
+        (TYPES / "__init__.py").symlink_to(ROOT / "pipeline" / "api" / "__init__.py")
+        for room in ("data", "hardware", "pipeline", "stages"):
+            (TYPES / room).symlink_to(ROOT / room, target_is_directory=True)
 
 
-def digest(lock: Path) -> str:
-    """Of a lock and this Python."""
-    return hashlib.sha256(lock.read_bytes() + sys.version.encode()).hexdigest()
+def mark(*files: Path) -> Path:
+    """A file in the environment that says what of it was made of these files."""
+    return ENVIRONMENT / f"made-of-{files[0].relative_to(ROOT).as_posix().replace('/', '-')}"
 
 
-def installed(lock: Path) -> bool:
-    """Whether the environment holds this lock as it is now."""
-    return mark(lock).exists() and mark(lock).read_text() == digest(lock)
+def digest(*files: Path) -> str:
+    """Of some files, this Python and this clone."""
+    return hashlib.sha256(b"".join([sys.version.encode(), bytes(ROOT), *(f.read_bytes() for f in files)])).hexdigest()
 
 
-def install(lock: Path) -> None:
-    """Install what a lock says, and note it."""
-    pip = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--require-hashes", "-r", lock]
+def installed(*files: Path) -> bool:
+    """Whether the environment holds what is made of these files as they are now."""
+    return mark(*files).exists() and mark(*files).read_text() == digest(*files)
+
+
+def install(*what: str | Path, made_of: Sequence[Path]) -> None:
+    """Install what pip is told, and note of which files it was made."""
+    pip = [PYTHON, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *what]
     if subprocess.run(pip, check=False).returncode:
-        sys.exit(f"The packages of {lock.name} could not be installed; see above. Is a package registry in reach?")
-    mark(lock).write_text(digest(lock))
+        sys.exit(f"What {made_of[0].name} asks for could not be installed; see above. Is a package registry in reach?")
+    mark(*made_of).write_text(digest(*made_of))
 
 
 def call(*command: str) -> int:
@@ -106,7 +124,7 @@ def worst(*codes: int) -> int:
 def bench(rest: list[str]) -> int:
     """The benchmark, with the packages it compares with."""
     if not installed(BENCH_LOCK):
-        install(BENCH_LOCK)
+        install("--require-hashes", "-r", BENCH_LOCK, made_of=[BENCH_LOCK])
     return call("tests.speed", *rest)
 
 

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from data.foreign import own, yaml_block
-from data.schema import DataError
+from stringcast.data.foreign import own, yaml_block
+from stringcast.data.schema import DataError
 
 FORMAT = 1
 NAME = "dataset.yaml"

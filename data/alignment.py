@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import pandas as pd
 
-from data.schema import Column, Table
+from stringcast.data.schema import Column, Table
 
 MEASURED = Table(
     "measured",

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from data.schema import Column, Table
+from stringcast.data.schema import Column, Table
 
 JOINTS = ("q1", "q2", "q3")
 SPEEDS = ("w1", "w2", "w3")

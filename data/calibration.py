@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import pandas as pd
 import yaml
 
-from data.schema import Column, Table
+from stringcast.data.schema import Column, Table
 
 VIEWS = Table(
     "views",

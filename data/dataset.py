@@ -17,15 +17,15 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from data.about import FORMAT, NAME, about
-from data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
-from data.errors import printable
-from data.films import Shots, filmed, listed, videos
-from data.foreign import inside, json_block, leaves, own
-from data.images import ImageFiles, Images
-from data.rows import Rows, from_csv, sifted
-from data.schema import Column, DataError, Table
-from data.store import content_hash, read_table, write_table, write_text
+from stringcast.data.about import FORMAT, NAME, about
+from stringcast.data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
+from stringcast.data.errors import printable
+from stringcast.data.films import Shots, filmed, listed, videos
+from stringcast.data.foreign import inside, json_block, leaves, own
+from stringcast.data.images import ImageFiles, Images
+from stringcast.data.rows import Rows, from_csv, sifted
+from stringcast.data.schema import Column, DataError, Table
+from stringcast.data.store import content_hash, read_table, write_table, write_text
 
 TRIAL = Column("trial", "", "name of the trial", "text")
 PUBLISHED = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours

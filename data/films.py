@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data.foreign import own
-from data.images import ImageFiles, Images, Video
+from stringcast.data.foreign import own
+from stringcast.data.images import ImageFiles, Images, Video
 
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv")
 Shots = tuple[np.ndarray, Images]

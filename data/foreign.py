@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
-from data.schema import DataError
+from stringcast.data.schema import DataError
 
 MOST_TEXT = 2**20  # [bytes] of settings: ours have 10 kB, and YAML takes a second for a hundred times that
 MOST_TABLE = (

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from data.foreign import regular
-from data.later import Later
-from data.schema import DataError
+from stringcast.data.foreign import regular
+from stringcast.data.later import Later
+from stringcast.data.schema import DataError
 
 cv2 = Later("cv2")
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data.artifacts import ARM, GRASP
-from data.foreign import MOST_CSV, regular
-from data.schema import DataError, Table
-from data.spikes import spikes
+from stringcast.data.artifacts import ARM, GRASP
+from stringcast.data.foreign import MOST_CSV, regular
+from stringcast.data.schema import DataError, Table
+from stringcast.data.spikes import spikes
 
 FAR = 1e9  # a metre in nanometres: nothing measured is further off, in whichever unit it was written
 ROUNDING = 1e-6  # [m] below which an arc length under zero is one

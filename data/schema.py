@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import pandas as pd
 import pyarrow as pa
 
-from data.errors import ExpectedError
+from stringcast.data.errors import ExpectedError
 
 ARROW_TYPES = {
     "float": pa.float64(),

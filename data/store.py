@@ -23,10 +23,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from data import disk, foreign
-from data.errors import remedy_for
-from data.images import ImageFiles, png
-from data.schema import DataError, Table
+from stringcast.data import disk, foreign
+from stringcast.data.errors import remedy_for
+from stringcast.data.images import ImageFiles, png
+from stringcast.data.schema import DataError, Table
 
 Artifact = TypeVar("Artifact")
 PIECE = 2**20  # [bytes] of a file that are hashed at a time

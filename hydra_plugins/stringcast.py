@@ -1,6 +1,6 @@
 """The one place where Hydra looks for launchers. What ours does is in `pipeline.sweep`."""
 
-from pipeline.sweep.begun import BegunLater
+from stringcast.pipeline.sweep.begun import BegunLater
 
 
 class Ledger(BegunLater):

@@ -18,21 +18,21 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from data.errors import ExpectedError, remedy_for
-from pipeline import log
-from pipeline.commands import NAMES, command
-from pipeline.complaint import INTERRUPTED, complain, refusal
-from pipeline.settings import refuse_twice
-from pipeline.sweep.begun import ended as sweep_ended
+from stringcast.data.errors import ExpectedError, remedy_for
+from stringcast.pipeline import log
+from stringcast.pipeline.commands import NAMES, command
+from stringcast.pipeline.complaint import INTERRUPTED, complain, refusal
+from stringcast.pipeline.settings import refuse_twice
+from stringcast.pipeline.sweep.begun import ended as sweep_ended
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 UNANSWERED = 2  # exit status of a command that found no answer
 
 
-@hydra.main(version_base="1.3", config_path="../conf", config_name="config")
+@hydra.main(version_base="1.3", config_path="pkg://stringcast.conf", config_name="config")
 def main(config: DictConfig) -> float | None:
     """One run, or one job of a sweep. Returns E after the last estimation."""
-    rate: float | None = one_thread(import_module("pipeline.job")).main(config)
+    rate: float | None = one_thread(import_module("stringcast.pipeline.job")).main(config)
     return rate
 
 
@@ -67,7 +67,7 @@ def called() -> None:
         overrides = [word for word in words if "=" in word and not word.startswith("-")]
         refuse_twice(overrides)
         if {"-h", "--help"} & {*words}:
-            print(import_module("pipeline.help").page(overrides))
+            print(import_module("stringcast.pipeline.help").page(overrides))
             return
         main()
         sys.exit(sweep_ended())

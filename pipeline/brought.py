@@ -7,11 +7,11 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from data import dataset
-from data.foreign import plain, yaml_block
-from data.schema import DataError
-from pipeline.settings import UserError, flat, leaves
-from pipeline.targets import moves_a_real_arm
+from stringcast.data import dataset
+from stringcast.data.foreign import plain, yaml_block
+from stringcast.data.schema import DataError
+from stringcast.pipeline.settings import UserError, flat, leaves
+from stringcast.pipeline.targets import moves_a_real_arm
 
 EXTENDED = "extended.yaml"  # the model that a diagnosis made, or an alignment
 CAMERA = "camera.yaml"  # the camera that a calibration measured

@@ -11,16 +11,16 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from data import store
-from data.calibration import Calibration
-from hardware.camera import Source
-from pipeline.brought import CAMERA
-from pipeline.origin import PACKAGES, code, origin, versions
-from pipeline.settings import UserError, build, chosen
-from pipeline.world import World
-from stages.calibrate import Board
-from stages.progress import Progress
-from stages.report.calibration import CalibrationRecord, calibration_report
+from stringcast.data import store
+from stringcast.data.calibration import Calibration
+from stringcast.hardware.camera import Source
+from stringcast.pipeline.brought import CAMERA
+from stringcast.pipeline.origin import PACKAGES, code, origin, versions
+from stringcast.pipeline.settings import UserError, build, chosen
+from stringcast.pipeline.world import World
+from stringcast.stages.calibrate import Board
+from stringcast.stages.progress import Progress
+from stringcast.stages.report.calibration import CalibrationRecord, calibration_report
 
 TILT = "Move the board slowly, tilted in all directions, all over the picture."
 HOLD = "Hold the board still in the plane of motion."

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from data.store import UNREADABLE, content_hash
+from stringcast.data.store import UNREADABLE, content_hash
 
 
 def differing_files(a: Path, b: Path, leave_out: frozenset[str] = frozenset()) -> dict[str, list[str]]:

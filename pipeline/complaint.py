@@ -9,8 +9,8 @@ from hydra.core.global_hydra import GlobalHydra
 from rich.console import Console
 from rich.markup import escape
 
-from data.errors import printable
-from pipeline.settings import composed, flat
+from stringcast.data.errors import printable
+from stringcast.pipeline.settings import composed, flat
 
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 

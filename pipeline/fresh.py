@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from data import store
-from data.schema import DataError
-from pipeline.folder import place_of
-from pipeline.origin import origin
-from pipeline.settings import UserError, leaves
-from pipeline.sources import sources
-from pipeline.steps import STEPS, Past, step_seed
+from stringcast.data import store
+from stringcast.data.schema import DataError
+from stringcast.pipeline.folder import place_of
+from stringcast.pipeline.origin import origin
+from stringcast.pipeline.settings import UserError, leaves
+from stringcast.pipeline.sources import sources
+from stringcast.pipeline.steps import STEPS, Past, step_seed
 
 LAB = "hardware.virtual."  # what it does can be done again, to the bit
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 
 import yaml
 
-from pipeline.commands import listed
-from pipeline.settings import CONF, composed
+from stringcast.pipeline.commands import listed
+from stringcast.pipeline.settings import CONF, composed
 
 PAGE = """\
 Cast an unknown string at a target with a robot arm, and learn the string from each cast.

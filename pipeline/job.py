@@ -10,14 +10,14 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from data.errors import ExpectedError
-from pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
-from pipeline.complaint import INTERRUPTED, complain
-from pipeline.keep import forget
-from pipeline.perform import perform
-from pipeline.run import Result
-from pipeline.settings import names_given
-from pipeline.world import world
+from stringcast.data.errors import ExpectedError
+from stringcast.pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
+from stringcast.pipeline.complaint import INTERRUPTED, complain
+from stringcast.pipeline.keep import forget
+from stringcast.pipeline.perform import perform
+from stringcast.pipeline.run import Result
+from stringcast.pipeline.settings import names_given
+from stringcast.pipeline.world import world
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names of trials that look like dates
 

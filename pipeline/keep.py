@@ -17,19 +17,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from data import dataset, disk, store
-from data.artifacts import Diagnosis, Points, Trial
-from data.errors import remedy_for
-from data.schema import DataError
-from pipeline.brought import EXTENDED, FROM_DATASETS
-from pipeline.folder import ENDED, FAILED, LOCK, LOG, place_of
-from pipeline.fresh import Found, look, made_now, performed, repeatable
-from pipeline.make import make
-from pipeline.origin import origin
-from pipeline.run import Iteration, Result, in_numbers
-from pipeline.show import Bar
-from pipeline.steps import STEPS, Past
-from pipeline.world import World
+from stringcast.data import dataset, disk, store
+from stringcast.data.artifacts import Diagnosis, Points, Trial
+from stringcast.data.errors import remedy_for
+from stringcast.data.schema import DataError
+from stringcast.pipeline.brought import EXTENDED, FROM_DATASETS
+from stringcast.pipeline.folder import ENDED, FAILED, LOCK, LOG, place_of
+from stringcast.pipeline.fresh import Found, look, made_now, performed, repeatable
+from stringcast.pipeline.make import make
+from stringcast.pipeline.origin import origin
+from stringcast.pipeline.run import Iteration, Result, in_numbers
+from stringcast.pipeline.show import Bar
+from stringcast.pipeline.steps import STEPS, Past
+from stringcast.pipeline.world import World
 
 log = logging.getLogger(__name__)
 

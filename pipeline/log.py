@@ -10,12 +10,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pipeline.folder import LOG
+from stringcast.pipeline.folder import LOG
 
-OURS = ("data", "hardware", "pipeline", "stages")
-for ours in map(logging.getLogger, OURS):
-    ours.propagate = False  # to handlers of others, who may have closed what they write to
-    ours.addHandler(logging.NullHandler())
+OURS = logging.getLogger("stringcast")
+OURS.propagate = False  # to handlers of others, who may have closed what they write to
+OURS.addHandler(logging.NullHandler())
 LINE = logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s")
 
 
@@ -35,13 +34,11 @@ def kept(folder: Path) -> Iterator[None]:
         logging.getLogger(__name__).error("ended early: %s: %s", type(error).__name__, error)
         raise
     finally:
-        for name in OURS:
-            logging.getLogger(name).removeHandler(handler)
+        OURS.removeHandler(handler)
         handler.close()
 
 
 def _heard(handler: logging.Handler) -> None:
     handler.setFormatter(LINE)
-    for name in OURS:
-        logging.getLogger(name).addHandler(handler)
-        logging.getLogger(name).setLevel(logging.INFO)
+    OURS.addHandler(handler)
+    OURS.setLevel(logging.INFO)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from data.alignment import Alignment
-from data.artifacts import Diagnosis, Estimate, Motion, Observation, Points, Trial
-from pipeline.steps import Past, step_seed
-from pipeline.world import World
-from stages.estimate.untouched import untouched
-from stages.extract import aligned_footage
-from stages.progress import Progress
+from stringcast.data.alignment import Alignment
+from stringcast.data.artifacts import Diagnosis, Estimate, Motion, Observation, Points, Trial
+from stringcast.pipeline.steps import Past, step_seed
+from stringcast.pipeline.world import World
+from stringcast.stages.estimate.untouched import untouched
+from stringcast.stages.extract import aligned_footage
+from stringcast.stages.progress import Progress
 
 
 def make(name: str, world: World, past: Past, progress: Progress) -> Any:

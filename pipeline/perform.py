@@ -9,21 +9,21 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from pipeline import keep
-from pipeline.folder import ENDED
-from pipeline.log import kept
-from pipeline.run import Result, work
-from pipeline.settings import UserError
-from pipeline.show import bars, summary
-from pipeline.world import World
-from stages.roles import HardwareError
+from stringcast.pipeline import keep
+from stringcast.pipeline.folder import ENDED
+from stringcast.pipeline.log import kept
+from stringcast.pipeline.run import Result, work
+from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.show import bars, summary
+from stringcast.pipeline.world import World
+from stringcast.stages.roles import HardwareError
 
 STUDIES = {"study": "study.command", "extraction_study": "extraction_study.command", "hit_study": "hitting.study"}
 
 
 def module(name: str) -> Any:
     """A module of the pipeline that draws: it is loaded when it is needed, for that takes a second and more."""
-    return import_module(f"pipeline.{name}")
+    return import_module(f"stringcast.pipeline.{name}")
 
 
 def perform(here: World, folder: Path, console: Console) -> Result:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from data.artifacts import Diagnosis
-from data.store import write_text
-from pipeline.origin import PACKAGES, code, versions
-from pipeline.run import Result
-from pipeline.world import World
-from stages.model.library import library
-from stages.report import Cast, Record, cast_record, report
-from stages.report.alignment import AlignmentRecord, alignment_report
-from stages.report.diagnosis import DiagnosisRecord, diagnosis_report
+from stringcast.data.artifacts import Diagnosis
+from stringcast.data.store import write_text
+from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.run import Result
+from stringcast.pipeline.world import World
+from stringcast.stages.model.library import library
+from stringcast.stages.report import Cast, Record, cast_record, report
+from stringcast.stages.report.alignment import AlignmentRecord, alignment_report
+from stringcast.stages.report.diagnosis import DiagnosisRecord, diagnosis_report
 
 
 def write(world: World, result: Result) -> None:

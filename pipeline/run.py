@@ -14,17 +14,17 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Protocol
 
-from data import dataset
-from data.alignment import Alignment
-from data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Motion, Observation, Points
-from data.schema import DataError
-from pipeline.steps import Past
-from pipeline.targets import REHEARSALS
-from pipeline.world import World
-from stages.align.undo import in_arms_frame
-from stages.check.check import refuse
-from stages.check.measured import Measured
-from stages.judge import Verdict, judge
+from stringcast.data import dataset
+from stringcast.data.alignment import Alignment
+from stringcast.data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Motion, Observation, Points
+from stringcast.data.schema import DataError
+from stringcast.pipeline.steps import Past
+from stringcast.pipeline.targets import REHEARSALS
+from stringcast.pipeline.world import World
+from stringcast.stages.align.undo import in_arms_frame
+from stringcast.stages.check.check import refuse
+from stringcast.stages.check.measured import Measured
+from stringcast.stages.judge import Verdict, judge
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,8 @@ from hydra.utils import get_object
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
-from data.errors import ExpectedError
-from pipeline.targets import ROLES
+from stringcast.data.errors import ExpectedError
+from stringcast.pipeline.targets import ROLES
 
 Built = TypeVar("Built")
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -119,7 +119,7 @@ def _check_names(given: Mapping[str, Any], wanted: Mapping[str, Any], place: str
 
 def loaded(target: Any, place: str, where: str) -> Any:
     """The function or class that fills a role; as `allowed`."""
-    return get_object(allowed(target, place, where))
+    return get_object(f"stringcast.{allowed(target, place, where)}")
 
 
 def allowed(target: Any, place: str, where: str) -> str:

@@ -13,8 +13,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.run import Iteration, Result
-from stages.progress import Progress as Report
+from stringcast.pipeline.run import Iteration, Result
+from stringcast.stages.progress import Progress as Report
 
 Bar = Callable[[str], AbstractContextManager[Report]]
 

@@ -9,9 +9,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pipeline.origin import CODE, ROOT
-from pipeline.settings import allowed
-from stages.model.library import files, kind_of
+from stringcast.pipeline.origin import CODE, ROOT
+from stringcast.pipeline.settings import allowed
+from stringcast.stages.model.library import files, kind_of
 
 GLUE = ("pipeline/steps.py", "pipeline/make.py", "pipeline/world.py")  # they hand every stage what it is given
 LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect without naming any
@@ -31,7 +31,7 @@ def sources(settings: Mapping[str, Any]) -> dict[str, str]:
 def home(target: str) -> Path:
     """The file in which a `_target_` of ours is defined, without loading it, which takes seconds: that of the module it
     is in, or of its own name, from where a package has it."""
-    file = _file(target) or _file(target.rpartition(".")[0])
+    file = _file(f"stringcast.{target}") or _file(f"stringcast.{target.rpartition('.')[0]}")
     assert file is not None, f"{target} lies in no file of ours"
     return file
 
@@ -78,9 +78,10 @@ def _named_in(file: Path) -> tuple[Path, ...]:
 
 def _file(module: str) -> Path | None:
     """The file of a module of ours; None for others'."""
-    if module.split(".", maxsplit=1)[0] not in CODE:
+    package, *parts = module.split(".")
+    if package != "stringcast" or not parts or parts[0] not in CODE:
         return None
-    place = ROOT.joinpath(*module.split("."))
+    place = ROOT.joinpath(*parts)
     return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from data.alignment import Alignment
-from data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Points, Trial
+from stringcast.data.alignment import Alignment
+from stringcast.data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Points, Trial
 
 
 @dataclass(frozen=True)

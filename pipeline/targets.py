@@ -1,7 +1,8 @@
 """What a setting `_target_` may name, role by role.
 
 Settings come from other people's folders too (`trials=`, `extended=`, `calibrated=`, `resume`, `index` ...), so a name
-is looked up here before anything is imported. An arm, a camera or an estimator of your own needs its line here.
+is looked up here before anything is imported. Names are those within the package `stringcast`. An arm, a camera or an
+estimator of your own needs its line here.
 """
 
 from __future__ import annotations

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.settings import UserError, build, loaded, stage
-from stages.generate import Box, check_reach
-from stages.generate.curves import plain_cast
-from stages.model.accuracy import ToleranceError, accurate
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.hand import JointMotion
-from stages.model.library import named
-from stages.model.model import Model
-from stages.model.parameter import Parameter
-from stages.model.string import String
+from stringcast.pipeline.settings import UserError, build, loaded, stage
+from stringcast.stages.generate import Box, check_reach
+from stringcast.stages.generate.curves import plain_cast
+from stringcast.stages.model.accuracy import ToleranceError, accurate
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.library import named
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.string import String
 
 Where = Callable[[str], str]
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import (
+from stringcast.data.artifacts import (
     ATTEMPTS,
     COMMANDS,
     CONTROL_POINTS,
@@ -26,17 +26,17 @@ from data.artifacts import (
     SPEEDS,
     Motion,
 )
-from data.schema import DataError
-from stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
-from stages.align.grasp import at_hand
-from stages.align.lookalike import LAG, OFFSET
-from stages.align.sightings import Sighted
-from stages.generate.generate import arm_faults
-from stages.model.arm import Arm
-from stages.model.box import Box
-from stages.model.hand import JointMotion
-from stages.model.model import Model
-from stages.progress import Progress
+from stringcast.data.schema import DataError
+from stringcast.stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
+from stringcast.stages.align.grasp import at_hand
+from stringcast.stages.align.lookalike import LAG, OFFSET
+from stringcast.stages.align.sightings import Sighted
+from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stages.roles import ArmDevice, CameraDevice, HardwareError, Recording
+from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
+from stringcast.stages.roles import ArmDevice, CameraDevice, HardwareError, Recording
 
 
 def execute(

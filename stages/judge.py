@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from data.artifacts import Points
-from stages.model.box import Box
+from stringcast.data.artifacts import Points
+from stringcast.stages.model.box import Box
 
 FINE = 0.0005  # [s]
 LONGEST_GAP = 0.02  # [s] between readings over which the tip's way is still guessed

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stages.execute import distrusted, execute, filmed, padded
-from stages.roles import ArmDevice, CameraDevice
+from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
+from stringcast.stages.execute import distrusted, execute, filmed, padded
+from stringcast.stages.roles import ArmDevice, CameraDevice
 
 
 def dry(

@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 import pandas as pd
 
-from data.errors import ExpectedError
+from stringcast.data.errors import ExpectedError
 
 
 class HardwareError(ExpectedError):

@@ -11,15 +11,18 @@ import pandas as pd
 import pytest
 import yaml
 
-from data.artifacts import JOINTS, SPEEDS, Motion
-from hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from stages.execute import execute
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.model import Model
-from stages.model.string import String
+import stringcast
+from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
+from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from stringcast.stages.execute import execute
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
 
 ROOT = Path(__file__).resolve().parents[1]
+if not Path(stringcast.__file__).resolve().is_relative_to(ROOT):
+    raise pytest.UsageError(f"{stringcast.__file__} is not this clone's package. Run python3 tasks.py setup here.")
 # An ordinary string, the paper's parameters per mass point at n = 10.
 TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, "quadratic_drag": 0.2} | {
     "axial_stiffness": 6e5,

@@ -1,6 +1,6 @@
 """An arm that takes joint velocities every tick, whatever carries them: checks, schedule, stop and record."""
 
-from hardware.arm.device import Driving, VelocityArm
-from hardware.arm.wire import Answer, Wire
+from stringcast.hardware.arm.device import Driving, VelocityArm
+from stringcast.hardware.arm.wire import Answer, Wire
 
 __all__ = ["Answer", "Driving", "VelocityArm", "Wire"]

@@ -13,14 +13,14 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import JOINTS
-from hardware.arm.limits import Workspace, check_movement
-from hardware.arm.loop import Guard, Log, blank, play
-from hardware.arm.record import performance
-from hardware.arm.signals import Signals
-from hardware.arm.wire import Wire
-from stages.model.arm import Arm
-from stages.roles import HardwareError, Performance
+from stringcast.data.artifacts import JOINTS
+from stringcast.hardware.arm.limits import Workspace, check_movement
+from stringcast.hardware.arm.loop import Guard, Log, blank, play
+from stringcast.hardware.arm.record import performance
+from stringcast.hardware.arm.signals import Signals
+from stringcast.hardware.arm.wire import Wire
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.roles import HardwareError, Performance
 
 TRIPS = 50  # round trips of the link test
 START_TOLERANCE = 0.02  # [rad] between reported and commanded start

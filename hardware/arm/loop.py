@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hardware.arm.clock import SPIN, undisturbed, wait_until
-from hardware.arm.wire import Answer, Wire
-from stages.model.arm import Arm
-from stages.roles import HardwareError
+from stringcast.hardware.arm.clock import SPIN, undisturbed, wait_until
+from stringcast.hardware.arm.wire import Answer, Wire
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.roles import HardwareError
 
 POLL = 0.0003  # [s] between looks for an answer
 DRAIN = 0.05  # [s] that the last answers may take

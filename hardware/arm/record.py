@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, SENT, SPEEDS
-from hardware.arm.loop import Log
-from stages.roles import Performance
+from stringcast.data.artifacts import JOINTS, SENT, SPEEDS
+from stringcast.hardware.arm.loop import Log
+from stringcast.stages.roles import Performance
 
 QUICK = 0.25  # share of the exchanges, the quickest, that fix the device's clock
 

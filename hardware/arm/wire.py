@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from stages.model.arm import Arm
+from stringcast.stages.model.arm import Arm
 
 
 @dataclass(frozen=True, slots=True)

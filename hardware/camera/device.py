@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from hardware.camera.controls import Controls, obeyed
-from hardware.camera.source import Frame, Source, Stream
-from hardware.camera.warm_up import warmed
-from stages.model.camera import Camera
-from stages.roles import HardwareError
+from stringcast.hardware.camera.controls import Controls, obeyed
+from stringcast.hardware.camera.source import Frame, Source, Stream
+from stringcast.hardware.camera.warm_up import warmed
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import HardwareError
 
 BUFFERED = 8  # frames that a driver may hold from before; V4L2 has 4
 

@@ -12,10 +12,10 @@ from typing import Self
 import cv2
 import numpy as np
 
-from hardware.camera.record import Film, recording
-from hardware.camera.source import Frame, Source, Stream
-from stages.model.camera import Camera
-from stages.roles import HardwareError, Recording
+from stringcast.hardware.camera.record import Film, recording
+from stringcast.hardware.camera.source import Frame, Source, Stream
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import HardwareError, Recording
 
 ROOM = 64  # frames that wait to be made grey; then one is lost, and counted, rather than all memory
 FIRST = 5.0  # [s] in which the first frame must come

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data.images import ImageFiles
-from data.schema import DataError
-from hardware.camera.played import Played
+from stringcast.data.images import ImageFiles
+from stringcast.data.schema import DataError
+from stringcast.hardware.camera.played import Played
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 

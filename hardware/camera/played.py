@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from data.schema import DataError
-from hardware.camera.source import Frame, Source, Stream
-from stages.model.camera import Camera
-from stages.roles import HardwareError
+from stringcast.data.schema import DataError
+from stringcast.hardware.camera.source import Frame, Source, Stream
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import HardwareError
 
 
 class Played(Source):

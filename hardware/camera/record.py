@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from hardware.camera.schedule import Schedule, fitted
-from hardware.camera.source import Frame
-from stages.roles import Recording
+from stringcast.hardware.camera.schedule import Schedule, fitted
+from stringcast.hardware.camera.source import Frame
+from stringcast.stages.roles import Recording
 
 DRAWN = 0.75  # share of equal neighbours at rest from which images are drawn or compressed: then equality says nothing
 LATE = 0.5  # periods after its moment at which a frame counts as late

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stages.model.camera import Camera
+from stringcast.stages.model.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from data.images import Video
-from hardware.camera.played import Played
-from stages.model.camera import Camera
+from stringcast.data.images import Video
+from stringcast.hardware.camera.played import Played
+from stringcast.stages.model.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hardware.camera.source import Frame, Stream
-from stages.model.camera import Camera
-from stages.roles import HardwareError
+from stringcast.hardware.camera.source import Frame, Stream
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import HardwareError
 
 LOOK = 0.5  # [s] that it takes
 FEWEST = 10  # frames of it

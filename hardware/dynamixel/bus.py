@@ -12,8 +12,8 @@ import numpy as np
 import serial
 from pydantic import Field
 
-from hardware.arm.wire import Answer
-from hardware.dynamixel.registers import (
+from stringcast.hardware.arm.wire import Answer
+from stringcast.hardware.dynamixel.registers import (
     BUS_WATCHDOG,
     GOAL_VELOCITY,
     HARDWARE_ERROR,
@@ -32,9 +32,9 @@ from hardware.dynamixel.registers import (
     Register,
     taken,
 )
-from hardware.serial.wire import check_latency
-from stages.model.arm import Arm
-from stages.roles import HardwareError
+from stringcast.hardware.serial.wire import check_latency
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.roles import HardwareError
 
 try:  # what a pulled cable raises in pyserial, beside its own error
     import termios

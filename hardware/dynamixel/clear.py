@@ -1,17 +1,17 @@
-"""`python -m hardware.dynamixel.clear PORT ID ...`: undo tripped bus watchdogs, after a person has looked."""
+"""`python -m stringcast.hardware.dynamixel.clear PORT ID ...`: undo bus watchdogs, after a person has looked."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from hardware.dynamixel.bus import DynamixelBus, Servo
-from stages.roles import HardwareError
+from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
+from stringcast.stages.roles import HardwareError
 
 
 def main() -> None:
     """Ask, then clear."""
-    parser = argparse.ArgumentParser(prog="python -m hardware.dynamixel.clear", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m stringcast.hardware.dynamixel.clear", description=__doc__)
     parser.add_argument("port")
     parser.add_argument("id", type=int, nargs="+")
     parser.add_argument("--baud", type=int, default=4_000_000)

@@ -6,12 +6,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hardware.arm import Driving, VelocityArm
-from hardware.camera import FilmingCamera, Source
-from hardware.dynamixel.bus import DynamixelBus, Servo
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.roles import HardwareError, Lab
+from stringcast.hardware.arm import Driving, VelocityArm
+from stringcast.hardware.camera import FilmingCamera, Source
+from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import HardwareError, Lab
 
 
 def open_lab(

@@ -1,17 +1,17 @@
-"""`python -m hardware.serial.clear PORT`: undo the emergency stop, after a person has looked at the arm."""
+"""`python -m stringcast.hardware.serial.clear PORT`: undo the emergency stop, after a person has looked at the arm."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from hardware.serial.wire import SerialWire
-from stages.roles import HardwareError
+from stringcast.hardware.serial.wire import SerialWire
+from stringcast.stages.roles import HardwareError
 
 
 def main() -> None:
     """Ask, then clear."""
-    parser = argparse.ArgumentParser(prog="python -m hardware.serial.clear", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m stringcast.hardware.serial.clear", description=__doc__)
     parser.add_argument("port")
     parser.add_argument("--baud", type=int, default=1_000_000)
     options = parser.parse_args()

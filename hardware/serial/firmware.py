@@ -9,7 +9,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from hardware.serial.protocol import (
+from stringcast.hardware.serial.protocol import (
     JOINTS,
     VERSION,
     Command,

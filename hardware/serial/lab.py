@@ -6,12 +6,12 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hardware.arm import Driving, VelocityArm
-from hardware.camera import FilmingCamera, Source
-from hardware.serial.wire import SerialWire
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.roles import Lab
+from stringcast.hardware.arm import Driving, VelocityArm
+from stringcast.hardware.camera import FilmingCamera, Source
+from stringcast.hardware.serial.wire import SerialWire
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import Lab
 
 
 def open_lab(

@@ -14,13 +14,13 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import JOINTS
-from hardware.arm import Driving, VelocityArm
-from hardware.serial.wire import SerialWire
-from hardware.virtual import Bench, Look, Obstacles, Servo, Specimen, VirtualCamera
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.roles import HardwareError, Lab, Performance
+from stringcast.data.artifacts import JOINTS
+from stringcast.hardware.arm import Driving, VelocityArm
+from stringcast.hardware.serial.wire import SerialWire
+from stringcast.hardware.virtual import Bench, Look, Obstacles, Servo, Specimen, VirtualCamera
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import HardwareError, Lab, Performance
 
 BAUD = 1_000_000  # a pseudo-terminal takes any
 
@@ -34,7 +34,7 @@ class Emulator:
 
     def __enter__(self) -> str:
         """Start it."""
-        command = [sys.executable, "-m", "hardware.serial.emulator", *self.options]
+        command = [sys.executable, "-m", "stringcast.hardware.serial.emulator", *self.options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
         assert self.process.stdout is not None
         port = self.process.stdout.readline().strip()

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import serial
 
-from hardware.arm.wire import Answer
-from hardware.serial.protocol import (
+from stringcast.hardware.arm.wire import Answer
+from stringcast.hardware.serial.protocol import (
     JOINTS,
     VERSION,
     Command,
@@ -25,8 +25,8 @@ from hardware.serial.protocol import (
     decode_answer,
     encode_command,
 )
-from stages.model.arm import Arm
-from stages.roles import HardwareError
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.roles import HardwareError
 
 ANSWER_WITHIN = 0.25  # [s] that an exchange may take before it is tried again
 TRIES = 3
@@ -71,7 +71,7 @@ class SerialWire:
         if greeting.state is State.LATCHED:
             raise HardwareError(
                 f"arm on {self.port}: latched by an emergency stop. Look why, make it safe, then: "
-                f"python -m hardware.serial.clear {self.port}"
+                f"python -m stringcast.hardware.serial.clear {self.port}"
             )
         self.watchdog = greeting.watchdog * 1e-3
 

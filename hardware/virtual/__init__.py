@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from hardware.virtual.obstacles import Obstacles
-from hardware.virtual.render import Look
-from hardware.virtual.servo import Servo
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.roles import Lab
+from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.obstacles import Obstacles
+from stringcast.hardware.virtual.render import Look
+from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import Lab
 
 
 def open_lab(

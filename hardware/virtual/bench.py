@@ -17,18 +17,18 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, SPEEDS
-from hardware.virtual.obstacles import Obstacles
-from hardware.virtual.render import Look, noisy, render, scenery
-from hardware.virtual.servo import Servo
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.hand import JointMotion, joint_motion
-from stages.model.integrator import RungeKutta4
-from stages.model.library import named
-from stages.model.model import Model
-from stages.model.string import String
-from stages.roles import HardwareError, Performance, Recording
+from stringcast.data.artifacts import JOINTS, SPEEDS
+from stringcast.hardware.virtual.obstacles import Obstacles
+from stringcast.hardware.virtual.render import Look, noisy, render, scenery
+from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.hand import JointMotion, joint_motion
+from stringcast.stages.model.integrator import RungeKutta4
+from stringcast.stages.model.library import named
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+from stringcast.stages.roles import HardwareError, Performance, Recording
 
 EXPOSURES = 5  # moments drawn in one exposure
 

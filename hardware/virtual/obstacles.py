@@ -7,9 +7,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from stages.model.box import Box
-from stages.model.effect import another
-from stages.model.effects.box_contact import BoxContact
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.effect import another
+from stringcast.stages.model.effects.box_contact import BoxContact
 
 NotNegative = Annotated[float, Field(ge=0)]
 

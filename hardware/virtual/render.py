@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from stages.model.camera import Camera
+from stringcast.stages.model.camera import Camera
 
 SHIFT = 4  # fractional bits of opencv's coordinates
 FINER = 1 << SHIFT

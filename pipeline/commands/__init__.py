@@ -16,7 +16,7 @@ NAMES = ("check", "board", "draw", "resume", "index", "verify", "why", "diff", "
 
 def command(name: str) -> ModuleType:
     """A command, loaded: some draw, which takes a second to load, and neither a run nor the help needs any."""
-    return import_module(f"pipeline.commands.{name}")
+    return import_module(f"stringcast.pipeline.commands.{name}")
 
 
 def listed() -> str:

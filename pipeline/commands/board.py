@@ -8,9 +8,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from pipeline.settings import build, composed
-from stages.calibrate import Board
-from stages.calibrate.sheet import sheet
+from stringcast.pipeline.settings import build, composed
+from stringcast.stages.calibrate import Board
+from stringcast.stages.calibrate.sheet import sheet
 
 
 def main(arguments: Sequence[str]) -> int:

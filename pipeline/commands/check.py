@@ -16,15 +16,15 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from data import dataset
-from data.errors import printable
-from data.schema import DataError
-from pipeline.brought import with_brought_settings
-from pipeline.settings import UserError, build, composed, names_given
-from stages.check.measured import Measured
-from stages.check.overview import overview
-from stages.model.arm import Arm
-from stages.model.camera import Camera
+from stringcast.data import dataset
+from stringcast.data.errors import printable
+from stringcast.data.schema import DataError
+from stringcast.pipeline.brought import with_brought_settings
+from stringcast.pipeline.settings import UserError, build, composed, names_given
+from stringcast.stages.check.measured import Measured
+from stringcast.stages.check.overview import overview
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
 
 USABLE, NOT_USABLE = 0, 1  # exit status
 COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from data import dataset, store
-from data.errors import printable
-from data.schema import DataError
-from pipeline.compare import differing_files
-from pipeline.folder import ENDED, FAILED, LOG
-from pipeline.fresh import pairs
-from pipeline.settings import UserError, leaves
+from stringcast.data import dataset, store
+from stringcast.data.errors import printable
+from stringcast.data.schema import DataError
+from stringcast.pipeline.compare import differing_files
+from stringcast.pipeline.folder import ENDED, FAILED, LOG
+from stringcast.pipeline.fresh import pairs
+from stringcast.pipeline.settings import UserError, leaves
 
 DRAWN = frozenset({"config.json", ENDED, FAILED, LOG, "report.html"})  # compared by another heading, or drawn
 Parts = list[str]

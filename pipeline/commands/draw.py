@@ -8,10 +8,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hardware.virtual.blind import draw
-from pipeline.settings import build, composed
-from stages.model.arm import Arm
-from stages.model.camera import Camera
+from stringcast.hardware.virtual.blind import draw
+from stringcast.pipeline.settings import build, composed
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -14,14 +14,14 @@ from rich.progress import track
 from rich.table import Table as Printed
 from rich.text import Text
 
-from data import dataset, store
-from data.artifacts import FIT
-from data.errors import printable
-from data.schema import Column, DataError, Table
-from pipeline.folder import ENDED, FAILED
-from pipeline.fresh import reasons_of
-from pipeline.origin import PACKAGES, code, versions
-from pipeline.settings import UserError
+from stringcast.data import dataset, store
+from stringcast.data.artifacts import FIT
+from stringcast.data.errors import printable
+from stringcast.data.schema import Column, DataError, Table
+from stringcast.pipeline.folder import ENDED, FAILED
+from stringcast.pipeline.fresh import reasons_of
+from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.settings import UserError
 
 RUNS = Table(
     "runs",

@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
 
-from data import store
-from data.errors import printable
-from pipeline.commands.stored import run_of
-from pipeline.fresh import leaves
-from pipeline.settings import UserError
-from pipeline.steps import STEPS
+from stringcast.data import store
+from stringcast.data.errors import printable
+from stringcast.pipeline.commands.stored import run_of
+from stringcast.pipeline.fresh import leaves
+from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.steps import STEPS
 
 
 def main(arguments: list[str]) -> int:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from data import disk
-from pipeline.settings import UserError
+from stringcast.data import disk
+from stringcast.pipeline.settings import UserError
 
 ENDINGS = {"svg+xml": "svg", "webp": "webp", "png": "png"}
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from pipeline.brought import refuse_brought_limits
-from pipeline.commands.stored import stored_world
-from pipeline.perform import perform
-from pipeline.settings import composed
+from stringcast.pipeline.brought import refuse_brought_limits
+from stringcast.pipeline.commands.stored import stored_world
+from stringcast.pipeline.perform import perform
+from stringcast.pipeline.settings import composed
 
 
 def main(arguments: list[str]) -> int:

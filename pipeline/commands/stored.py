@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from data import dataset
-from pipeline.run import Iteration, Result, work
-from pipeline.settings import UserError
-from pipeline.steps import Past
-from pipeline.world import World, world
+from stringcast.data import dataset
+from stringcast.pipeline.run import Iteration, Result, work
+from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.steps import Past
+from stringcast.pipeline.world import World, world
 
 
 class NotMadeError(Exception):

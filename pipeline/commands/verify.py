@@ -13,17 +13,17 @@ from typing import Any
 
 from rich.console import Console
 
-from data import store
-from pipeline import keep
-from pipeline.commands.stored import NotMadeError, stored_world, walk
-from pipeline.compare import differences, differing_files
-from pipeline.folder import ENDED, place_of
-from pipeline.fresh import look, repeatable
-from pipeline.make import make
-from pipeline.run import Result, in_numbers
-from pipeline.show import bars
-from pipeline.steps import Past
-from pipeline.world import World
+from stringcast.data import store
+from stringcast.pipeline import keep
+from stringcast.pipeline.commands.stored import NotMadeError, stored_world, walk
+from stringcast.pipeline.compare import differences, differing_files
+from stringcast.pipeline.folder import ENDED, place_of
+from stringcast.pipeline.fresh import look, repeatable
+from stringcast.pipeline.make import make
+from stringcast.pipeline.run import Result, in_numbers
+from stringcast.pipeline.show import bars
+from stringcast.pipeline.steps import Past
+from stringcast.pipeline.world import World
 
 
 def main(arguments: list[str]) -> int:

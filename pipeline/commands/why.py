@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from data.errors import printable
-from pipeline.commands.stored import NotMadeError, run_of, stored_world, walk
-from pipeline.folder import FOLDERS, place_of
-from pipeline.fresh import inputs, look, performed
-from pipeline.settings import UserError
-from pipeline.steps import Past
-from pipeline.world import World
+from stringcast.data.errors import printable
+from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_world, walk
+from stringcast.pipeline.folder import FOLDERS, place_of
+from stringcast.pipeline.fresh import inputs, look, performed
+from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.steps import Past
+from stringcast.pipeline.world import World
 
 
 def main(arguments: list[str]) -> int:

@@ -10,16 +10,16 @@ from typing import Annotated, Any
 import pandas as pd
 from pydantic import Field
 
-from data import store
-from hardware.virtual import Specimen
-from hardware.virtual.conditions import CONDITIONS
-from pipeline.extraction_study.films import Cell, Take, read, take
-from pipeline.extraction_study.pictures import overview
-from pipeline.extraction_study.scores import FRAMES, SHARES, compared, shares
-from pipeline.origin import origin
-from pipeline.settings import build
-from pipeline.world import World
-from stages.progress import Progress
+from stringcast.data import store
+from stringcast.hardware.virtual import Specimen
+from stringcast.hardware.virtual.conditions import CONDITIONS
+from stringcast.pipeline.extraction_study.films import Cell, Take, read, take
+from stringcast.pipeline.extraction_study.pictures import overview
+from stringcast.pipeline.extraction_study.scores import FRAMES, SHARES, compared, shares
+from stringcast.pipeline.origin import origin
+from stringcast.pipeline.settings import build
+from stringcast.pipeline.world import World
+from stringcast.stages.progress import Progress
 
 WHERE = "conf/experiment/extraction_study.yaml"
 

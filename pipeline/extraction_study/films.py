@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, Film, Points
-from hardware.virtual import Bench, Specimen
-from hardware.virtual.blind.casts import random_cast
-from hardware.virtual.conditions import Condition, Shot, film, shot_of, staged
-from stages.extract import Footage, footage_of
-from stages.model.arm import Arm
-from stages.model.camera import Camera
+from stringcast.data.artifacts import JOINTS, Film, Points
+from stringcast.hardware.virtual import Bench, Specimen
+from stringcast.hardware.virtual.blind.casts import random_cast
+from stringcast.hardware.virtual.conditions import Condition, Shot, film, shot_of, staged
+from stringcast.stages.extract import Footage, footage_of
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
 
 SPEEDS = (1.5, 4.0)  # of the hand [m/s]: tips reach about three times that
 Extract = Callable[[Footage, Camera], Points]

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from data import store
-from data.artifacts import Points
-from data.images import ImageFiles, Video
-from data.schema import Column, Table
-from pipeline.extraction_study.scores import why
-from pipeline.origin import origin
-from stages.extract import Footage, extract
-from stages.model.camera import Camera
+from stringcast.data import store
+from stringcast.data.artifacts import Points
+from stringcast.data.images import ImageFiles, Video
+from stringcast.data.schema import Column, Table
+from stringcast.pipeline.extraction_study.scores import why
+from stringcast.pipeline.origin import origin
+from stringcast.stages.extract import Footage, extract
+from stringcast.stages.model.camera import Camera
 
 PX_PER_M = 2350.0  # of the strips' camera, as assumed by who measured them
 EVERY = 4  # frames

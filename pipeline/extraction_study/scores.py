@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-from data.artifacts import Points
-from data.schema import Column, Table
-from hardware.virtual.conditions import Shot
-from pipeline.extraction_study.films import Cell, Take
+from stringcast.data.artifacts import Points
+from stringcast.data.schema import Column, Table
+from stringcast.hardware.virtual.conditions import Shot
+from stringcast.pipeline.extraction_study.films import Cell, Take
 
 WRONG_PX = 3.0
 WRONG_SIGMAS = 5.0

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Motion, Points, Trial
-from hardware.virtual.bench import Bench
-from pipeline.make import make
-from pipeline.run import Iteration
-from pipeline.steps import Past
-from pipeline.world import World
-from stages.execute import padded
-from stages.judge import Verdict, judge
+from stringcast.data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Motion, Points, Trial
+from stringcast.hardware.virtual.bench import Bench
+from stringcast.pipeline.make import make
+from stringcast.pipeline.run import Iteration
+from stringcast.pipeline.steps import Past
+from stringcast.pipeline.world import World
+from stringcast.stages.execute import padded
+from stringcast.stages.judge import Verdict, judge
 
 FINE = 1e-3  # [s] between moments at which it is looked up what really happened
 PLACES = 2  # every so manieth point of the bench's string is measured

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hardware.virtual.bench import Bench
-from pipeline.hitting.desk import PointDesk
-from pipeline.hitting.lessons import estimated, lessons, model_found
-from pipeline.run import Iteration, cast
-from pipeline.world import World, world
-from stages.generate.curves import Curves, first_curves
-from stages.generate.generate import MotionNotFoundError, arm_faults
-from stages.model.hand import JointMotion
+from stringcast.hardware.virtual.bench import Bench
+from stringcast.pipeline.hitting.desk import PointDesk
+from stringcast.pipeline.hitting.lessons import estimated, lessons, model_found
+from stringcast.pipeline.run import Iteration, cast
+from stringcast.pipeline.world import World, world
+from stringcast.stages.generate.curves import Curves, first_curves
+from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
+from stringcast.stages.model.hand import JointMotion
 
 Config = Mapping[str, Any]
 REFERENCES = 4  # casts on which a model's foretelling is measured, the same for all

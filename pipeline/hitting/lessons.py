@@ -6,11 +6,11 @@ from typing import Any
 
 import yaml
 
-from data.artifacts import Diagnosis
-from pipeline.hitting.desk import PointDesk
-from pipeline.run import Iteration
-from pipeline.steps import Past
-from pipeline.world import World
+from stringcast.data.artifacts import Diagnosis
+from stringcast.pipeline.hitting.desk import PointDesk
+from stringcast.pipeline.run import Iteration
+from stringcast.pipeline.steps import Past
+from stringcast.pipeline.world import World
 
 PERFORMED = ("generate", "execute", "extract")
 

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.hitting.scores import ALL, WANTED
-from stages.report.picture import LIGHT, MM, STYLE
+from stringcast.pipeline.hitting.scores import ALL, WANTED
+from stringcast.stages.report.picture import LIGHT, MM, STYLE
 
 ACROSS = 5  # pictures side by side
 MARKS = "os^Dv<>"  # of methods, whose colours come again after the fourth

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from data.schema import Column, Table
-from pipeline.study.scores import counted
+from stringcast.data.schema import Column, Table
+from stringcast.pipeline.study.scores import counted
 
 BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the chance foretold
 WANTED = 0.95

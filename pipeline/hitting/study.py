@@ -12,15 +12,15 @@ from typing import Annotated, Any
 import pandas as pd
 from pydantic import Field
 
-from data import store
-from pipeline.hitting.job import casts_of
-from pipeline.hitting.pictures import picture
-from pipeline.hitting.scores import TABLES, scores, sentence
-from pipeline.origin import origin
-from pipeline.settings import build
-from pipeline.study.benches import workers
-from pipeline.world import World
-from stages.progress import Progress
+from stringcast.data import store
+from stringcast.pipeline.hitting.job import casts_of
+from stringcast.pipeline.hitting.pictures import picture
+from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
+from stringcast.pipeline.origin import origin
+from stringcast.pipeline.settings import build
+from stringcast.pipeline.study.benches import workers
+from stringcast.pipeline.world import World
+from stringcast.stages.progress import Progress
 
 Count = Annotated[int, Field(ge=1)]
 

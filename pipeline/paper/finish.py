@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from data.schema import Table
-from data.store import write_table, write_text
-from pipeline.origin import PACKAGES, code, versions
-from pipeline.paper import scores, shown
-from pipeline.paper.numbers import NUMBERS, numbers
-from pipeline.sweep.finish import common
-from pipeline.sweep.ledger import Job, Ledger
-from stages.report.paper import PaperRecord, figures, paper_report
+from stringcast.data.schema import Table
+from stringcast.data.store import write_table, write_text
+from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.paper import scores, shown
+from stringcast.pipeline.paper.numbers import NUMBERS, numbers
+from stringcast.pipeline.sweep.finish import common
+from stringcast.pipeline.sweep.ledger import Job, Ledger
+from stringcast.stages.report.paper import PaperRecord, figures, paper_report
 
 TABLES: tuple[Table, ...] = (scores.RUNS, scores.CASTS, scores.RATES, scores.NEEDED, shown.PARAMETERS, *shown.TABLES)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from data.schema import Column, Table
+from stringcast.data.schema import Column, Table
 
 FILE = Path(__file__).with_name("numbers.csv")
 NUMBERS = Table(

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import quantile_test
 
-from data.schema import Column, Table
-from pipeline.paper.numbers import of
-from pipeline.study.scores import counted
-from pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
-from pipeline.sweep.table import factors
+from stringcast.data.schema import Column, Table
+from stringcast.pipeline.paper.numbers import of
+from stringcast.pipeline.study.scores import counted
+from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
+from stringcast.pipeline.sweep.table import factors
 
 NINE = tuple(f"{string}_{target}" for string in "ABC" for target in ("300_900", "400_700", "500_900"))
 CONDITION = "experiment/paper"  # the setting that names a job's experiment

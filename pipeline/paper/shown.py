@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from data import dataset
-from data.artifacts import ARM, JOINTS, Estimate, Motion, Points
-from data.schema import Column, Table
-from data.store import load, read_table
-from pipeline.paper.scores import median
-from pipeline.settings import build
-from stages.model.arm import Arm
+from stringcast.data import dataset
+from stringcast.data.artifacts import ARM, JOINTS, Estimate, Motion, Points
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import load, read_table
+from stringcast.pipeline.paper.scores import median
+from stringcast.pipeline.settings import build
+from stringcast.stages.model.arm import Arm
 
 MOMENTS = 5  # at which strings are drawn, from the start to the closest approach
 CAST = (

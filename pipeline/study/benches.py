@@ -14,10 +14,10 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Protocol
 
-from data.store import write_text
-from hardware.virtual.blind import LATEST
-from pipeline.origin import state
-from stages.progress import Progress
+from stringcast.data.store import write_text
+from stringcast.hardware.virtual.blind import LATEST
+from stringcast.pipeline.origin import state
+from stringcast.stages.progress import Progress
 
 Row = dict[str, Any]
 

@@ -13,18 +13,18 @@ import pandas as pd
 from omegaconf import OmegaConf
 from pydantic import Field
 
-from data import dataset, store
-from data.artifacts import Diagnosis
-from data.schema import DataError
-from hardware.virtual.blind import draw
-from pipeline.brought import with_brought_settings
-from pipeline.origin import origin
-from pipeline.settings import build
-from pipeline.study.benches import study
-from pipeline.study.pictures import pictures
-from pipeline.study.scores import TABLES, scores
-from pipeline.world import World, world
-from stages.progress import Progress
+from stringcast.data import dataset, store
+from stringcast.data.artifacts import Diagnosis
+from stringcast.data.schema import DataError
+from stringcast.hardware.virtual.blind import draw
+from stringcast.pipeline.brought import with_brought_settings
+from stringcast.pipeline.origin import origin
+from stringcast.pipeline.settings import build
+from stringcast.pipeline.study.benches import study
+from stringcast.pipeline.study.pictures import pictures
+from stringcast.pipeline.study.scores import TABLES, scores
+from stringcast.pipeline.world import World, world
+from stringcast.stages.progress import Progress
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stages.report.picture import LIGHT, STYLE
+from stringcast.stages.report.picture import LIGHT, STYLE
 
 COLOURS = {"effect": "after", "outside": "measured", "pair": "before"}
 LAST = ("none", "unknown", "ambiguous", "insufficient", "failed")  # answers that are no effect

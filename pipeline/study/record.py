@@ -15,10 +15,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from data import store
-from pipeline.origin import PACKAGES, ROOT, code, versions
-from pipeline.study.scores import BENCHES, COUNTED, counted
-from stages.report.picture import LIGHT, STYLE
+from stringcast.data import store
+from stringcast.pipeline.origin import PACKAGES, ROOT, code, versions
+from stringcast.pipeline.study.scores import BENCHES, COUNTED, counted
+from stringcast.stages.report.picture import LIGHT, STYLE
 
 FOLDER = ROOT / "data" / "results" / "blind_study"
 SHOWN = {"cause found": "before", "false alarm": "measured", "outside called unknown": "after"}

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
-from data.schema import Column, Table
-from pipeline.study.verdicts import (
+from stringcast.data.schema import Column, Table
+from stringcast.pipeline.study.verdicts import (
     RESOLUTION,
     Row,
     answered,
@@ -20,7 +20,7 @@ from pipeline.study.verdicts import (
     found_of_pair,
     named_above,
 )
-from stages.model.library import library
+from stringcast.stages.model.library import library
 
 BINS = np.linspace(0.0, 1.0, 11)  # of confidence
 SIZES = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])  # [sigma]

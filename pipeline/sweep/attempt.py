@@ -11,26 +11,29 @@ import socket
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
-from hardware.arm.signals import POLITE
-from pipeline.origin import ROOT
-from pipeline.sweep.ledger import DONE, FAILED, PENDING, RUNNING, Job, Ledger
+from stringcast.hardware.arm.signals import POLITE
+from stringcast.pipeline.sweep.ledger import DONE, FAILED, PENDING, RUNNING, Job, Ledger
 
-PIPELINE = (sys.executable, "-m", "pipeline")
+PIPELINE = (sys.executable, "-m", "stringcast")
 INTERRUPTED = {code for number in POLITE for code in (128 + number, -number)}
 POOLS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """The job `key` of the sweep in `folder`, to be called on whatever machine. command: what runs a job."""
+    """The job `key` of the sweep in `folder`, to be called on whatever machine.
+
+    command: what runs a job. place: where the sweep was begun, from which its settings name folders.
+    """
 
     folder: Path
     key: str
     command: tuple[str, ...] = PIPELINE
+    place: Path = field(default_factory=Path.cwd)
 
     def __call__(self, threads: int) -> str:
         """Run the job, unless somebody is at it or it has ended, and enter how it ended. Returns its key."""
@@ -56,7 +59,7 @@ class Attempt:
         place = f"hydra.run.dir={quoted(self.folder / self.key)}"
         return subprocess.run(
             [*self.command, *job.overrides, "hydra.mode=RUN", place],
-            cwd=ROOT,
+            cwd=self.place,
             env=os.environ | dict.fromkeys(POOLS, str(threads)),
             stdin=subprocess.DEVNULL,
             stdout=log,

@@ -17,7 +17,7 @@ class BegunLater(Launcher):
 
     def __init__(self, **settings: Any) -> None:
         """As the config has it."""
-        self.launcher = import_module("pipeline.sweep.launcher").LedgerLauncher(**settings)
+        self.launcher = import_module("stringcast.pipeline.sweep.launcher").LedgerLauncher(**settings)
 
     def setup(self, **given: Any) -> None:
         """Take what Hydra hands over before `launch`, and check the settings; raises UserError."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-from pipeline.settings import UserError
+from stringcast.pipeline.settings import UserError
 
 
 def extra(package: str, launcher: str) -> ModuleType:

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from data.store import write_table, write_text
-from pipeline.origin import PACKAGES, code, versions
-from pipeline.sweep.ledger import DONE, Job, Ledger
-from pipeline.sweep.table import SWEEP, factors, sweep_table
-from stages.report.sweep import SweepRecord, sweep_report
-from stages.report.words import settings as flat
+from stringcast.data.store import write_table, write_text
+from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.sweep.ledger import DONE, Job, Ledger
+from stringcast.pipeline.sweep.table import SWEEP, factors, sweep_table
+from stringcast.stages.report.sweep import SweepRecord, sweep_report
+from stringcast.stages.report.words import settings as flat
 
 
 def finish(folder: Path) -> list[Job]:

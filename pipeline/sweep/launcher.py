@@ -18,11 +18,11 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from pipeline.settings import UserError, loaded, stage
-from pipeline.show import bars
-from pipeline.sweep.attempt import Attempt
-from pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
-from pipeline.sweep.show import left, line, summary
+from stringcast.pipeline.settings import UserError, loaded, stage
+from stringcast.pipeline.show import bars
+from stringcast.pipeline.sweep.attempt import Attempt
+from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
+from stringcast.pipeline.sweep.show import left, line, summary
 
 WHERE = "conf/hydra/launcher or the command line"
 

@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from data.schema import DataError
-from data.store import write_text
+from stringcast.data.schema import DataError
+from stringcast.data.store import write_text
 
 PENDING, RUNNING, DONE, FAILED = "pending", "running", "done", "failed"
 LOST = "Its worker ended without a word: killed, out of memory, or out of time. Its log may say more."

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from pipeline.sweep.ledger import DONE, FAILED, Job
+from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job
 
 COLOUR = {DONE: "green", FAILED: "red"}
 

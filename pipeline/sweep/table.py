@@ -10,10 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from data.artifacts import Estimate
-from data.schema import Column, Table
-from data.store import read_table
-from pipeline.sweep.ledger import DONE, Job, Ledger
+from stringcast.data.artifacts import Estimate
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import read_table
+from stringcast.pipeline.sweep.ledger import DONE, Job, Ledger
 
 SWEEP = Table(
     "sweep",

@@ -10,17 +10,17 @@ import pandas as pd
 import yaml
 from pydantic import Field
 
-from data.alignment import ALIGNED, MEASURED, SEEN, Alignment
-from data.artifacts import Film, Observation
-from data.schema import DataError
-from stages.align.fit import ALWAYS, SOUGHT, Fit, Problem, chosen, measuring, more
-from stages.align.grasp import from_points
-from stages.align.lookalike import LAG, OFFSET, likelihood, most_lag
-from stages.align.outline import from_films
-from stages.align.refuse import refuse_fit, refuse_sight, speed
-from stages.model.library import named
-from stages.model.model import Model
-from stages.progress import Progress
+from stringcast.data.alignment import ALIGNED, MEASURED, SEEN, Alignment
+from stringcast.data.artifacts import Film, Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.align.fit import ALWAYS, SOUGHT, Fit, Problem, chosen, measuring, more
+from stringcast.stages.align.grasp import from_points
+from stringcast.stages.align.lookalike import LAG, OFFSET, likelihood, most_lag
+from stringcast.stages.align.outline import from_films
+from stringcast.stages.align.refuse import refuse_fit, refuse_sight, speed
+from stringcast.stages.model.library import named
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress
 
 AIM = 1e-3  # [s] to which the clocks should be known
 

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from stages.align.sightings import Sighted
-from stages.model.effect import components
-from stages.model.library import named
-from stages.model.model import Model
-from stages.spread import spread
+from stringcast.stages.align.sightings import Sighted
+from stringcast.stages.model.effect import components
+from stringcast.stages.model.library import named
+from stringcast.stages.model.model import Model
+from stringcast.stages.spread import spread
 
 ALWAYS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
 SOUGHT = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.artifacts import JOINTS, Observation
-from data.schema import DataError
-from stages.align.sightings import Sighted, Sightings
-from stages.model.arm import Arm
-from stages.model.hand import joint_motion
-from stages.spread import spread
+from stringcast.data.artifacts import JOINTS, Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.align.sightings import Sighted, Sightings
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.spread import spread
 
 NEAR = 1e-3  # [m] of arc length: a point as near to the grasp as that is the grasp
 TOLD = 1e-5  # [m] a point nearer than that to where the joints have it was not measured

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from data.alignment import LIKELIHOOD
-from stages.align.fit import Fit, Problem, fitted
+from stringcast.data.alignment import LIKELIHOOD
+from stringcast.stages.align.fit import Fit, Problem, fitted
 
 OFFSET, LAG = "time_offset.offset", "arm_lag.time_constant"
 LAGS = np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0]) * 1e-3  # [s]

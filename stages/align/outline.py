@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from data.artifacts import JOINTS, Film
-from data.schema import DataError
-from stages.align.fit import ALWAYS, Problem, fitted
-from stages.align.sightings import Sighted, Sightings
-from stages.extract.isolate import darkest
-from stages.extract.steady import samples
-from stages.model.body import arm_seen
-from stages.model.hand import JointMotion, joint_motion
-from stages.model.model import Model
-from stages.progress import Progress
+from stringcast.data.artifacts import JOINTS, Film
+from stringcast.data.schema import DataError
+from stringcast.stages.align.fit import ALWAYS, Problem, fitted
+from stringcast.stages.align.sightings import Sighted, Sightings
+from stringcast.stages.extract.isolate import darkest
+from stringcast.stages.extract.steady import samples
+from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.hand import JointMotion, joint_motion
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress
 
 PIECES = 6  # pieces of a link, each a sighting
 ENDS = 0.15  # share of a link at its ends that is left out: there links and gripper overlap

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from data.schema import DataError
-from stages.align.fit import Fit, Problem, robust
-from stages.align.sightings import Sighted, on_links
-from stages.model.arm import Arm
-from stages.model.body import arm_seen
-from stages.model.effect import components
-from stages.model.library import named
+from stringcast.data.schema import DataError
+from stringcast.stages.align.fit import Fit, Problem, robust
+from stringcast.stages.align.sightings import Sighted, on_links
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.effect import components
+from stringcast.stages.model.library import named
 
 FRAMES = 30  # in which the arm must be seen
 SLOW = 0.1  # [m/s] a hand that never gets faster shows nothing of the clocks

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.model.body import arm_seen
-from stages.model.hand import JointMotion
-from stages.model.model import Model
+from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.model import Model
 
 
 @dataclass(frozen=True)

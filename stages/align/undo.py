@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from data.artifacts import Points
-from stages.model.model import Model
+from stringcast.data.artifacts import Points
+from stringcast.stages.model.model import Model
 
 ROUNDS = 12  # of the fixed point: each leaves a tenth of what was off, or less
 

@@ -10,16 +10,16 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from data.calibration import Calibration
-from data.schema import DataError
-from stages.calibrate.board import Board
-from stages.calibrate.fit import fitted, held_out
-from stages.calibrate.judge import Demands, Evidence, reason
-from stages.calibrate.plane import Place, in_plane
-from stages.calibrate.tables import tables
-from stages.calibrate.views import View, look
-from stages.model.camera import Camera
-from stages.progress import Progress
+from stringcast.data.calibration import Calibration
+from stringcast.data.schema import DataError
+from stringcast.stages.calibrate.board import Board
+from stringcast.stages.calibrate.fit import fitted, held_out
+from stringcast.stages.calibrate.judge import Demands, Evidence, reason
+from stringcast.stages.calibrate.plane import Place, in_plane
+from stringcast.stages.calibrate.tables import tables
+from stringcast.stages.calibrate.views import View, look
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.progress import Progress
 
 SOLVABLE = 4  # views below which there is nothing to judge
 FOLDS = 4

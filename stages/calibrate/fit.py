@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from stages.calibrate.board import Board
-from stages.calibrate.views import View
-from stages.model.lens import Lens
+from stringcast.stages.calibrate.board import Board
+from stringcast.stages.calibrate.views import View
+from stringcast.stages.model.lens import Lens
 
 FLAGS = cv2.CALIB_FIX_K3  # a third radial coefficient is seldom determined, and bends the edge where nothing is
 NAMES = ("focal_x", "focal_y", "centre_x", "centre_y", "k1", "k2", "p1", "p2")

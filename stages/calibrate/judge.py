@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.calibrate.fit import Fitted, rms
-from stages.calibrate.plane import Plane
-from stages.calibrate.views import View
+from stringcast.stages.calibrate.fit import Fitted, rms
+from stringcast.stages.calibrate.plane import Plane
+from stringcast.stages.calibrate.views import View
 
 CELLS = 6  # of the picture across and down, in which corners are looked for
 SIDES = ("left", "right", "top", "bottom")

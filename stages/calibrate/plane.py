@@ -9,11 +9,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from stages.calibrate.board import Board
-from stages.calibrate.fit import Fitted, lens_of, pose, rms, values_of
-from stages.calibrate.views import View
-from stages.model.camera import FACING, Camera
-from stages.model.lens import Lens
+from stringcast.stages.calibrate.board import Board
+from stringcast.stages.calibrate.fit import Fitted, lens_of, pose, rms, values_of
+from stringcast.stages.calibrate.views import View
+from stringcast.stages.model.camera import FACING, Camera
+from stringcast.stages.model.lens import Lens
 
 NAMES = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
 

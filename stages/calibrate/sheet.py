@@ -6,7 +6,7 @@ import io
 
 from matplotlib.figure import Figure
 
-from stages.calibrate.board import Board
+from stringcast.stages.calibrate.board import Board
 
 INCH = 0.0254  # [m]
 MARGIN = 0.008  # [m] white, which the outer markers need, and most printers too

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from data.calibration import CORNERS, MEASURED, OUTCOME, VIEWS, Calibration
-from stages.calibrate.fit import values_of
-from stages.calibrate.judge import Evidence
-from stages.calibrate.views import View
-from stages.model.camera import Camera
+from stringcast.data.calibration import CORNERS, MEASURED, OUTCOME, VIEWS, Calibration
+from stringcast.stages.calibrate.fit import values_of
+from stringcast.stages.calibrate.judge import Evidence
+from stringcast.stages.calibrate.views import View
+from stringcast.stages.model.camera import Camera
 
 LENS = (
     ("lens.focal[0]", "px", "focal length across"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from stages.calibrate.board import Board
+from stringcast.stages.calibrate.board import Board
 
 FEWEST = 8  # corners that fix a board's place with something to spare
 PRECISE = 1e-3  # [px] of a step towards a corner that is small enough

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from data.schema import DataError
-from stages.check import clocks, contents, frames, mistakes, motion
-from stages.check.finding import Finding, Severity
-from stages.check.measured import Measured
+from stringcast.data.schema import DataError
+from stringcast.stages.check import clocks, contents, frames, mistakes, motion
+from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.measured import Measured
 
 Check = Callable[[Measured], Iterator[Finding]]
 CHECKS: tuple[Check, ...] = (

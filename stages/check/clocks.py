@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stages.check.finding import Finding, Severity
-from stages.check.measured import Measured, Seen
+from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.measured import Measured, Seen
 
 SLOW = 0.5  # [s] between samples: no string's motion can be told from them
 CERTAIN = 10  # samples from which a unit is told

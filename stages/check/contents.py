@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from data.about import NAME, About, ArmBlock, Block, CameraBlock, NoiseBlock, StringBlock, TrialBlock
-from data.artifacts import ARM, GRASP, POINTS
-from stages.check.finding import Finding, Severity
-from stages.check.measured import Measured, Seen
+from stringcast.data.about import NAME, About, ArmBlock, Block, CameraBlock, NoiseBlock, StringBlock, TrialBlock
+from stringcast.data.artifacts import ARM, GRASP, POINTS
+from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.measured import Measured, Seen
 
 MUCH = 0.1  # of the rows: if so many cannot be used, something is wrong
 NEAR = 0.75  # likeness of names

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stages.check.clocks import SLOW, usual
-from stages.check.finding import Finding, Severity
-from stages.check.measured import Measured
+from stringcast.stages.check.clocks import SLOW, usual
+from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.measured import Measured
 
 MUCH = 0.02  # share of a film's frames: so many are more than bad luck
 

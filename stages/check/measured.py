@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, Observation
-from data.dataset import Dataset
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.spread import spread
-from stages.tracks import at_places, tracked, wander
+from stringcast.data.artifacts import JOINTS, Observation
+from stringcast.data.dataset import Dataset
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.spread import spread
+from stringcast.stages.tracks import at_places, tracked, wander
 
 STILL = 3  # frames that tell where the string is at first
 MOVED = 0.03  # of the string's length: who has gone so far has left his place

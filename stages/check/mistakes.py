@@ -12,11 +12,11 @@ from functools import partial, reduce
 
 import numpy as np
 
-from data.dataset import BEYOND
-from stages.check.finding import Finding, Severity
-from stages.check.measured import Measured, Seen
-from stages.model.arm import Arm
-from stages.model.camera import Camera
+from stringcast.data.dataset import BEYOND
+from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.measured import Measured, Seen
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
 
 FRAMES = 10  # at the beginning, when the clocks matter least
 APART = 0.25  # of the length: so much further from the hand than its arc length is no point of this string

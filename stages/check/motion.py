@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stages.check.clocks import usual
-from stages.check.finding import Finding, Severity
-from stages.check.measured import CLEAR, Measured, Seen
+from stringcast.stages.check.clocks import usual
+from stringcast.stages.check.finding import Finding, Severity
+from stringcast.stages.check.measured import CLEAR, Measured, Seen
 
 HELD = 0.1  # [s] for which a reading is the same to the last digit while others change
 REPEATED = 0.05  # of the steps of moving points: so many are not by chance the same to the last digit

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from data.dataset import fits
-from stages.check.check import findings
-from stages.check.clocks import restless, usual
-from stages.check.finding import Severity
-from stages.check.measured import Measured, Seen
+from stringcast.data.dataset import fits
+from stringcast.stages.check.check import findings
+from stringcast.stages.check.clocks import restless, usual
+from stringcast.stages.check.finding import Severity
+from stringcast.stages.check.measured import Measured, Seen
 
 
 @dataclass(frozen=True)

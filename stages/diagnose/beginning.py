@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.diagnose.evidence import SHORTER, Evidence, torn, with_shorter_steps
-from stages.diagnose.fit import Fit
-from stages.estimate.forward import Case
-from stages.estimate.result import values_of
-from stages.estimate.settle import settled, slopes
-from stages.model.model import Model
+from stringcast.stages.diagnose.evidence import SHORTER, Evidence, torn, with_shorter_steps
+from stringcast.stages.diagnose.fit import Fit
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.estimate.result import values_of
+from stringcast.stages.estimate.settle import settled, slopes
+from stringcast.stages.model.model import Model
 
 
 def move_at_first(evidence: Evidence) -> bool:

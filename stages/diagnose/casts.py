@@ -9,12 +9,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from stages.estimate.forward import Case
-from stages.generate.curves import Curves, first_curves
-from stages.generate.generate import arm_faults
-from stages.model.box import Box
-from stages.model.hand import JointMotion
-from stages.model.model import Model
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.generate.curves import Curves, first_curves
+from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.model import Model
 
 GENTLER = (1.0, 0.5, 0.25, 0.12)  # of the accelerations: a violent cast says little where its simulation is uncertain
 DRAWN = 512  # at once

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stages.diagnose.compare import blocks
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit
-from stages.diagnose.screen import Probe
+from stringcast.stages.diagnose.compare import blocks
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit
+from stringcast.stages.diagnose.screen import Probe
 
 DRAWS = 400
 SELDOM = 0.99  # of draws

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from stages.diagnose.closing import closer
-from stages.diagnose.compare import blocks, moved
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit
-from stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
-from stages.diagnose.intervals import present
-from stages.diagnose.noise import CLEAR, visible, visible_in_each
-from stages.model.effect import placed
-from stages.progress import Progress
+from stringcast.stages.diagnose.closing import closer
+from stringcast.stages.diagnose.compare import blocks, moved
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit
+from stringcast.stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
+from stringcast.stages.diagnose.intervals import present
+from stringcast.stages.diagnose.noise import CLEAR, visible, visible_in_each
+from stringcast.stages.model.effect import placed
+from stringcast.stages.progress import Progress
 
 log = logging.getLogger(__name__)
 

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.screen import Probe, about, varied
-from stages.model.effect import Effect
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted, ranked
+from stringcast.stages.diagnose.screen import Probe, about, varied
+from stringcast.stages.model.effect import Effect
 
 PROBES = 8  # from which it begins
 ROUNDS = ((PROBES, 2), (4, 3), (2, 3))  # how many go on, and steps of each

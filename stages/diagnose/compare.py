@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, newton_step, ranked, shortened
-from stages.diagnose.predictive import cost_of_unseen
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted, newton_step, ranked, shortened
+from stringcast.stages.diagnose.predictive import cost_of_unseen
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
 SHOWN = 10.0  # of the log-likelihood that a cause must gain on other trials to be shown by them

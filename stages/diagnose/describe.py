@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stages.diagnose.fit import Fit
-from stages.diagnose.hypotheses import Hypotheses
-from stages.diagnose.prepare import Ground
-from stages.diagnose.verdict import Judgement
+from stringcast.stages.diagnose.fit import Fit
+from stringcast.stages.diagnose.hypotheses import Hypotheses
+from stringcast.stages.diagnose.prepare import Ground
+from stringcast.stages.diagnose.verdict import Judgement
 
 FORMAT = 1
 

@@ -14,31 +14,31 @@ import pandas as pd
 import yaml
 from pydantic import Field
 
-from data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
-from data.schema import DataError
-from stages.diagnose import tables
-from stages.diagnose.casts import Design
-from stages.diagnose.choose import chosen, levelled, noisiness
-from stages.diagnose.describe import document, sentence, without_nan
-from stages.diagnose.differing import differing
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.gain import configured, extended_settings, held_out_table, side
-from stages.diagnose.grain import grain
-from stages.diagnose.hypotheses import Causes, Hypotheses
-from stages.diagnose.leads import astray, beginnings, follow
-from stages.diagnose.missing import Missing, missing, unexplained
-from stages.diagnose.noise import FAR, mismatch
-from stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
-from stages.diagnose.resolve import DOUBTFUL
-from stages.diagnose.separate import Proposal, separated
-from stages.diagnose.verdict import RESOLUTION, Judgement, judged
-from stages.estimate.matching import Matching
-from stages.model.box import Box
-from stages.model.effect import Effect
-from stages.model.library import library
-from stages.model.model import Model
-from stages.progress import Progress, part
+from stringcast.data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.diagnose import tables
+from stringcast.stages.diagnose.casts import Design
+from stringcast.stages.diagnose.choose import chosen, levelled, noisiness
+from stringcast.stages.diagnose.describe import document, sentence, without_nan
+from stringcast.stages.diagnose.differing import differing
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.gain import configured, extended_settings, held_out_table, side
+from stringcast.stages.diagnose.grain import grain
+from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
+from stringcast.stages.diagnose.leads import astray, beginnings, follow
+from stringcast.stages.diagnose.missing import Missing, missing, unexplained
+from stringcast.stages.diagnose.noise import FAR, mismatch
+from stringcast.stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
+from stringcast.stages.diagnose.resolve import DOUBTFUL
+from stringcast.stages.diagnose.separate import Proposal, separated
+from stringcast.stages.diagnose.verdict import RESOLUTION, Judgement, judged
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.library import library
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress, part
 
 log = logging.getLogger(__name__)
 

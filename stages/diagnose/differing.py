@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.diagnose.fit import fitted
-from stages.diagnose.hypotheses import Causes, Hypotheses
-from stages.diagnose.noise import systematic
-from stages.diagnose.screen import Probe, varied
-from stages.model.effect import Effect
+from stringcast.stages.diagnose.fit import fitted
+from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
+from stringcast.stages.diagnose.noise import systematic
+from stringcast.stages.diagnose.screen import Probe, varied
+from stringcast.stages.model.effect import Effect
 
 STEPS = 5
 MOSTLY = 0.5  # share of the misfit that has to go

@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 from numba import njit, prange
 
-from stages.diagnose.together import seen_together
-from stages.estimate.forward import Case
-from stages.estimate.result import values_of
-from stages.model.model import Model
+from stringcast.stages.diagnose.together import seen_together
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.estimate.result import values_of
+from stringcast.stages.model.model import Model
 
 LOST = 1e3  # residual of a run that was rejected, in standard deviations
 DOUBT = 1.5  # the simulation's own error may be this much more than two pairs of numbers of segments differ

@@ -13,10 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
-from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.theory import Theory
-from stages.model.effect import Effect
-from stages.model.model import Model
+from stringcast.stages.diagnose.evidence import LOST, Evidence
+from stringcast.stages.diagnose.theory import Theory
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.model import Model
 
 STEP = 1e-4  # of chi, for slopes
 PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]

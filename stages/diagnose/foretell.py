@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from stages.diagnose.compare import blocks
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit
-from stages.diagnose.verdict import weighed
+from stringcast.stages.diagnose.compare import blocks
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit
+from stringcast.stages.diagnose.verdict import weighed
 
 DECIDED = float(np.log(20))  # log odds at which the data decide: below, `verdict` calls two causes alike
 

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from data.artifacts import HELD_OUT, Observation
-from stages.diagnose.beginning import begun
-from stages.diagnose.compare import AGAIN, without_each
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import fitted
-from stages.diagnose.hypotheses import Causes, Hypotheses
-from stages.diagnose.prepare import Ground
-from stages.estimate.forward import Case
-from stages.estimate.matching import Matching, targets
-from stages.estimate.result import values_of
-from stages.model.model import Model
-from stages.model.state import State
-from stages.model.string import String
+from stringcast.data.artifacts import HELD_OUT, Observation
+from stringcast.stages.diagnose.beginning import begun
+from stringcast.stages.diagnose.compare import AGAIN, without_each
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import fitted
+from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
+from stringcast.stages.diagnose.prepare import Ground
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.estimate.matching import Matching, targets
+from stringcast.stages.estimate.result import values_of
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import String
 
 FRAMES = 20  # of a trial, from which E is counted
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.theory import Theory
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.theory import Theory
 
 POINTS = (10, 12, 15, 18, 22, 27, 33, 40, 50)
 BETWEEN = 3  # numbers on both sides of the best of these are tried too

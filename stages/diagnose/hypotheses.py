@@ -7,21 +7,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stages.diagnose.beginning import begun, doubted_beginnings
-from stages.diagnose.chance import by_chance
-from stages.diagnose.closing import PROBES, closed_in
-from stages.diagnose.compare import HeldOut, held_out
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import LITTLE, Fit, fitted, fixed, ranked
-from stages.diagnose.noise import mismatch
-from stages.diagnose.onset import since
-from stages.diagnose.ranges import ranged, widened, with_ranges
-from stages.diagnose.resolve import refined
-from stages.diagnose.screen import Probe, screened, spread
-from stages.diagnose.sharpen import Sharp, sharpened
-from stages.diagnose.theory import Theory, candidates, joined
-from stages.model.effect import Effect, placed
-from stages.model.model import Model
+from stringcast.stages.diagnose.beginning import begun, doubted_beginnings
+from stringcast.stages.diagnose.chance import by_chance
+from stringcast.stages.diagnose.closing import PROBES, closed_in
+from stringcast.stages.diagnose.compare import HeldOut, held_out
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import LITTLE, Fit, fitted, fixed, ranked
+from stringcast.stages.diagnose.noise import mismatch
+from stringcast.stages.diagnose.onset import since
+from stringcast.stages.diagnose.ranges import ranged, widened, with_ranges
+from stringcast.stages.diagnose.resolve import refined
+from stringcast.stages.diagnose.screen import Probe, screened, spread
+from stringcast.stages.diagnose.sharpen import Sharp, sharpened
+from stringcast.stages.diagnose.theory import Theory, candidates, joined
+from stringcast.stages.model.effect import Effect, placed
+from stringcast.stages.model.model import Model
 
 Causes = frozenset[str]
 

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.special import stdtrit
 
-from stages.diagnose.compare import blocks
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import PRIOR, Fit
-from stages.model.effect import Effect, components, placed
+from stringcast.stages.diagnose.compare import blocks
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import PRIOR, Fit
+from stringcast.stages.model.effect import Effect, components, placed
 
 CLEARLY = 2.4  # half-widths of its interval that a size must be from absence: five standard deviations, nearly
 EDGE = 0.02  # of its size: a cause that would no longer be what it says with so much less would rather be less

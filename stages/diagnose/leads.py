@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from data.artifacts import Observation
-from data.schema import DataError
-from stages.diagnose.choose import chosen
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.hypotheses import SHORTLIST, STEPS, Causes, Hypotheses
-from stages.diagnose.prepare import Ground
-from stages.diagnose.search import horizons
-from stages.diagnose.theory import joined
+from stringcast.data.artifacts import Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.diagnose.choose import chosen
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.hypotheses import SHORTLIST, STEPS, Causes, Hypotheses
+from stringcast.stages.diagnose.prepare import Ground
+from stringcast.stages.diagnose.search import horizons
+from stringcast.stages.diagnose.theory import joined
 
 ASTRAY = 0.1  # of the string's length: a base model that is further off is not near enough to be mended
 EACH = 5  # steps of a fit at every horizon

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from data.artifacts import MISSING
-from stages.diagnose.differing import Differing
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit
-from stages.diagnose.hypotheses import Hypotheses
-from stages.diagnose.noise import parts, systematic
-from stages.diagnose.pulses import GraspShift, PictureShift, Push
-from stages.model.effect import Effect
-from stages.model.model import Model
+from stringcast.data.artifacts import MISSING
+from stringcast.stages.diagnose.differing import Differing
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit
+from stringcast.stages.diagnose.hypotheses import Hypotheses
+from stringcast.stages.diagnose.noise import parts, systematic
+from stringcast.stages.diagnose.pulses import GraspShift, PictureShift, Push
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.model import Model
 
 EVERY = 0.04  # [s] from pulse to pulse
 PLACES = (0.25, 0.5, 0.75, 1.0)  # of the string's length, of pulses of force

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from data.dataset import FRAMES_NEEDED
-from stages.diagnose.evidence import Evidence
-from stages.estimate.forward import Case
-from stages.spread import spread
-from stages.tracks import tracked
+from stringcast.data.dataset import FRAMES_NEEDED
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.spread import spread
+from stringcast.stages.tracks import tracked
 
 FEWEST = 30  # second differences from which a noise can be told
 CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames

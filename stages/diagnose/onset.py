@@ -14,12 +14,12 @@ from itertools import islice
 import numpy as np
 from scipy.stats import qmc
 
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.noise import CLEAR, visible_in_each
-from stages.diagnose.screen import about, followed, start_of, varied
-from stages.diagnose.theory import Theory, joined
-from stages.model.effect import Effect
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted, ranked
+from stringcast.stages.diagnose.noise import CLEAR, visible_in_each
+from stringcast.stages.diagnose.screen import about, followed, start_of, varied
+from stringcast.stages.diagnose.theory import Theory, joined
+from stringcast.stages.model.effect import Effect
 
 FIRST = 0.15  # [s] of every trial, which must show nothing
 GROWTH = 1.25  # of the horizon, from one to the next

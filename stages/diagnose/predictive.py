@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import log_softmax, logsumexp
 
-from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.fit import Fit, damped_step, fitted, shortened
-from stages.diagnose.theory import Theory
+from stringcast.stages.diagnose.evidence import LOST, Evidence
+from stringcast.stages.diagnose.fit import Fit, damped_step, fitted, shortened
+from stringcast.stages.diagnose.theory import Theory
 
 FOLLOWS = 4  # steps by which the string's parameters follow a trial
 DAMPINGS = (0.0, 1e-2, 1.0)  # of each

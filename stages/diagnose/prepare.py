@@ -8,22 +8,22 @@ from functools import cached_property
 
 import numpy as np
 
-from data.artifacts import Observation
-from data.dataset import FRAMES_NEEDED
-from data.schema import DataError
-from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.noise import cleaned, estimated, scattered, tracks
-from stages.diagnose.ranges import widened, with_ranges
-from stages.diagnose.resolve import SEGMENTS, refined
-from stages.diagnose.search import searched
-from stages.diagnose.theory import Theory, candidates, whole
-from stages.estimate.forward import Case, case
-from stages.model.effect import Effect
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.model import Model
-from stages.progress import Progress
+from stringcast.data.artifacts import Observation
+from stringcast.data.dataset import FRAMES_NEEDED
+from stringcast.data.schema import DataError
+from stringcast.stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted, ranked
+from stringcast.stages.diagnose.noise import cleaned, estimated, scattered, tracks
+from stringcast.stages.diagnose.ranges import widened, with_ranges
+from stringcast.stages.diagnose.resolve import SEGMENTS, refined
+from stringcast.stages.diagnose.search import searched
+from stringcast.stages.diagnose.theory import Theory, candidates, whole
+from stringcast.stages.estimate.forward import Case, case
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress
 
 GUESS = 1e-3  # [m] of noise before anything is known
 TOLD_WRONG = 1.3  # times the noise that the data's author states: then the data are believed

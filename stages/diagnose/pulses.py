@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.camera import Camera
-from stages.model.effect import CameraEffect, HandEffect, Quantity, StringEffect
-from stages.model.parameter import Parameter
-from stages.model.picture import line
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import CameraEffect, HandEffect, Quantity, StringEffect
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.picture import line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted, ranked
-from stages.diagnose.theory import Theory
-from stages.model.model import Model
-from stages.model.parameter import Parameter
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted, ranked
+from stringcast.stages.diagnose.theory import Theory
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter
 
 STEPS = 20
 WIDENINGS = 6  # of a range, at most

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.hypotheses import Hypotheses
-from stages.diagnose.theory import Theory
-from stages.diagnose.verdict import log_odds
-from stages.model.effect import Effect
-from stages.model.parameter import Parameter
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.hypotheses import Hypotheses
+from stringcast.stages.diagnose.theory import Theory
+from stringcast.stages.diagnose.verdict import log_odds
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.parameter import Parameter
 
 AGAINST = float(chi2.ppf(0.95, 1)) / 2  # log odds at which a place is no longer possible
 GROWTH = 2.0  # of a step to the next, if it is allowed; once one was not, steps are halved

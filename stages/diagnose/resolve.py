@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.theory import Theory
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.theory import Theory
 
 SEGMENTS = ((10, 14), (14, 20), (20, 28), (28, 40), (40, 56), (56, 80))  # pairs from which results are extrapolated
 DOUBTFUL = 1.5  # times the noise: a point whose simulation is as uncertain as that says less

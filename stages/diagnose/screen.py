@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.fit import PRIOR, Fit
-from stages.diagnose.theory import Theory, joined
-from stages.estimate.forward import Case
-from stages.estimate.result import values_of
-from stages.model.effect import Effect, components, placed
-from stages.model.model import Model
+from stringcast.stages.diagnose.evidence import LOST, Evidence
+from stringcast.stages.diagnose.fit import PRIOR, Fit
+from stringcast.stages.diagnose.theory import Theory, joined
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.estimate.result import values_of
+from stringcast.stages.model.effect import Effect, components, placed
+from stringcast.stages.model.model import Model
 
 SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range
 PATH = 20000  # places on the string's way at which it is asked

@@ -17,21 +17,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
-from stages.diagnose.casts import Design, imagined, possible, standing_for
-from stages.diagnose.choose import noisiness
-from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.foretell import DECIDED, Outlook, Prospect, Rehearsal, again
-from stages.diagnose.hypotheses import Causes, Hypotheses, carried
-from stages.diagnose.resolve import SEGMENTS, finer
-from stages.diagnose.verdict import Judgement
-from stages.estimate.forward import Case
-from stages.estimate.result import values_of
-from stages.generate.curves import Curves
-from stages.generate.generate import commands_of, control_points_of
-from stages.model.box import Box
-from stages.model.hand import JointMotion
+from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
+from stringcast.stages.diagnose.casts import Design, imagined, possible, standing_for
+from stringcast.stages.diagnose.choose import noisiness
+from stringcast.stages.diagnose.evidence import LOST, Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.foretell import DECIDED, Outlook, Prospect, Rehearsal, again
+from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses, carried
+from stringcast.stages.diagnose.resolve import SEGMENTS, finer
+from stringcast.stages.diagnose.verdict import Judgement
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.estimate.result import values_of
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.generate import commands_of, control_points_of
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.hand import JointMotion
 
 RIVAL = 0.02  # of the likeliest: sets of causes at least as likely are worth an experiment
 TOGETHER = 16  # motions simulated at once

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence, with_shorter_steps
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.intervals import half_width
-from stages.diagnose.resolve import finer
+from stringcast.stages.diagnose.evidence import Evidence, with_shorter_steps
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.intervals import half_width
+from stringcast.stages.diagnose.resolve import finer
 
 STEPS = 6
 SHORTER = 2.0  # times, steps in time: what both leave is then a quarter each time

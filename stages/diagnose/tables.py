@@ -7,15 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
-from stages.diagnose.beginning import simulated
-from stages.diagnose.compare import moved
-from stages.diagnose.hypotheses import Causes, Hypotheses
-from stages.diagnose.noise import parts, systematic
-from stages.diagnose.reach import reach
-from stages.diagnose.screen import Probe
-from stages.diagnose.verdict import Judgement
-from stages.model.effect import Effect, ModelChange, placed
+from stringcast.data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
+from stringcast.stages.diagnose.beginning import simulated
+from stringcast.stages.diagnose.compare import moved
+from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
+from stringcast.stages.diagnose.noise import parts, systematic
+from stringcast.stages.diagnose.reach import reach
+from stringcast.stages.diagnose.screen import Probe
+from stringcast.stages.diagnose.verdict import Judgement
+from stringcast.stages.model.effect import Effect, ModelChange, placed
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
 

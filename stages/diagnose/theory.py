@@ -13,13 +13,13 @@ from typing import cast
 
 import numpy as np
 
-from stages.diagnose.evidence import Evidence
-from stages.estimate.result import values_of
-from stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed
-from stages.model.hand import HandMotion
-from stages.model.model import Model
-from stages.model.parameter import Parameter
-from stages.model.stability import load
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.estimate.result import values_of
+from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed
+from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.stability import load
 
 HAND = 300  # places on the hand's way at which it is asked whether something stands there
 AT_ONCE = 256  # effects of which a place is asked

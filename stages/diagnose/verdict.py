@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import expit
 
-from stages.diagnose.choose import noisiness
-from stages.diagnose.compare import blocks
-from stages.diagnose.fit import Fit
-from stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
-from stages.diagnose.noise import systematic
+from stringcast.stages.diagnose.choose import noisiness
+from stringcast.stages.diagnose.compare import blocks
+from stringcast.stages.diagnose.fit import Fit
+from stringcast.stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
+from stringcast.stages.diagnose.noise import systematic
 
 RESOLUTION = "resolution"
 PARAMETER = 2.0  # of the log-likelihood: what a further parameter must gain

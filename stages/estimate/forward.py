@@ -8,13 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from data.artifacts import JOINTS, Observation
-from data.schema import DataError
-from stages.estimate.initial import initial_state, kinematics
-from stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
-from stages.model.model import Model
-from stages.model.state import State
-from stages.model.string import StringMotion
+from stringcast.data.artifacts import JOINTS, Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.estimate.initial import initial_state, kinematics
+from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import StringMotion
 
 CHUNK = 256  # candidates simulated at once: keeps memory in hand, whatever their number
 

@@ -14,10 +14,10 @@ from itertools import product
 
 import numpy as np
 
-from data.schema import DataError
-from stages.model.hand import HandMotion
-from stages.model.state import State
-from stages.tracks import at_places
+from stringcast.data.schema import DataError
+from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.state import State
+from stringcast.stages.tracks import at_places
 
 PIECES = 40  # straight pieces of the curve
 FRAMES = 4  # to which parabolas are fitted: more are no parabola at 30 Hz, and at 200 Hz no better

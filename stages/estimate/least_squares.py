@@ -24,14 +24,14 @@ from pydantic import Field
 from scipy.optimize import least_squares as trust_region
 from scipy.special import stdtrit
 
-from data.artifacts import Estimate, Observation
-from stages.estimate.forward import Case
-from stages.estimate.matching import Matching, Target, matching_rate, targets
-from stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
-from stages.estimate.settle import settled
-from stages.model.model import Model
-from stages.progress import Progress
-from stages.spread import spread
+from stringcast.data.artifacts import Estimate, Observation
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.estimate.matching import Matching, Target, matching_rate, targets
+from stringcast.stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
+from stringcast.stages.estimate.settle import settled
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress
+from stringcast.stages.spread import spread
 
 STEP = 1e-4  # of chi, for the central difference
 HUBER = 2.0  # robust scales beyond which a residual counts less

@@ -12,10 +12,10 @@ import pandas as pd
 from numba import njit, prange
 from pydantic import Field
 
-from data.artifacts import Observation
-from stages.estimate.forward import Case, case
-from stages.extract.score import rasterise, score_map
-from stages.model.model import Model
+from stringcast.data.artifacts import Observation
+from stringcast.stages.estimate.forward import Case, case
+from stringcast.stages.extract.score import rasterise, score_map
+from stringcast.stages.model.model import Model
 
 Count = Annotated[int, Field(ge=1, le=255)]
 

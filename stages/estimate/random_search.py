@@ -8,12 +8,12 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from data.artifacts import Estimate, Observation
-from stages.estimate.least_squares import possible
-from stages.estimate.matching import Matching, matching_rate, targets
-from stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
-from stages.model.model import Model
-from stages.progress import Progress
+from stringcast.data.artifacts import Estimate, Observation
+from stringcast.stages.estimate.least_squares import possible
+from stringcast.stages.estimate.matching import Matching, matching_rate, targets
+from stringcast.stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress
 
 
 def estimate(

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from data.artifacts import CANDIDATES, DRAWS, FIT, MATCHING, PARAMETERS, Estimate
-from data.schema import DataError
-from stages.estimate.matching import Target, matching_rate
-from stages.model.parameter import Parameter
+from stringcast.data.artifacts import CANDIDATES, DRAWS, FIT, MATCHING, PARAMETERS, Estimate
+from stringcast.data.schema import DataError
+from stringcast.stages.estimate.matching import Target, matching_rate
+from stringcast.stages.model.parameter import Parameter
 
 NEAR = 0.01  # candidates within this much of the best E are as good as it
 BROAD = 0.5  # an undetermined parameter's good values spread over this share of its range

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from stages.estimate.forward import Case
-from stages.model.state import State
-from stages.spread import spread
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.model.state import State
+from stringcast.stages.spread import spread
 
 SPAN = 0.5  # [s] of the trial's beginning that is looked at
 MODES = 6

@@ -16,8 +16,8 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from stages.extract.certainty import centroid, sigmas
-from stages.spread import spread
+from stringcast.stages.extract.certainty import centroid, sigmas
+from stringcast.stages.spread import spread
 
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 GAP = 7  # [px] across which a broken string is joined

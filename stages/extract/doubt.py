@@ -10,8 +10,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from stages.extract.centreline import Line, UnreadableError
-from stages.extract.score import rasterise
+from stringcast.stages.extract.centreline import Line, UnreadableError
+from stringcast.stages.extract.score import rasterise
 
 DIM, BRIGHT = 0.35, 1.8  # of the line's typical light
 GAP, HEAP = 6.0, 9.0  # [px] along the line for which it may be dimmer, or brighter

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import MASKS, POINTS, READINGS, Points
-from data.images import Held
-from data.schema import DataError
-from stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
-from stages.extract.doubt import check
-from stages.extract.footage import Footage
-from stages.extract.isolate import (
+from stringcast.data.artifacts import MASKS, POINTS, READINGS, Points
+from stringcast.data.images import Held
+from stringcast.data.schema import DataError
+from stringcast.stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
+from stringcast.stages.extract.doubt import check
+from stringcast.stages.extract.footage import Footage
+from stringcast.stages.extract.isolate import (
     Backdrop,
     background,
     brightest,
@@ -27,11 +27,11 @@ from stages.extract.isolate import (
     silhouette,
     uncovered,
 )
-from stages.extract.score import rasterise
-from stages.extract.steady import samples, steadied
-from stages.extract.window import around
-from stages.model.camera import Camera
-from stages.progress import Progress
+from stringcast.stages.extract.score import rasterise
+from stringcast.stages.extract.steady import samples, steadied
+from stringcast.stages.extract.window import around
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.progress import Progress
 
 MARGIN = 12.0  # [px] around what the string can reach
 BLURRED = 2.0  # [px] by how much half the string's width may be more than in the other frames

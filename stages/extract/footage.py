@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, Film
-from stages.model.arm import Arm
-from stages.model.body import arm_seen
-from stages.model.hand import joint_motion
-from stages.model.model import Model
+from stringcast.data.artifacts import JOINTS, Film
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.model import Model
 
 
 @dataclass(frozen=True)

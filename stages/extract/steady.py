@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from stages.spread import spread
+from stringcast.stages.spread import spread
 
 SAMPLES = 120  # frames whose median stands for the film
 PYRAMID = (8, 8, 3, 3)  # the picture is made so many times smaller: large shifts first, then their fractions

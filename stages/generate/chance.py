@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.generate.curves import Curves
-from stages.generate.draws import Draws
-from stages.model.box import Box
-from stages.model.hand import JointMotion
-from stages.model.model import Model
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.draws import Draws
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.model import Model
 
 TOGETHER = 256  # strings simulated at once: what is handed on stays in memory that is used again
 TOUCHING = 0.5  # of the worth of a draw that touches nothing: of one that touches something at last

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import comb
 
-from stages.model.arm import Arm
+from stringcast.stages.model.arm import Arm
 
 INTERVALS = 5
 

@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from data.artifacts import Estimate
-from stages.model.model import Model
+from stringcast.data.artifacts import Estimate
+from stringcast.stages.model.model import Model
 
 Small = Annotated[float, Field(ge=0, le=0.1)]
 

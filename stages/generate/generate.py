@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data.artifacts import (
+from stringcast.data.artifacts import (
     ATTEMPTS,
     COMMANDS,
     CONTROL_POINTS,
@@ -23,16 +23,16 @@ from data.artifacts import (
     Estimate,
     Motion,
 )
-from data.errors import ExpectedError
-from data.schema import DataError
-from stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
-from stages.generate.space import check_reach
-from stages.model.arm import Arm
-from stages.model.box import Box
-from stages.model.hand import JointMotion
-from stages.model.model import Model
-from stages.model.string import String
-from stages.progress import Progress
+from stringcast.data.errors import ExpectedError
+from stringcast.data.schema import DataError
+from stringcast.stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
+from stringcast.stages.generate.space import check_reach
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+from stringcast.stages.progress import Progress
 
 FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
 HIT = "hit"

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.generate.chance import Place, between, simulated
-from stages.generate.curves import Curves
-from stages.generate.draws import Draws
+from stringcast.stages.generate.chance import Place, between, simulated
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.draws import Draws
 
 PLACES = 4  # on the string, from its tip, that stand for all that are seen
 EVERY = 4  # ticks: a simulation's error lasts, so that nearer looks are no new evidence

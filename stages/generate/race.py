@@ -9,12 +9,12 @@ from functools import partial
 
 import numpy as np
 
-from data.artifacts import Motion
-from stages.generate.chance import Place, outcome
-from stages.generate.curves import Curves, first_curves, joined, next_curves
-from stages.generate.draws import Draws
-from stages.generate.generate import arm_faults, curves_of
-from stages.generate.refine import Space
+from stringcast.data.artifacts import Motion
+from stringcast.stages.generate.chance import Place, outcome
+from stringcast.stages.generate.curves import Curves, first_curves, joined, next_curves
+from stringcast.stages.generate.draws import Draws
+from stringcast.stages.generate.generate import arm_faults, curves_of
+from stringcast.stages.generate.refine import Space
 
 GENTLER = (1.0, 0.5, 0.25)  # of the accelerations: a gentle cast is foretold better
 AT_ONCE = 128  # movements whose limits are checked together

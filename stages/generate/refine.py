@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from cmaes import CMA
 
-from stages.generate.chance import Place, outcome
-from stages.generate.curves import INTERVALS, Curves, whole_ticks
-from stages.generate.draws import Draws
-from stages.generate.generate import arm_faults
-from stages.model.arm import Arm
+from stringcast.stages.generate.chance import Place, outcome
+from stringcast.stages.generate.curves import INTERVALS, Curves, whole_ticks
+from stringcast.stages.generate.draws import Draws
+from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.model.arm import Arm
 
 POPULATION = 12
 STEP = 0.02  # first step, as a share of each coordinate's range

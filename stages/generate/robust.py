@@ -15,19 +15,19 @@ import pandas as pd
 from pydantic import Field
 from scipy.stats import binomtest
 
-from data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
-from data.schema import DataError
-from stages.generate.chance import Place, between, outcome, simulated
-from stages.generate.curves import Curves, joined
-from stages.generate.draws import Doubt, Draws, drawn
-from stages.generate.generate import HIT, MotionNotFoundError, commands_of, control_points_of
-from stages.generate.learning import spread_after
-from stages.generate.race import entrants, race
-from stages.generate.refine import Space, refine
-from stages.generate.space import check_reach
-from stages.model.box import Box
-from stages.model.model import Model
-from stages.progress import Progress, part
+from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
+from stringcast.data.schema import DataError
+from stringcast.stages.generate.chance import Place, between, outcome, simulated
+from stringcast.stages.generate.curves import Curves, joined
+from stringcast.stages.generate.draws import Doubt, Draws, drawn
+from stringcast.stages.generate.generate import HIT, MotionNotFoundError, commands_of, control_points_of
+from stringcast.stages.generate.learning import spread_after
+from stringcast.stages.generate.race import entrants, race
+from stringcast.stages.generate.refine import Space, refine
+from stringcast.stages.generate.space import check_reach
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.model import Model
+from stringcast.stages.progress import Progress, part
 
 FINALISTS = 4  # winners of the race that are refined
 NEAREST = 8  # winners of the race that may be chosen all the same

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from data.schema import DataError
-from stages.model.arm import Arm
-from stages.model.box import Box
+from stringcast.data.schema import DataError
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.box import Box
 
 
 def check_reach(target: Box, arm: Arm, string_length: float) -> None:

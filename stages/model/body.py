@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from stages.model.arm import Arm
-from stages.model.hand import JointMotion
-from stages.model.model import Model
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.model import Model
 
 
 def arm_seen(model: Model, motion: JointMotion, values: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from data.later import Later
-from stages.model.lens import Lens
+from stringcast.data.later import Later
+from stringcast.stages.model.lens import Lens
 
 transform = Later("scipy.spatial.transform")
 

@@ -17,12 +17,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import placed
-from stages.model.leaning import leaning
-from stages.model.statics import ENOUGH, FLOOR, ITERATIONS, LARGEST_TURN, forces, guessed, moments, plain, sloped
+from stringcast.stages.model.effect import placed
+from stringcast.stages.model.leaning import leaning
+from stringcast.stages.model.statics import (
+    ENOUGH,
+    FLOOR,
+    ITERATIONS,
+    LARGEST_TURN,
+    forces,
+    guessed,
+    moments,
+    plain,
+    sloped,
+)
 
 if TYPE_CHECKING:
-    from stages.model.string import String
+    from stringcast.stages.model.string import String
 
 CLOSE = 1e-3  # of the moment of the weight: what is left of a balance that is nearly found
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.later import Later
-from data.schema import DataError
-from stages.model.arm import Arm
-from stages.model.effect import HandEffect
+from stringcast.data.later import Later
+from stringcast.data.schema import DataError
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.effect import HandEffect
 
 interpolate = Later("scipy.interpolate")
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model import turn
+from stringcast.stages.model import turn
 
 if TYPE_CHECKING:
-    from stages.model.string import String
+    from stringcast.stages.model.string import String
 
 
 @dataclass(frozen=True)

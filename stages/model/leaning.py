@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.statics import (
+from stringcast.stages.model.statics import (
     ENOUGH,
     FLOOR,
     ITERATIONS,
@@ -32,7 +32,7 @@ from stages.model.statics import (
 )
 
 if TYPE_CHECKING:
-    from stages.model.string import String
+    from stringcast.stages.model.string import String
 
 SHORTER = 12  # times that a step is shortened at most
 RISE = 0.5  # of the energy's slope where the step begins: so steeply it may rise where it ends

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.later import Later
+from stringcast.data.later import Later
 
 cv2 = Later("cv2")
 

@@ -11,8 +11,8 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from stages.model import effects as package
-from stages.model.effect import Effect, another
+from stringcast.stages.model import effects as package
+from stringcast.stages.model.effect import Effect, another
 
 VARIABLE = "STRINGCAST_EFFECTS"  # folders with more effects, separated as in PATH
 

@@ -14,13 +14,13 @@ from functools import cached_property, reduce
 
 import numpy as np
 
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect
-from stages.model.hand import Act, HandMotion, JointMotion
-from stages.model.parameter import Parameter
-from stages.model.state import State
-from stages.model.string import String, StringMotion, simulate
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect
+from stringcast.stages.model.hand import Act, HandMotion, JointMotion
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import String, StringMotion, simulate
 
 MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
 

@@ -11,20 +11,20 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib import style
 
-from stages.report import words
-from stages.report.figures.joints import joints
-from stages.report.figures.matching import matching
-from stages.report.figures.overlay import overlay
-from stages.report.figures.parameters import history
-from stages.report.figures.paths import path, paths
-from stages.report.figures.progress import progress
-from stages.report.figures.residual import residual
-from stages.report.figures.strip import strip
-from stages.report.picture import ON_FRAMES, STYLE
-from stages.report.player import animation
-from stages.report.record import Cast, Record
-from stages.report.scene import View, whole_view
-from stages.report.template import template
+from stringcast.stages.report import words
+from stringcast.stages.report.figures.joints import joints
+from stringcast.stages.report.figures.matching import matching
+from stringcast.stages.report.figures.overlay import overlay
+from stringcast.stages.report.figures.parameters import history
+from stringcast.stages.report.figures.paths import path, paths
+from stringcast.stages.report.figures.progress import progress
+from stringcast.stages.report.figures.residual import residual
+from stringcast.stages.report.figures.strip import strip
+from stringcast.stages.report.picture import ON_FRAMES, STYLE
+from stringcast.stages.report.player import animation
+from stringcast.stages.report.record import Cast, Record
+from stringcast.stages.report.scene import View, whole_view
+from stringcast.stages.report.template import template
 
 HERE = Path(__file__).parent
 

@@ -8,9 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from stages.report.picture import data_uri
-from stages.report.record import Cast, Record
-from stages.report.scene import View, corners
+from stringcast.stages.report.picture import data_uri
+from stringcast.stages.report.record import Cast, Record
+from stringcast.stages.report.scene import View, corners
 
 FRAMES = 240  # at most in one page, shared among its casts
 FEWEST = 24  # of one cast

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from data.artifacts import JOINTS, Estimate, Motion, Observation, Points, Trial
-from stages.estimate.forward import motion_of
-from stages.generate import Box
-from stages.judge import Verdict, longest_gap
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.model import Model
-from stages.model.string import String
+from stringcast.data.artifacts import JOINTS, Estimate, Motion, Observation, Points, Trial
+from stringcast.stages.estimate.forward import motion_of
+from stringcast.stages.generate import Box
+from stringcast.stages.judge import Verdict, longest_gap
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.generate import Box
-from stages.report.picture import MM, ON_FRAMES
-from stages.report.record import Cast, Record
+from stringcast.stages.generate import Box
+from stringcast.stages.report.picture import MM, ON_FRAMES
+from stringcast.stages.report.record import Cast, Record
 
 GRID = 0.1  # [m]
 SHADOW = [patheffects.withStroke(linewidth=2.4, foreground="#000000a0")]

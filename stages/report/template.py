@@ -8,8 +8,8 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-from stages.report import words
-from stages.report.picture import THEME
+from stringcast.stages.report import words
+from stringcast.stages.report.picture import THEME
 
 HERE = Path(__file__).parent
 

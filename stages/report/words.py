@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup, escape
 
-from stages.report.picture import superscript
+from stringcast.stages.report.picture import superscript
 
 UNKNOWN = "not known"
 

@@ -13,22 +13,22 @@ import pandas as pd
 import yaml
 from rich.progress import track
 
-from data.artifacts import MASKS, POINTS, READINGS, Motion, Observation
-from data.schema import Column, Table
-from data.store import write_table
-from hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from pipeline.origin import PACKAGES, code, versions
-from stages.align import align
-from stages.align.align import measured_table
-from stages.align.fit import Problem, chosen, measuring
-from stages.align.grasp import from_points
-from stages.align.lookalike import OFFSET
-from stages.excite import excite
-from stages.execute import execute
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.model import Model
-from stages.model.string import String
+from stringcast.data.artifacts import MASKS, POINTS, READINGS, Motion, Observation
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import write_table
+from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.stages.align import align
+from stringcast.stages.align.align import measured_table
+from stringcast.stages.align.fit import Problem, chosen, measuring
+from stringcast.stages.align.grasp import from_points
+from stringcast.stages.align.lookalike import OFFSET
+from stringcast.stages.excite import excite
+from stringcast.stages.execute import execute
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
 from tests.alignment.stand import Stand
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,14 +7,14 @@ import numpy as np
 import pandas as pd
 from scipy.signal import lfilter
 
-from data.artifacts import JOINTS, MASKS, POINTS, READINGS, SPEEDS, Motion, Observation
-from hardware.virtual.servo import Servo
-from stages.align.fit import measuring
-from stages.excite import excite
-from stages.model.body import arm_seen
-from stages.model.hand import JointMotion, joint_motion
-from stages.model.library import named
-from stages.model.model import Model
+from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, SPEEDS, Motion, Observation
+from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.align.fit import measuring
+from stringcast.stages.excite import excite
+from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.hand import JointMotion, joint_motion
+from stringcast.stages.model.library import named
+from stringcast.stages.model.model import Model
 
 SWING = {"duration": 4.0, "speed": 2.0, "highest": 2.5, "sines": 3, "motions": 8}
 OFF = {

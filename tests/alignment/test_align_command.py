@@ -9,11 +9,11 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
-from pipeline.brought import extended_model
-from pipeline.settings import UserError, composed
-from pipeline.world import world
-from stages.model.model import Model
-from stages.model.string import String
+from stringcast.pipeline.brought import extended_model
+from stringcast.pipeline.settings import UserError, composed
+from stringcast.pipeline.world import world
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
 from tests.alignment.stand import OFF, stand
 
 ROOT = Path(__file__).resolve().parents[2]

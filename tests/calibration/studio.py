@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from stages.calibrate import Board
-from stages.calibrate.fit import lens_of
+from stringcast.stages.calibrate import Board
+from stringcast.stages.calibrate.fit import lens_of
 
 BOARD = Board((8, 11), 0.024, 0.012, "DICT_4X4_50")  # conf/board/a4.yaml
 SIZE = (640, 480)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from studio import BOARD, LENS, SIZE, TILTED, picture, pose, tilted
 
-from data.schema import DataError
-from stages.calibrate import Board, calibrate
-from stages.calibrate.fit import FLAGS, fitted, lens_of, projected, values_of
-from stages.calibrate.plane import Place
-from stages.calibrate.views import View, look
-from stages.model.camera import FACING, Camera
+from stringcast.data.schema import DataError
+from stringcast.stages.calibrate import Board, calibrate
+from stringcast.stages.calibrate.fit import FLAGS, fitted, lens_of, projected, values_of
+from stringcast.stages.calibrate.plane import Place
+from stringcast.stages.calibrate.views import View, look
+from stringcast.stages.model.camera import FACING, Camera
 
 NOMINAL = Camera(320, 320, 340.0, (1.0, 1.0), 200.0, exposure=0.001)
 PLACE = Place((0.3, 0.1), 0.2)

@@ -9,15 +9,15 @@ import yaml
 from omegaconf import OmegaConf
 from studio import BOARD, SIZE, TILTED, picture, pose, tilted
 
-from data import store
-from data.calibration import Calibration
-from pipeline import calibrate
-from pipeline.brought import measured_camera, with_brought_settings
-from pipeline.commands import board
-from pipeline.settings import UserError, build, composed
-from pipeline.world import world
-from stages.calibrate.views import look
-from stages.model.camera import Camera
+from stringcast.data import store
+from stringcast.data.calibration import Calibration
+from stringcast.pipeline import calibrate
+from stringcast.pipeline.brought import measured_camera, with_brought_settings
+from stringcast.pipeline.commands import board
+from stringcast.pipeline.settings import UserError, build, composed
+from stringcast.pipeline.world import world
+from stringcast.stages.calibrate.views import look
+from stringcast.stages.model.camera import Camera
 
 
 @pytest.fixture(scope="module")

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from conftest import specimen, swing
 
-from data.artifacts import Film
-from hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
-from stages.diagnose.theory import candidates
-from stages.execute import execute
-from stages.extract import extract, footage_of
-from stages.model.camera import Camera
-from stages.model.lens import Lens
-from stages.model.library import library
-from stages.model.model import Model
+from stringcast.data.artifacts import Film
+from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
+from stringcast.stages.diagnose.theory import candidates
+from stringcast.stages.execute import execute
+from stringcast.stages.extract import extract, footage_of
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.lens import Lens
+from stringcast.stages.model.library import library
+from stringcast.stages.model.model import Model
 
 PLAIN = Camera(320, 320, 170.0, (125.5, 193.5), 50.0, exposure=0.001)
 LENS = Lens((420.0, 422.0), (161.0, 158.0), (-0.2, 0.05, 0.001, -0.001))

@@ -12,12 +12,12 @@ import pandas as pd
 import pytest
 import yaml
 
-from data import dataset
-from data.schema import DataError
-from pipeline.commands.check import measured
-from stages.check.check import CHECKS, findings, refuse
-from stages.check.finding import Severity
-from stages.check.overview import overview
+from stringcast.data import dataset
+from stringcast.data.schema import DataError
+from stringcast.pipeline.commands.check import measured
+from stringcast.stages.check.check import CHECKS, findings, refuse
+from stringcast.stages.check.finding import Severity
+from stringcast.stages.check.overview import overview
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "data" / "sample"

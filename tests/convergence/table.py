@@ -9,14 +9,14 @@ from time import perf_counter
 import numpy as np
 import yaml
 
-from stages.generate.curves import plain_cast
-from stages.model.accuracy import accurate
-from stages.model.arm import Arm
-from stages.model.hand import JointMotion
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import RungeKutta4, SemiImplicitEuler
-from stages.model.stability import steps_per_tick
-from stages.model.string import String, simulate
+from stringcast.stages.generate.curves import plain_cast
+from stringcast.stages.model.accuracy import accurate
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import String, simulate
 
 CANDIDATES = 64  # simulated side by side when time is taken
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stages.generate.curves import plain_cast
-from stages.model.accuracy import ToleranceError, accurate, remaining
-from stages.model.hand import JointMotion
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.string import String, simulate
+from stringcast.stages.generate.curves import plain_cast
+from stringcast.stages.model.accuracy import ToleranceError, accurate, remaining
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.string import String, simulate
 
 STRING_A = {
     "axial_stiffness": 6e5,

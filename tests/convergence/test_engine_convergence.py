@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stages.model.hand import hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import ExplicitEuler, RungeKutta4, SemiImplicitEuler
-from stages.model.string import String, simulate
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import ExplicitEuler, RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.string import String, simulate
 
 NAMED = {
     "axial_stiffness": 2e4,

@@ -8,14 +8,14 @@ import pytest
 from conftest import threads
 from numba import float32, float64, int64, types, uint64
 
-from stages.model import kernel
-from stages.model.effect import StringEffect
-from stages.model.hand import HandMotion, hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import RungeKutta4
-from stages.model.library import library
-from stages.model.precision import Single
-from stages.model.string import BASE, String, simulate
+from stringcast.stages.model import kernel
+from stringcast.stages.model.effect import StringEffect
+from stringcast.stages.model.hand import HandMotion, hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import RungeKutta4
+from stringcast.stages.model.library import library
+from stringcast.stages.model.precision import Single
+from stringcast.stages.model.string import BASE, String, simulate
 from tests.convergence.table import HAND as CAST
 from tests.convergence.table import loaded
 

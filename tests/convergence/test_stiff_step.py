@@ -6,14 +6,14 @@ import numba
 import numpy as np
 import pytest
 
-from stages.model import turn
-from stages.model.effect import StringEffect
-from stages.model.hand import hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import RungeKutta4, SemiImplicitEuler
-from stages.model.parameter import Parameter
-from stages.model.stability import steps_per_tick
-from stages.model.string import BASE, String, simulate
+from stringcast.stages.model import turn
+from stringcast.stages.model.effect import StringEffect
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import BASE, String, simulate
 
 T = np.arange(0, 0.6, 0.005)
 POSE = np.stack([0.2 * np.sin(9 * T) ** 2, 0.2 * np.sin(5 * T) ** 2, -1.0 + 1.5 * np.sin(7 * T) ** 2], axis=-1)

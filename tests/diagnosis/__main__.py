@@ -16,17 +16,17 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from rich.progress import track
 
-from data.artifacts import JOINTS, Diagnosis
-from data.schema import Column, Table
-from data.store import write_table
-from hardware.virtual.blind import LATEST, VERSIONS
-from hardware.virtual.blind.bench import BlindBench
-from hardware.virtual.blind.casts import Cast, performed, random_cast
-from hardware.virtual.blind.scene import Scene
-from pipeline.origin import PACKAGES, code, versions
-from pipeline.study.command import diagnosis
-from pipeline.world import World, world
-from stages.model.library import named
+from stringcast.data.artifacts import JOINTS, Diagnosis
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import write_table
+from stringcast.hardware.virtual.blind import LATEST, VERSIONS
+from stringcast.hardware.virtual.blind.bench import BlindBench
+from stringcast.hardware.virtual.blind.casts import Cast, performed, random_cast
+from stringcast.hardware.virtual.blind.scene import Scene
+from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.study.command import diagnosis
+from stringcast.pipeline.world import World, world
+from stringcast.stages.model.library import named
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "data" / "results" / "deciding"

@@ -3,11 +3,11 @@
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, MASKS, READINGS, Observation
-from stages.diagnose.casts import Design
-from stages.diagnose.diagnose import diagnose
-from stages.estimate.matching import Matching
-from stages.model.hand import joint_motion
+from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
+from stringcast.stages.diagnose.casts import Design
+from stringcast.stages.diagnose.diagnose import diagnose
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.model.hand import joint_motion
 
 SIGMA = 7e-4
 

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from conftest import TRUTH, threads
 
-from stages.diagnose import beginning
-from stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
-from stages.diagnose.evidence import SHORTER, Evidence
-from stages.diagnose.theory import Theory
-from stages.diagnose.together import _batches, seen_together
-from stages.estimate.forward import Case
-from stages.generate.curves import plain_cast
-from stages.model.hand import joint_motion
-from stages.model.library import named
-from stages.model.model import Model
-from stages.model.state import State
-from stages.model.string import String
+from stringcast.stages.diagnose import beginning
+from stringcast.stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
+from stringcast.stages.diagnose.evidence import SHORTER, Evidence
+from stringcast.stages.diagnose.theory import Theory
+from stringcast.stages.diagnose.together import _batches, seen_together
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.generate.curves import plain_cast
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.library import named
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import String
 
 SIGMA = 7e-4
 LENGTH = 0.3

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stages.diagnose import choose, diagnose, hypotheses
+from stringcast.stages.diagnose import choose, diagnose, hypotheses
 
 
 def from_costs(costs):

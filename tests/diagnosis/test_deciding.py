@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
 
-from stages.diagnose.casts import Design, imagined, possible
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import fitted
-from stages.diagnose.foretell import DECIDED, _bounded_step
-from stages.diagnose.prepare import resolved
-from stages.diagnose.separate import Contest, promising, proposed, trusted
-from stages.diagnose.theory import Theory, joined
-from stages.generate.curves import Curves
-from stages.generate.generate import arm_faults
-from stages.model.box import Box
-from stages.model.effects.arm_lag import ArmLag
-from stages.model.effects.time_offset import TimeOffset
+from stringcast.stages.diagnose.casts import Design, imagined, possible
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import fitted
+from stringcast.stages.diagnose.foretell import DECIDED, _bounded_step
+from stringcast.stages.diagnose.prepare import resolved
+from stringcast.stages.diagnose.separate import Contest, promising, proposed, trusted
+from stringcast.stages.diagnose.theory import Theory, joined
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.effects.arm_lag import ArmLag
+from stringcast.stages.model.effects.time_offset import TimeOffset
 
 SIGMA = 7e-4
 DESIGN = Design(motions=12, shortest=0.2, longest=0.6, alpha=150.0, before=0.1, after=0.1)

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from data.artifacts import Diagnosis
-from data.store import load
-from hardware.virtual.blind import draw
+from stringcast.data.artifacts import Diagnosis
+from stringcast.data.store import load
+from stringcast.hardware.virtual.blind import draw
 
 ROOT = Path(__file__).resolve().parents[2]
 

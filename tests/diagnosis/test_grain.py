@@ -8,15 +8,15 @@ import pytest
 from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved, swings
 
-from stages.diagnose import diagnose, grain
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import fitted
-from stages.diagnose.prepare import Ground, Raw, literal
-from stages.diagnose.theory import Theory, joined
-from stages.diagnose.verdict import COARSE
-from stages.estimate.forward import Case
-from stages.model.hand import joint_motion
-from stages.model.library import library
+from stringcast.stages.diagnose import diagnose, grain
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import fitted
+from stringcast.stages.diagnose.prepare import Ground, Raw, literal
+from stringcast.stages.diagnose.theory import Theory, joined
+from stringcast.stages.diagnose.verdict import COARSE
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.library import library
 
 
 @pytest.fixture(scope="module")

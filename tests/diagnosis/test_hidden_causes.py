@@ -10,8 +10,8 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from hardware.virtual.blind import draw
-from pipeline.study.command import diagnosed
+from stringcast.hardware.virtual.blind import draw
+from stringcast.pipeline.study.command import diagnosed
 
 TOLD = 1e-6  # by which probabilities may miss one
 

@@ -7,13 +7,13 @@ import pytest
 from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import S, base, measured, resolved
 
-from stages.diagnose import sharpen
-from stages.diagnose.fit import PRIOR, Fit, fitted
-from stages.diagnose.intervals import half_width
-from stages.diagnose.resolve import SEGMENTS, finer
-from stages.diagnose.sharpen import Sharp, sharpened
-from stages.diagnose.theory import Theory, joined
-from stages.model.library import library
+from stringcast.stages.diagnose import sharpen
+from stringcast.stages.diagnose.fit import PRIOR, Fit, fitted
+from stringcast.stages.diagnose.intervals import half_width
+from stringcast.stages.diagnose.resolve import SEGMENTS, finer
+from stringcast.stages.diagnose.sharpen import Sharp, sharpened
+from stringcast.stages.diagnose.theory import Theory, joined
+from stringcast.stages.model.library import library
 
 
 @pytest.fixture(scope="module")

@@ -8,17 +8,17 @@ import pytest
 from conftest import TRUTH, ordinary
 from performed import performed, said_of
 
-from data.schema import DataError
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.fit import Fit, fitted
-from stages.diagnose.hypotheses import SHORTLIST, Hypotheses
-from stages.diagnose.leads import beginnings, follow, leads
-from stages.diagnose.theory import Theory, joined
-from stages.estimate.forward import case
-from stages.generate.curves import first_curves
-from stages.generate.generate import arm_faults
-from stages.model.effects.arm_lag import ArmLag
-from stages.model.library import library
+from stringcast.data.schema import DataError
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.fit import Fit, fitted
+from stringcast.stages.diagnose.hypotheses import SHORTLIST, Hypotheses
+from stringcast.stages.diagnose.leads import beginnings, follow, leads
+from stringcast.stages.diagnose.theory import Theory, joined
+from stringcast.stages.estimate.forward import case
+from stringcast.stages.generate.curves import first_curves
+from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.model.effects.arm_lag import ArmLag
+from stringcast.stages.model.library import library
 
 SIGMA = 7e-4
 LAG = 0.015

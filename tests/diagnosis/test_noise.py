@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from stages.diagnose.evidence import Evidence
-from stages.diagnose.noise import alongside, cleaned, estimated, mismatch, rounding, scattered, systematic, tracks
-from stages.estimate.forward import Case
+from stringcast.stages.diagnose.evidence import Evidence
+from stringcast.stages.diagnose.noise import (
+    alongside,
+    cleaned,
+    estimated,
+    mismatch,
+    rounding,
+    scattered,
+    systematic,
+    tracks,
+)
+from stringcast.stages.estimate.forward import Case
 
 S = np.linspace(0.1, 0.3, 5)
 T = np.arange(0, 1.5, 0.005)

@@ -10,17 +10,17 @@ import pytest
 from conftest import TRUTH, ordinary
 from performed import said_of
 
-from data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
-from data.schema import DataError
-from stages.diagnose import choose
-from stages.diagnose.describe import gain, without_nan
-from stages.diagnose.diagnose import coarse
-from stages.diagnose.gain import FRAMES, _rate, _wider, thinned
-from stages.diagnose.missing import _ridge
-from stages.diagnose.prepare import usable
-from stages.estimate.forward import case
-from stages.estimate.matching import Matching
-from stages.generate.curves import Curves
+from stringcast.data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.diagnose import choose
+from stringcast.stages.diagnose.describe import gain, without_nan
+from stringcast.stages.diagnose.diagnose import coarse
+from stringcast.stages.diagnose.gain import FRAMES, _rate, _wider, thinned
+from stringcast.stages.diagnose.missing import _ridge
+from stringcast.stages.diagnose.prepare import usable
+from stringcast.stages.estimate.forward import case
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.generate.curves import Curves
 
 S = np.array([0.1, 0.2, 0.3])
 FINE = Matching(dilations=20, step_px=1, tip_step_px=1.0, delta_w=0.25)

@@ -7,12 +7,12 @@ import pytest
 from conftest import TRUTH, ordinary
 from test_parts_of_a_diagnosis import SIGMA, base, measured, resolved
 
-from stages.diagnose.fit import fitted
-from stages.diagnose.noise import CLEAR
-from stages.diagnose.onset import GROWTH, KEPT, SHOWN, SIZES, _beginning, onset, since
-from stages.diagnose.prepare import Ground, Raw, cleaned_anew
-from stages.diagnose.theory import joined
-from stages.model.library import library
+from stringcast.stages.diagnose.fit import fitted
+from stringcast.stages.diagnose.noise import CLEAR
+from stringcast.stages.diagnose.onset import GROWTH, KEPT, SHOWN, SIZES, _beginning, onset, since
+from stringcast.stages.diagnose.prepare import Ground, Raw, cleaned_anew
+from stringcast.stages.diagnose.theory import joined
+from stringcast.stages.model.library import library
 
 PLANE = {"contact.stiffness": 4e6, "contact.height": 0.435, "contact.tilt": -1.0, "contact.friction": 0.3}
 
@@ -47,7 +47,7 @@ def test_what_it_touches_is_found_from_there(model, evidence, monkeypatch, clear
     """Something as hard as a table; friction, which decides where the string goes next, with it. From either of the
     onsets alone: where one of them says nothing, the other is followed."""
     monkeypatch.setattr(
-        "stages.diagnose.onset.onset", lambda e, f, shown: onset(e, f, shown) if shown == clear else None
+        "stringcast.stages.diagnose.onset.onset", lambda e, f, shown: onset(e, f, shown) if shown == clear else None
     )
     plain, contact = base(model, evidence), library()["contact"]
     best, there = since(evidence, plain, contact, 0)[0], evidence.cases[2].points
@@ -82,9 +82,9 @@ def test_what_a_fit_leaves_that_has_far_to_go_is_nothing(arm, model, monkeypatch
     near = base(model, free)
     far = fitted(free, [near.theory], [near.theory.at({**TRUTH, "bending_stiffness": 0.5})], 0)[0]
     every = free.until(np.full(len(free.cases), 0.6))
-    monkeypatch.setattr("stages.diagnose.onset.STEPS", 1)
+    monkeypatch.setattr("stringcast.stages.diagnose.onset.STEPS", 1)
     assert (_beginning(every, far, np.ones(len(free.cases), bool), CLEAR)[1] < CLEAR).all()
-    monkeypatch.setattr("stages.diagnose.onset.SURE", 1)
+    monkeypatch.setattr("stringcast.stages.diagnose.onset.SURE", 1)
     assert (_beginning(every, far, np.ones(len(free.cases), bool), CLEAR)[1] > CLEAR).any()
 
 

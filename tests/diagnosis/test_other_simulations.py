@@ -8,8 +8,8 @@ from conftest import TRUTH as ORDINARY
 from conftest import ordinary
 from performed import performed, said_of
 
-from stages.generate.curves import Curves
-from stages.model.effects.tip_mass import TipMass
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.model.effects.tip_mass import TipMass
 
 TRUTH = ORDINARY | {"bending_stiffness": 6.0, "axial_stiffness": 5e5, "grasp_stiffness": 4.0}
 

@@ -8,25 +8,25 @@ import pytest
 from conftest import TRUTH, ordinary
 from scipy.interpolate import CubicSpline
 
-from stages.diagnose.choose import MATTERS, earns, levelled
-from stages.diagnose.compare import held_out, moved
-from stages.diagnose.evidence import LOST, Evidence
-from stages.diagnose.fit import Fit, cost_of, fitted, fixed
-from stages.diagnose.gain import configured, side
-from stages.diagnose.hypotheses import Hypotheses
-from stages.diagnose.intervals import CLEARLY, half_width, present
-from stages.diagnose.noise import cleaned, estimated, mismatch, systematic
-from stages.diagnose.predictive import cost_of_unseen
-from stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw, eased, resolved
-from stages.diagnose.ranges import pressed
-from stages.diagnose.resolve import SEGMENTS, refined
-from stages.diagnose.screen import followed, screened
-from stages.diagnose.theory import Theory, candidates, joined, whole
-from stages.diagnose.verdict import judged, weighed
-from stages.estimate.forward import Case
-from stages.generate.curves import Curves
-from stages.model.hand import joint_motion
-from stages.model.library import library
+from stringcast.stages.diagnose.choose import MATTERS, earns, levelled
+from stringcast.stages.diagnose.compare import held_out, moved
+from stringcast.stages.diagnose.evidence import LOST, Evidence
+from stringcast.stages.diagnose.fit import Fit, cost_of, fitted, fixed
+from stringcast.stages.diagnose.gain import configured, side
+from stringcast.stages.diagnose.hypotheses import Hypotheses
+from stringcast.stages.diagnose.intervals import CLEARLY, half_width, present
+from stringcast.stages.diagnose.noise import cleaned, estimated, mismatch, systematic
+from stringcast.stages.diagnose.predictive import cost_of_unseen
+from stringcast.stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw, eased, resolved
+from stringcast.stages.diagnose.ranges import pressed
+from stringcast.stages.diagnose.resolve import SEGMENTS, refined
+from stringcast.stages.diagnose.screen import followed, screened
+from stringcast.stages.diagnose.theory import Theory, candidates, joined, whole
+from stringcast.stages.diagnose.verdict import judged, weighed
+from stringcast.stages.estimate.forward import Case
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.library import library
 
 SIGMA = 7e-4
 PINNED = 1e6  # exponents are as they are
@@ -87,7 +87,7 @@ def test_as_many_mass_points_are_taken_as_the_next_two_numbers_call_for(arm, mod
     def fits(evidence, theories, starts, most):
         return [SimpleNamespace(mean_square=squares[evidence.segments], chi=starts[0])]
 
-    monkeypatch.setattr("stages.diagnose.resolve.fitted", fits)
+    monkeypatch.setattr("stringcast.stages.diagnose.resolve.fitted", fits)
     monkeypatch.setattr(Evidence, "doubted", lambda self, model, chi, segments: self)
     theory = Theory(model, (), model.names)
     assert refined(evidence, theory, theory.at(TRUTH)).segments == taken
@@ -452,7 +452,7 @@ def test_a_trial_that_a_cause_cannot_simulate_is_foretold_without_it(arm, model,
     heavy = joined(plain.theory, library()["tip_mass"])
     fit = fitted(evidence, [heavy], [heavy.at(TRUTH)], 8)[0]
     before = held_out(evidence, plain)
-    monkeypatch.setattr("stages.diagnose.compare.cost_of_unseen", lambda trial, fits: np.inf)
+    monkeypatch.setattr("stringcast.stages.diagnose.compare.cost_of_unseen", lambda trial, fits: np.inf)
     np.testing.assert_array_equal(held_out(evidence, fit, before).costs, before.costs)
 
 

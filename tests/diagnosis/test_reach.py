@@ -8,12 +8,12 @@ from conftest import TRUTH, ordinary
 from test_onset import PLANE
 from test_parts_of_a_diagnosis import base, measured, resolved
 
-from stages.diagnose.fit import fitted
-from stages.diagnose.hypotheses import Hypotheses
-from stages.diagnose.reach import AGAINST, reach
-from stages.diagnose.theory import joined
-from stages.diagnose.verdict import log_odds
-from stages.model.library import library
+from stringcast.stages.diagnose.fit import fitted
+from stringcast.stages.diagnose.hypotheses import Hypotheses
+from stringcast.stages.diagnose.reach import AGAINST, reach
+from stringcast.stages.diagnose.theory import joined
+from stringcast.stages.diagnose.verdict import log_odds
+from stringcast.stages.model.library import library
 
 HARD = "contact.stiffness"
 
@@ -75,7 +75,7 @@ def grazed(arm, model):
 
     hypotheses = weighed(model, evidence, plain, fit)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("stages.diagnose.reach.fitted", noted)
+        patch.setattr("stringcast.stages.diagnose.reach.fitted", noted)
         return fit, reach(hypotheses, fit, library()["contact"]), asked
 
 

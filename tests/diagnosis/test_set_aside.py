@@ -8,7 +8,7 @@ from conftest import TRUTH, ordinary
 from performed import performed, said_of
 from test_parts_of_a_diagnosis import S, resolved, swings
 
-from stages.model.library import library
+from stringcast.stages.model.library import library
 
 
 def observed(arm, offset):

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stages.diagnose.verdict import Judgement, _groups, _probability, _silent, _told
+from stringcast.stages.diagnose.verdict import Judgement, _groups, _probability, _silent, _told
 
 A, B, POINTS = "tip_mass", "wind", "equal_points"
 COURT = SimpleNamespace(library={n: SimpleNamespace(of_string=n != POINTS) for n in (A, B, POINTS)})

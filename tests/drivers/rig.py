@@ -9,11 +9,11 @@ from contextlib import contextmanager
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, SPEEDS
-from hardware.arm import Driving, VelocityArm
-from hardware.arm.limits import Workspace
-from hardware.serial.wire import SerialWire
-from stages.model.arm import Arm
+from stringcast.data.artifacts import JOINTS, SPEEDS
+from stringcast.hardware.arm import Driving, VelocityArm
+from stringcast.hardware.arm.limits import Workspace
+from stringcast.hardware.serial.wire import SerialWire
+from stringcast.stages.model.arm import Arm
 
 ARM = Arm((0.25, 0.2, 0.135), (0.0, 0.0), (-2.0,) * 3, (2.0,) * 3, (20.0,) * 3, (300.0,) * 3, 21.8, 0.005)
 WORKSPACE = Workspace((-0.6, -0.6), (0.6, 0.6))
@@ -34,7 +34,7 @@ def movement(duration=0.3):
 
 
 @contextmanager
-def emulator(log, *options, command=(sys.executable, "-m", "hardware.serial.emulator"), watchdog=WATCHDOG):
+def emulator(log, *options, command=(sys.executable, "-m", "stringcast.hardware.serial.emulator"), watchdog=WATCHDOG):
     """The name of an emulated device's port; the device ends with the block."""
     patience = ["--watchdog", str(round(watchdog * 1e3))] if watchdog else []
     whole = [*command, "--log", str(log), "--until", "60", *patience, *options]

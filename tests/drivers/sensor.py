@@ -5,7 +5,7 @@ import time
 import cv2
 import numpy as np
 
-from hardware.camera.device import BUFFERED
+from stringcast.hardware.camera.device import BUFFERED
 
 
 class Sensor:

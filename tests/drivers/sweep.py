@@ -12,11 +12,11 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).parent))
 from rig import ARM, WATCHDOG, driver, emulator, events, movement, standstill
 
-from data.schema import Column, Table
-from data.store import write_table
-from hardware.serial.emulator.device import KINDS
-from pipeline.origin import code
-from stages.roles import HardwareError
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import write_table
+from stringcast.hardware.serial.emulator.device import KINDS
+from stringcast.pipeline.origin import code
+from stringcast.stages.roles import HardwareError
 
 RESULT = Path(__file__).resolve().parents[2] / "data/results/serial_faults/faults.parquet"
 FAULTS = Table(

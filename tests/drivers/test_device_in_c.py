@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from rig import driver, movement
 
-from hardware.serial.firmware import Firmware
-from hardware.serial.protocol import VERSION, Command, Kind, encode_command
-from stages.roles import HardwareError
+from stringcast.hardware.serial.firmware import Firmware
+from stringcast.hardware.serial.protocol import VERSION, Command, Kind, encode_command
+from stringcast.stages.roles import HardwareError
 
 FOLDER = Path(__file__).resolve().parents[2] / "hardware" / "serial" / "device"
 POSE = (0.5, 0.25, -1.0)

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from rig import ARM, DRIVING, emulator, events, movement, standstill
 
-from data.artifacts import LINK, SENT, TICKS
-from hardware.arm import Driving, VelocityArm
-from hardware.dynamixel.bus import DynamixelBus, Servo
-from hardware.dynamixel.emulator.packets import Splitter, crc16, status
-from hardware.dynamixel.registers import BUS_WATCHDOG, TORQUE_ENABLE, TRIPPED, VELOCITY_UNIT
-from stages.roles import HardwareError
+from stringcast.data.artifacts import LINK, SENT, TICKS
+from stringcast.hardware.arm import Driving, VelocityArm
+from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
+from stringcast.hardware.dynamixel.emulator.packets import Splitter, crc16, status
+from stringcast.hardware.dynamixel.registers import BUS_WATCHDOG, TORQUE_ENABLE, TRIPPED, VELOCITY_UNIT
+from stringcast.stages.roles import HardwareError
 
 sdk = pytest.importorskip("dynamixel_sdk")
 
 SERVOS = (Servo(1, 2048, 1), Servo(2, 2048, -1), Servo(3, 2048, 1))
-EMULATOR = (sys.executable, "-m", "hardware.dynamixel.emulator")
+EMULATOR = (sys.executable, "-m", "stringcast.hardware.dynamixel.emulator")
 PATIENCE = 15  # 0.3 s: a busy machine must not trip it
 SWINGS_OUT = 0.15
 
@@ -132,7 +132,7 @@ def test_an_emergency_stop_is_the_servos_own_latch_until_it_is_cleared(log):
         for _ in range(2):  # a refusal must not clear it on its way out
             with pytest.raises(HardwareError, match=r"latched.*hardware\.dynamixel\.clear .* 1 2 3"), driver(port):
                 pass
-        clear = [sys.executable, "-m", "hardware.dynamixel.clear", port, "1", "2", "3", "--baud", "1000000"]
+        clear = [sys.executable, "-m", "stringcast.hardware.dynamixel.clear", port, "1", "2", "3", "--baud", "1000000"]
         subprocess.run(clear, input="yes\n", text=True, check=True, capture_output=True)
         with driver(port) as arm:
             arm.move_to([0.1, 0.0, 0.0])

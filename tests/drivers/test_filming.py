@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from sensor import Sensor, number_in
 
-from hardware.camera import Device, FilmingCamera, ImageFolder, VideoFile, filming
-from hardware.camera.record import Film, recording, repeated
-from hardware.camera.schedule import fitted
-from hardware.camera.source import Frame
-from stages.check.finding import Severity
-from stages.check.frames import dropped
-from stages.model.camera import Camera
-from stages.roles import HardwareError
+from stringcast.hardware.camera import Device, FilmingCamera, ImageFolder, VideoFile, filming
+from stringcast.hardware.camera.record import Film, recording, repeated
+from stringcast.hardware.camera.schedule import fitted
+from stringcast.hardware.camera.source import Frame
+from stringcast.stages.check.finding import Severity
+from stringcast.stages.check.frames import dropped
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.roles import HardwareError
 
 CAMERA = Camera(32, 24, 50.0, (16.0, 12.0), 50.0)  # slow: a busy machine is late by some milliseconds
 CONTROLS = {"AUTO_EXPOSURE": 1, "EXPOSURE": 10, "GAIN": 2}
@@ -26,7 +26,7 @@ def plugged(monkeypatch):
     """Plugs a sensor in; gives the camera that films it."""
 
     def plug(sensor, most_lost=0.02, delay=0.0, **device):
-        monkeypatch.setattr("hardware.camera.device.cv2.VideoCapture", lambda *_: sensor)
+        monkeypatch.setattr("stringcast.hardware.camera.device.cv2.VideoCapture", lambda *_: sensor)
         settings = {"controls": {}, "seconds": 0.2, "interval": 0.04} | device
         return FilmingCamera(CAMERA, Device(0, "ANY", delay, **settings), most_lost)
 

@@ -7,7 +7,7 @@ from conftest import ROOT
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from pipeline.settings import UserError, stage
+from stringcast.pipeline.settings import UserError, stage
 
 CONF = ROOT / "conf"
 

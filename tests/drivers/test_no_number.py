@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from rig import ARM, DRIVING, WORKSPACE, movement
 
-from data.artifacts import JOINTS
-from hardware.arm import VelocityArm
-from hardware.arm.limits import Workspace, check_movement
-from hardware.arm.loop import Guard, blank
-from hardware.arm.record import performance
-from hardware.serial.protocol import FrameError, Report, State, decode_answer, encode_answer
-from stages.roles import HardwareError
+from stringcast.data.artifacts import JOINTS
+from stringcast.hardware.arm import VelocityArm
+from stringcast.hardware.arm.limits import Workspace, check_movement
+from stringcast.hardware.arm.loop import Guard, blank
+from stringcast.hardware.arm.record import performance
+from stringcast.hardware.serial.protocol import FrameError, Report, State, decode_answer, encode_answer
+from stringcast.stages.roles import HardwareError
 
 BAD = [float("nan"), float("inf"), -float("inf")]
 

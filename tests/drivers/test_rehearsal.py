@@ -7,15 +7,15 @@ import pytest
 from conftest import specimen, swing
 from rig import DRIVING, WORKSPACE
 
-from data.artifacts import JOINTS, SPEEDS
-from hardware.serial.rehearsal import open_lab
-from hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
-from hardware.virtual.obstacles import Obstacles
-from hardware.virtual.render import Look
-from hardware.virtual.servo import Servo
-from stages.execute import execute
-from stages.rehearse import dry, slow, slowed
-from stages.roles import HardwareError
+from stringcast.data.artifacts import JOINTS, SPEEDS
+from stringcast.hardware.serial.rehearsal import open_lab
+from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.obstacles import Obstacles
+from stringcast.hardware.virtual.render import Look
+from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.execute import execute
+from stringcast.stages.rehearse import dry, slow, slowed
+from stringcast.stages.roles import HardwareError
 
 START = [-0.9, 0.6, 0.4]
 

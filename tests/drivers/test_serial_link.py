@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from rig import ARM, DRIVING, WATCHDOG, WORKSPACE, driver, emulator, events, movement, standstill
 
-from data.artifacts import JOINTS, LINK, SENT, TICKS
-from hardware.arm import VelocityArm
-from hardware.arm.limits import check_movement
-from hardware.arm.loop import blank
-from hardware.arm.record import performance
-from hardware.serial.emulator.device import KINDS
-from hardware.serial.protocol import VERSION
-from hardware.serial.wire import SerialWire
-from stages.roles import HardwareError
+from stringcast.data.artifacts import JOINTS, LINK, SENT, TICKS
+from stringcast.hardware.arm import VelocityArm
+from stringcast.hardware.arm.limits import check_movement
+from stringcast.hardware.arm.loop import blank
+from stringcast.hardware.arm.record import performance
+from stringcast.hardware.serial.emulator.device import KINDS
+from stringcast.hardware.serial.protocol import VERSION
+from stringcast.hardware.serial.wire import SerialWire
+from stringcast.stages.roles import HardwareError
 
 # From the watchdog's last word to standstill: the wires swing out. Measured 0.05 s on the device's own clock.
 SWINGS_OUT = 0.15
@@ -164,7 +164,7 @@ def test_the_emergency_stop_is_latched_here_and_in_the_device(log):
         with pytest.raises(HardwareError, match=r"emergency stop \(button\)"), pressed as arm:
             arm.perform(movement())
         assert standstill(log, "latched") < SWINGS_OUT
-        clear = [sys.executable, "-m", "hardware.serial.clear", port]
+        clear = [sys.executable, "-m", "stringcast.hardware.serial.clear", port]
         subprocess.run(clear, input="no\n", text=True, check=False, capture_output=True)
         with pytest.raises(HardwareError, match=r"latched.*hardware\.serial\.clear"), driver(port):
             pass
@@ -198,7 +198,7 @@ def test_killing_the_host_leaves_the_arm_at_rest(log, name):
 
 
 def test_a_host_of_another_version_is_refused(log, monkeypatch):
-    monkeypatch.setattr("hardware.serial.wire.VERSION", VERSION + 1)
+    monkeypatch.setattr("stringcast.hardware.serial.wire.VERSION", VERSION + 1)
     with (
         emulator(log) as port,
         pytest.raises(HardwareError, match=f"speaks version {VERSION} for 3 joints"),

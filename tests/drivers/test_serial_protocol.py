@@ -3,8 +3,8 @@
 import pytest
 from rig import ARM
 
-from hardware.serial.firmware import Firmware
-from hardware.serial.protocol import (
+from stringcast.hardware.serial.firmware import Firmware
+from stringcast.hardware.serial.protocol import (
     LONGEST,
     VERSION,
     Command,
@@ -22,9 +22,9 @@ from hardware.serial.protocol import (
     newer,
     uncobs,
 )
-from hardware.serial.protocol import Limits as LimitsAnswer
-from hardware.serial.wire import SerialWire, check_latency
-from stages.roles import HardwareError
+from stringcast.hardware.serial.protocol import Limits as LimitsAnswer
+from stringcast.hardware.serial.wire import SerialWire, check_latency
+from stringcast.stages.roles import HardwareError
 
 LIMITS = (*(4.0,) * 3, *(300.0,) * 3, 5000, 25)  # [rad/s], [rad/s^2], [us], [ms]
 POSE = (0.5, 0.25, -1.0)

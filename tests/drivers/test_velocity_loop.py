@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from rig import ARM, DRIVING, movement
 
-from hardware.arm import Answer, Driving, VelocityArm
-from hardware.arm.clock import undisturbed
-from hardware.arm.loop import blank
-from hardware.arm.record import performance
-from stages.roles import HardwareError
+from stringcast.hardware.arm import Answer, Driving, VelocityArm
+from stringcast.hardware.arm.clock import undisturbed
+from stringcast.hardware.arm.loop import blank
+from stringcast.hardware.arm.record import performance
+from stringcast.stages.roles import HardwareError
 
 
 class Script:

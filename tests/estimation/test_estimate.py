@@ -6,14 +6,14 @@ import pandas as pd
 import pytest
 from conftest import threads
 
-from data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
-from stages.estimate import cma_es, least_squares, random_search
-from stages.estimate.forward import case
-from stages.estimate.matching import Matching, match, targets
-from stages.extract.score import rasterise, score_map
-from stages.model.hand import hand_motion_from_grasp
-from stages.model.model import Model
-from stages.model.string import String, simulate
+from stringcast.data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
+from stringcast.stages.estimate import cma_es, least_squares, random_search
+from stringcast.stages.estimate.forward import case
+from stringcast.stages.estimate.matching import Matching, match, targets
+from stringcast.stages.extract.score import rasterise, score_map
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String, simulate
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)

@@ -6,17 +6,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data.artifacts import MASKS, READINGS, Observation
-from pipeline.settings import UserError
-from pipeline.world import with_effects
-from stages.estimate import least_squares
-from stages.estimate.forward import case
-from stages.estimate.matching import Matching
-from stages.generate import Box, generate
-from stages.model.hand import hand_motion, hand_motion_from_grasp, joint_motion
-from stages.model.library import VARIABLE, library, named
-from stages.model.model import Model
-from stages.model.string import String, simulate
+from stringcast.data.artifacts import MASKS, READINGS, Observation
+from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.world import with_effects
+from stringcast.stages.estimate import least_squares
+from stringcast.stages.estimate.forward import case
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.generate import Box, generate
+from stringcast.stages.model.hand import hand_motion, hand_motion_from_grasp, joint_motion
+from stringcast.stages.model.library import VARIABLE, library, named
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String, simulate
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)
@@ -37,9 +37,9 @@ MAGNET = '''
 
 import numpy as np
 
-from stages.model.effect import StringEffect
-from stages.model.parameter import Parameter
-from stages.model.picture import line
+from stringcast.stages.model.effect import StringEffect
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.picture import line
 
 
 class Magnet(StringEffect):

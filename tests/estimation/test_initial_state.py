@@ -7,19 +7,19 @@ import pandas as pd
 import pytest
 import yaml
 
-from data import dataset
-from data.artifacts import MASKS, READINGS, Observation
-from data.schema import DataError
-from stages.estimate import least_squares
-from stages.estimate.forward import case
-from stages.estimate.initial import initial_state, kinematics
-from stages.estimate.matching import Matching
-from stages.estimate.settle import MODES, settled, slopes
-from stages.model.hand import hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.model import Model
-from stages.model.state import State
-from stages.model.string import String, simulate
+from stringcast.data import dataset
+from stringcast.data.artifacts import MASKS, READINGS, Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.estimate import least_squares
+from stringcast.stages.estimate.forward import case
+from stringcast.stages.estimate.initial import initial_state, kinematics
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.estimate.settle import MODES, settled, slopes
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import String, simulate
 
 LENGTH = 0.3
 STRING = String(LENGTH, points=15, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4)

@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from data.artifacts import MASKS, READINGS, Observation
-from stages.estimate.untouched import NEAR, untouched
-from stages.model.box import Box
+from stringcast.data.artifacts import MASKS, READINGS, Observation
+from stringcast.stages.estimate.untouched import NEAR, untouched
+from stringcast.stages.model.box import Box
 
 S = np.linspace(0.1, 0.3, 5)
 WALL = Box(0.5, 0.0, 0.02, 1.0)

@@ -8,11 +8,11 @@ import pytest
 import yaml
 from conftest import ROOT, specimen
 
-from hardware.virtual.conditions import CONDITIONS
-from pipeline.extraction_study import Cell, measured, read, take
-from stages.extract import Footage, extract
-from stages.extract.certainty import sigmas
-from stages.extract.isolate import uncovered
+from stringcast.hardware.virtual.conditions import CONDITIONS
+from stringcast.pipeline.extraction_study import Cell, measured, read, take
+from stringcast.stages.extract import Footage, extract
+from stringcast.stages.extract.certainty import sigmas
+from stringcast.stages.extract.isolate import uncovered
 
 SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text()) | {"string_length": 0.3}
 SETTINGS.pop("_target_")

@@ -12,20 +12,20 @@ import pytest
 import yaml
 from conftest import ROOT, specimen
 
-from data.artifacts import POINTS
-from hardware.virtual.conditions import CONDITIONS
-from hardware.virtual.conditions.camera import Shake
-from hardware.virtual.conditions.condition import exposed, film
-from hardware.virtual.conditions.light import Flicker
-from hardware.virtual.conditions.pose import Across, Loop
-from pipeline.extraction_study import Cell, compared, read, shares, take
-from pipeline.extraction_study.pictures import overview
-from stages.extract import extract
-from stages.extract.centreline import Line
-from stages.extract.doubt import beside, longest
-from stages.extract.isolate import background, darkest
-from stages.extract.score import rasterise
-from stages.extract.steady import steadied
+from stringcast.data.artifacts import POINTS
+from stringcast.hardware.virtual.conditions import CONDITIONS
+from stringcast.hardware.virtual.conditions.camera import Shake
+from stringcast.hardware.virtual.conditions.condition import exposed, film
+from stringcast.hardware.virtual.conditions.light import Flicker
+from stringcast.hardware.virtual.conditions.pose import Across, Loop
+from stringcast.pipeline.extraction_study import Cell, compared, read, shares, take
+from stringcast.pipeline.extraction_study.pictures import overview
+from stringcast.stages.extract import extract
+from stringcast.stages.extract.centreline import Line
+from stringcast.stages.extract.doubt import beside, longest
+from stringcast.stages.extract.isolate import background, darkest
+from stringcast.stages.extract.score import rasterise
+from stringcast.stages.extract.steady import steadied
 
 SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text()) | {"string_length": 0.3}
 SETTINGS.pop("_target_")
@@ -88,7 +88,7 @@ def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_doubts(cast, 
     them; with them one tip is 3.6 px off, where wall that was in shadow lies beyond it."""
     films = [("cluttered wall", 3), ("arm's shadow", 2), ("drifting dust", 2)]
     doubted = pd.concat([scored(cast, *one) for one in films])
-    monkeypatch.setattr(import_module("stages.extract.extract"), "check", lambda *_: None)
+    monkeypatch.setattr(import_module("stringcast.stages.extract.extract"), "check", lambda *_: None)
     believed = pd.concat([scored(cast, *one) for one in films])
     assert doubted["read"].sum() >= 24
     assert doubted["wrong"].sum() <= 1

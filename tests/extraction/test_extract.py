@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stages.extract import Footage, extract, footage_of
-from stages.extract.extract import drawn
-from stages.extract.score import rasterise, score_map
-from stages.model.camera import Camera
+from stringcast.stages.extract import Footage, extract, footage_of
+from stringcast.stages.extract.extract import drawn
+from stringcast.stages.extract.score import rasterise, score_map
+from stringcast.stages.model.camera import Camera
 
 SETTINGS = {"points": 31, "sigmas": 6.0, "arm_width": 0.035, "hidden": 0.01, "shorter": 0.12, "longer": 0.4}
 STRIPS = Path(__file__).resolve().parents[3] / "shared" / "measured" / "l4dc_strip_video"

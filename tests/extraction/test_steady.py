@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from stages.extract.score import rasterise
-from stages.extract.steady import Steadied, steadied
+from stringcast.stages.extract.score import rasterise
+from stringcast.stages.extract.steady import Steadied, steadied
 
 
 def swinging(wall, width):

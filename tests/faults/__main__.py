@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 from rich.progress import track
 
-from data.schema import Column, Table
-from data.store import write_table
-from pipeline.origin import PACKAGES, code, versions
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import write_table
+from stringcast.pipeline.origin import PACKAGES, code, versions
 from tests.faults.kills import Command, Forked, rounds
 from tests.faults.strike import KINDS, strike
 from tests.faults.toy import contents, toy_run, toy_world

@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
-from data import disk
-from data.schema import DataError
+from stringcast.data import disk
+from stringcast.data.schema import DataError
 from tests.faults.toy import contents, toy_run
 
 STEPS = {"motion": "generate", "trial": "execute", "points": "extract", "estimate": "estimate"}

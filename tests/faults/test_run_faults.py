@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from data.schema import DataError
-from pipeline import keep
+from stringcast.data.schema import DataError
+from stringcast.pipeline import keep
 from tests.faults.kills import Forked, rounds
 from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
 from tests.faults.toy import ROOT, contents, toy_run, toy_world
@@ -109,7 +109,7 @@ def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
 HOLDER = """
 import sys, time; sys.path.insert(0, {root!r})
 from pathlib import Path
-from pipeline import keep
+from stringcast.pipeline import keep
 with keep.alone(Path({folder!r})):
     print("held", flush=True)
     time.sleep(60)
@@ -176,7 +176,7 @@ def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
 HOLDING = """
 import sys
 from pathlib import Path
-from pipeline import keep
+from stringcast.pipeline import keep
 with keep.alone(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

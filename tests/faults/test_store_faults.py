@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data import disk, store
-from data.artifacts import Points, Trial
-from data.schema import DataError
+from stringcast.data import disk, store
+from stringcast.data.artifacts import Points, Trial
+from stringcast.data.schema import DataError
 
 ROOT = Path(__file__).resolve().parents[2]
 OPERATIONS = ("make_folder", "write", "sync_folder", "rename")

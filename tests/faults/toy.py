@@ -15,12 +15,12 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from rich.console import Console
 
-from data import store
-from data.artifacts import Estimate, Motion, Points, Trial
-from pipeline import report
-from pipeline.folder import LOG
-from pipeline.perform import perform
-from pipeline.world import world
+from stringcast.data import store
+from stringcast.data.artifacts import Estimate, Motion, Points, Trial
+from stringcast.pipeline import report
+from stringcast.pipeline.folder import LOG
+from stringcast.pipeline.perform import perform
+from stringcast.pipeline.world import world
 
 ROOT = Path(__file__).resolve().parents[2]
 CALLS = []  # what was made, in order

@@ -15,13 +15,13 @@ import pytest
 import yaml
 from rich.console import Console
 
-from data import dataset, foreign, store
-from data.about import about
-from data.images import ImageFiles, Video
-from data.schema import DataError
-from pipeline.commands import check, index
-from stages.check import contents
-from stages.check.measured import Measured
+from stringcast.data import dataset, foreign, store
+from stringcast.data.about import about
+from stringcast.data.images import ImageFiles, Video
+from stringcast.data.schema import DataError
+from stringcast.pipeline.commands import check, index
+from stringcast.stages.check import contents
+from stringcast.stages.check.measured import Measured
 from tests.store.test_dataset import CAMERA, T, given, grasp, points, shade
 
 BOMB = "a: &a [1, 2]\n" + "".join(

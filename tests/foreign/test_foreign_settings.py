@@ -9,13 +9,13 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
-from data.schema import DataError
-from pipeline import targets
-from pipeline.brought import extended_model, measured_camera, refuse_brought_limits, with_brought_settings
-from pipeline.commands import command
-from pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
-from pipeline.world import world
-from stages.model import kernel
+from stringcast.data.schema import DataError
+from stringcast.pipeline import targets
+from stringcast.pipeline.brought import extended_model, measured_camera, refuse_brought_limits, with_brought_settings
+from stringcast.pipeline.commands import command
+from stringcast.pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
+from stringcast.pipeline.world import world
+from stringcast.stages.model import kernel
 
 
 class Touch:
@@ -85,7 +85,7 @@ def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
 
 def test_index_builds_no_model(settings, tmp_path, monkeypatch):
     (tmp_path / "config.json").write_text(json.dumps(settings))
-    monkeypatch.setattr("stages.model.string.String.__init__", None)
+    monkeypatch.setattr("stringcast.stages.model.string.String.__init__", None)
     assert command("index").main([str(tmp_path)]) == 0
 
 
@@ -144,7 +144,7 @@ def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
 
 @pytest.mark.parametrize("target", ["os.system", "stages.generate", None, ["x"], {"a": 1}])
 def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch):
-    monkeypatch.setattr("pipeline.settings.get_object", lambda name: pytest.fail(f"{name} was looked up"))
+    monkeypatch.setattr("stringcast.pipeline.settings.get_object", lambda name: pytest.fail(f"{name} was looked up"))
     for role in (*targets.ROLES, "unheard_of"):
         with pytest.raises(UserError, match="may not be named here"):
             loaded(target, f"a.{role}", "file")

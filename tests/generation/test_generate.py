@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
-from data.schema import DataError
-from stages.generate import Box, MotionNotFoundError, generate
-from stages.generate.curves import Curves, first_curves, next_curves
-from stages.model.hand import hand_motion
-from stages.model.model import Model
-from stages.model.string import String, simulate
+from stringcast.data.schema import DataError
+from stringcast.stages.generate import Box, MotionNotFoundError, generate
+from stringcast.stages.generate.curves import Curves, first_curves, next_curves
+from stringcast.stages.model.hand import hand_motion
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String, simulate
 
 STRING = String(0.3)
 SETTINGS = {

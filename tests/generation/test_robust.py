@@ -9,18 +9,18 @@ import pytest
 from conftest import threads
 from scipy.stats import binomtest
 
-from data.artifacts import Estimate
-from data.schema import DataError
-from stages.generate import Box, MotionNotFoundError, generate, race
-from stages.generate import robust as chosen
-from stages.generate.chance import TOGETHER, Place, between, outcome, simulated
-from stages.generate.curves import Curves, first_curves, joined, plain_cast
-from stages.generate.draws import Doubt, Draws, drawn
-from stages.generate.generate import arm_faults, curves_of
-from stages.generate.learning import spread_after
-from stages.model.hand import joint_motion
-from stages.model.model import Model
-from stages.model.string import String
+from stringcast.data.artifacts import Estimate
+from stringcast.data.schema import DataError
+from stringcast.stages.generate import Box, MotionNotFoundError, generate, race
+from stringcast.stages.generate import robust as chosen
+from stringcast.stages.generate.chance import TOGETHER, Place, between, outcome, simulated
+from stringcast.stages.generate.curves import Curves, first_curves, joined, plain_cast
+from stringcast.stages.generate.draws import Doubt, Draws, drawn
+from stringcast.stages.generate.generate import arm_faults, curves_of
+from stringcast.stages.generate.learning import spread_after
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
 
 STRING = String(0.3)
 TARGET = Box(0.4, 0.7, 0.02, 0.04)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from stages.model.effect import another
-from stages.model.effects.box_contact import BoxContact
-from stages.model.hand import hand_motion_from_grasp
-from stages.model.integrator import RungeKutta4
-from stages.model.model import Model
-from stages.model.string import BASE, String
+from stringcast.stages.model.effect import another
+from stringcast.stages.model.effects.box_contact import BoxContact
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.integrator import RungeKutta4
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import BASE, String
 
 BOX = {"centre_x": 0.3, "centre_y": -0.2, "width": 0.06, "height": 0.1}
 STIFFNESS = 2e4

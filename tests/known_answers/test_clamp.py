@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from stages.model.effects.clamp import Clamp
-from stages.model.hand import HandMotion
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.library import library
-from stages.model.state import State
-from stages.model.string import BASE, String, simulate
+from stringcast.stages.model.effects.clamp import Clamp
+from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.library import library
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import BASE, String, simulate
 
 LENGTH = 0.1
 STRIP = {

@@ -8,23 +8,23 @@ from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
-from stages.model.camera import Camera
-from stages.model.effects.arm_lag import ArmLag
-from stages.model.effects.backlash import Backlash
-from stages.model.effects.contact import Contact
-from stages.model.effects.equal_points import EqualPoints
-from stages.model.effects.grasp_slip import GraspSlip
-from stages.model.effects.internal_friction import InternalFriction
-from stages.model.effects.nonlinear_bending import NonlinearBending
-from stages.model.effects.resolution import Resolution
-from stages.model.equilibrium import hanging
-from stages.model.hand import ARRIVED, HandMotion, hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import RungeKutta4
-from stages.model.library import library
-from stages.model.model import Model
-from stages.model.stability import steps_per_tick
-from stages.model.string import BASE, String
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effects.arm_lag import ArmLag
+from stringcast.stages.model.effects.backlash import Backlash
+from stringcast.stages.model.effects.contact import Contact
+from stringcast.stages.model.effects.equal_points import EqualPoints
+from stringcast.stages.model.effects.grasp_slip import GraspSlip
+from stringcast.stages.model.effects.internal_friction import InternalFriction
+from stringcast.stages.model.effects.nonlinear_bending import NonlinearBending
+from stringcast.stages.model.effects.resolution import Resolution
+from stringcast.stages.model.equilibrium import hanging
+from stringcast.stages.model.hand import ARRIVED, HandMotion, hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import RungeKutta4
+from stringcast.stages.model.library import library
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import BASE, String
 
 LENGTH = 0.3
 MANY = tuple(
@@ -393,7 +393,7 @@ def test_a_string_that_slips_comes_out_along_the_grasp():
 
 
 def test_a_gain_turns_joints_about_where_they_began(arm, camera):
-    from stages.model.hand import joint_motion
+    from stringcast.stages.model.hand import joint_motion
 
     model = Model(String(LENGTH), arm, camera).with_effects(library()["joint_gain"])
     plain = joint_motion(T, WAVES[0])
@@ -405,7 +405,7 @@ def test_a_gain_turns_joints_about_where_they_began(arm, camera):
 
 
 def test_what_acts_on_joints_is_refused_where_only_the_grasp_is_known():
-    from data.schema import DataError
+    from stringcast.data.schema import DataError
 
     with pytest.raises(DataError, match=r"'backlash' acts on joint angles.*Add arm.parquet"):
         grasped(hand_motion_from_grasp(T, POSE), **{"backlash.gap_1": 0.01})

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stages.model.stability import steps_per_tick
-from stages.model.string import String, simulate
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import String, simulate
 from tests.speed import fused, scalar
 from tests.speed.trial import TIMES, hand
 

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data.artifacts import MASKS, POINTS, Points
-from stages.generate import Box
-from stages.judge import judge
+from stringcast.data.artifacts import MASKS, POINTS, Points
+from stringcast.stages.generate import Box
+from stringcast.stages.judge import judge
 
 BOX = Box(0.5, 0.5, 0.02, 0.04)
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from stages.model.effects.contact import Contact
-from stages.model.equilibrium import hanging
-from stages.model.hand import hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import SemiImplicitEuler
-from stages.model.string import BASE, String, simulate
+from stringcast.stages.model.effects.contact import Contact
+from stringcast.stages.model.equilibrium import hanging
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import SemiImplicitEuler
+from stringcast.stages.model.string import BASE, String, simulate
 
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
 STIFF = {

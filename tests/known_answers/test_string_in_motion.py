@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.special import jn_zeros
 
-from stages.model.hand import HandMotion, hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import ExplicitEuler, Integrator, RungeKutta4
-from stages.model.string import String, simulate
+from stringcast.stages.model.hand import HandMotion, hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import ExplicitEuler, Integrator, RungeKutta4
+from stringcast.stages.model.string import String, simulate
 
 QUIET = {
     "axial_stiffness": 9e5,

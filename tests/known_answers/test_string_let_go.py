@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stages.model.effects.time_offset import TimeOffset
-from stages.model.hand import hand_motion_from_grasp
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.integrator import RungeKutta4, SemiImplicitEuler
-from stages.model.model import Model
-from stages.model.precision import Double, Single
-from stages.model.state import State
-from stages.model.string import String, simulate
+from stringcast.stages.model.effects.time_offset import TimeOffset
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.precision import Double, Single
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import String, simulate
 
 FINE = String(0.3, points=15, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4)
 SOFT = {

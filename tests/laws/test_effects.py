@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from data.artifacts import JOINTS
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.effect import SLOTS, StringEffect, arguments
-from stages.model.hand import joint_motion
-from stages.model.library import library
-from stages.model.model import Model
-from stages.model.parameter import Parameter
-from stages.model.stability import steps_per_tick
-from stages.model.string import BASE, String
+from stringcast.data.artifacts import JOINTS
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import SLOTS, StringEffect, arguments
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.library import library
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import BASE, String
 
 LIBRARY = library()
 NAMES = [
@@ -33,7 +33,6 @@ NAMES = [
     "dahl_friction",
     "standard_linear_solid",
     "clamp",
-    "grasp_play",
     "anisotropic_drag",
     "resolution",
     "contact",
@@ -79,7 +78,6 @@ CORNER = {
 }
 ACTING |= dict.fromkeys(CORNER, CORNER)
 ACTING |= {f"{name}.slip": {f"{name}.cap": 2e-3} for name in ("maxwell_slip", "dahl_friction")}
-ACTING |= {"grasp_play.slip": {"grasp_play.cap": 0.02}}
 ACTING |= {"standard_linear_solid.relaxation": {"standard_linear_solid.stiffness": 1e-3}}
 LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
 SYMMETRIES = [(effect, symmetry) for effect in LIBRARY.values() for symmetry in effect.symmetries]
@@ -147,10 +145,7 @@ def test_at_their_start_laws_add_nothing(effect):
     if issubclass(effect, StringEffect):
         known |= effect.derived(**still)
     absent = {"joints": "angles", "grasp": "pose", "times": "t", "seen": "points"}
-    for name in effect.laws().keys() - {
-        "held",
-        "grasp_held",
-    }:  # what a hinge holds is nothing to the string: its moment is
+    for name in effect.laws().keys() - {"held"}:  # what a hinge holds is nothing to the string: its moment is
         value = law_of(effect, name)(known)
         np.testing.assert_allclose(value - known.get(absent.get(name), 0.0), 0.0, atol=1e-15, err_msg=name)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.model.string import String
+from stringcast.stages.model.string import String
 
 PARAMETERS = {p.name: 0.7 * np.sqrt(p.low * p.high) + 0.3 * p.high for p in String(0.3).parameters}
 

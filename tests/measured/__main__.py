@@ -13,10 +13,10 @@ from typing import Any
 import pandas as pd
 from rich.progress import track
 
-from data.schema import Column, Table
-from data.store import write_table
-from pipeline.origin import PACKAGES, code, versions
-from pipeline.study.benches import workers
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import write_table
+from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.study.benches import workers
 from tests.measured.answers import answer
 from tests.measured.sets import sets
 

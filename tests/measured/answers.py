@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from data.artifacts import Diagnosis
-from data.store import write_text
-from pipeline.settings import composed
-from pipeline.study.command import diagnosis
+from stringcast.data.artifacts import Diagnosis
+from stringcast.data.store import write_text
+from stringcast.pipeline.settings import composed
+from stringcast.pipeline.study.command import diagnosis
 from tests.measured.sets import RELEASED, written
 
 # Root mean square of the tip in released trials, of the models of those who measured them, fitted to these [m]: arXiv

@@ -14,9 +14,9 @@ from pathlib import Path
 import pandas as pd
 from rich.progress import track
 
-from data.schema import Column, Table
-from data.store import origin_of, write_table, write_text
-from pipeline.origin import PACKAGES, versions
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import origin_of, write_table, write_text
+from stringcast.pipeline.origin import PACKAGES, versions
 from tests.measured.answers import AUTHORS
 from tests.measured.sets import RELEASED, sets, written
 

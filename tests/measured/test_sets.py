@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from data.dataset import read
+from stringcast.data.dataset import read
 from tests.measured.sets import CABLES, begins, sets, written
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "measured"

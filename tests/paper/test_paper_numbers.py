@@ -5,11 +5,11 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 
-from pipeline.paper.finish import finish
-from pipeline.paper.numbers import numbers, of
-from pipeline.settings import CONF, composed
-from stages.model.string import String
-from stages.report.paper.record import LABELS
+from stringcast.pipeline.paper.finish import finish
+from stringcast.pipeline.paper.numbers import numbers, of
+from stringcast.pipeline.settings import CONF, composed
+from stringcast.stages.model.string import String
+from stringcast.stages.report.paper.record import LABELS
 
 EXPERIMENTS = [name for name in LABELS if name != "nine"]
 SYMBOLS = {p.name: p.symbol for p in String(0.3, points=10).parameters}
@@ -76,7 +76,7 @@ def test_every_experiment_is_swept_shown_and_what_its_name_says():
     with initialize_config_dir(str(CONF), version_base="1.3"):
         hydra = compose("config", ["+experiment=paper"], return_hydra_config=True).hydra
     swept = hydra.sweeper.params
-    assert get_object(hydra.launcher.finish) is finish
+    assert get_object(f"stringcast.{hydra.launcher.finish}") is finish
     assert swept["+experiment/paper"].replace(" ", "").split(",") == EXPERIMENTS
     assert {file.stem for file in (CONF / "experiment" / "paper").glob("*.yaml")} == set(EXPERIMENTS)
     for name in EXPERIMENTS:

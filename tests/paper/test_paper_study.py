@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data import store
-from data.artifacts import ARM, Estimate, Motion, Points
-from pipeline.paper import scores, shown
-from pipeline.paper.finish import TABLES, finish
-from pipeline.settings import composed
-from pipeline.sweep.attempt import Attempt
-from pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
-from stages.report.paper import PaperRecord, figures
+from stringcast.data import store
+from stringcast.data.artifacts import ARM, Estimate, Motion, Points
+from stringcast.pipeline.paper import scores, shown
+from stringcast.pipeline.paper.finish import TABLES, finish
+from stringcast.pipeline.settings import composed
+from stringcast.pipeline.sweep.attempt import Attempt
+from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
+from stringcast.stages.report.paper import PaperRecord, figures
 
 INF = np.inf
 

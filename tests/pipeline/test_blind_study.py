@@ -13,12 +13,12 @@ import pandas as pd
 import pytest
 from matplotlib.image import imread
 
-from data.dataset import read
-from hardware.virtual.blind import LATEST, VERSIONS, draw
-from pipeline.origin import state
-from pipeline.study import one_bench, pictures, scores, study
-from pipeline.study.scores import TABLES, calibration_error, counted
-from pipeline.study.verdicts import answered, beliefs, confidence, correct
+from stringcast.data.dataset import read
+from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
+from stringcast.pipeline.origin import state
+from stringcast.pipeline.study import one_bench, pictures, scores, study
+from stringcast.pipeline.study.scores import TABLES, calibration_error, counted
+from stringcast.pipeline.study.verdicts import answered, beliefs, confidence, correct
 
 
 def row(kind, names, verdict, causes=(), groups=(), alternatives=(), size=10.0, paper=40.0, seed=0, **parameters):
@@ -223,7 +223,7 @@ def nothing(folder):
 KILLED = """
 import multiprocessing, os, sys, time
 from concurrent.futures import ProcessPoolExecutor
-from pipeline.study.benches import end_with_parent
+from stringcast.pipeline.study.benches import end_with_parent
 
 def work(path):
     open(path, "w").write(str(os.getpid()))

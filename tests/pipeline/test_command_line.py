@@ -15,9 +15,9 @@ import pytest
 from omegaconf import OmegaConf
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from data import store
-from pipeline import __main__ as shell
-from pipeline import brought, settings
+from stringcast.data import store
+from stringcast.pipeline import __main__ as shell
+from stringcast.pipeline import brought, settings
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -52,7 +52,10 @@ def same(a, b):
 
 def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch, capsys, tmp_path):
     """Sums of long columns by several threads differ in their last digit, and a fit that stops a step later by more."""
-    for words, place in ((["seed=1"], "pipeline.job.main"), (["index"], "pipeline.commands.index.main")):
+    for words, place in (
+        (["seed=1"], "stringcast.pipeline.job.main"),
+        (["index"], "stringcast.pipeline.commands.index.main"),
+    ):
         seen = []
         monkeypatch.setattr(place, lambda given, seen=seen: seen.extend(threadpool_info()) or 0)
         with threadpool_limits(2, "blas"):
@@ -70,7 +73,7 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert page.count("<img alt=") >= 7
     assert ended["sentence"] in page
     log = (quick / "run.log").read_text()
-    assert re.search(r"^20\d\d-\d\d-\d\d \S+ INFO +pipeline.keep: iterations/01/estimate made in", log, re.M)
+    assert re.search(r"^20\d\d-\d\d-\d\d \S+ INFO +stringcast.pipeline.keep: iterations/01/estimate made in", log, re.M)
     assert re.search(r"pipeline.run: estimate 1: E 0\.\d+ to 0\.\d+, rms", log)
     assert "cast 1: the tip came within" in log
 
@@ -270,7 +273,7 @@ def composed(*overrides):
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from pipeline.world import world
+    from stringcast.pipeline.world import world
 
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         config = compose("config", list(overrides))

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data import store
-from data.artifacts import Points
-from pipeline import __main__ as shell
-from pipeline import commands, fresh
-from pipeline.commands.verify import verify
-from pipeline.compare import differences
+from stringcast.data import store
+from stringcast.data.artifacts import Points
+from stringcast.pipeline import __main__ as shell
+from stringcast.pipeline import commands, fresh
+from stringcast.pipeline.commands.verify import verify
+from stringcast.pipeline.compare import differences
 from tests.faults.toy import contents, toy_run, toy_world
 
 PAGE = Path(commands.__file__).with_name("README.md")

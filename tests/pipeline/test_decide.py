@@ -13,12 +13,12 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from data.artifacts import Diagnosis, Motion
-from data.store import content_hash, load, origin_of
-from hardware.virtual.blind import VERSIONS, draw
-from pipeline import keep
-from pipeline.run import diagnose
-from pipeline.world import world
+from stringcast.data.artifacts import Diagnosis, Motion
+from stringcast.data.store import content_hash, load, origin_of
+from stringcast.hardware.virtual.blind import VERSIONS, draw
+from stringcast.pipeline import keep
+from stringcast.pipeline.run import diagnose
+from stringcast.pipeline.world import world
 from tests.conftest import swing
 
 COARSE = ("camera.width=320", "camera.height=320", "camera.px_per_m=170.0", "camera.origin_px=[125.5,193.5]")

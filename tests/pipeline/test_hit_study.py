@@ -11,15 +11,15 @@ import yaml
 from conftest import specimen, swing
 from omegaconf import OmegaConf
 
-from data.artifacts import JOINTS
-from hardware.virtual.bench import Bench, VirtualArm
-from pipeline.hitting.desk import PointDesk, measured
-from pipeline.hitting.job import settings
-from pipeline.hitting.lessons import lessons, model_found
-from pipeline.hitting.scores import TABLES, scores, sentence
-from pipeline.settings import composed
-from pipeline.world import world
-from stages.judge import judge
+from stringcast.data.artifacts import JOINTS
+from stringcast.hardware.virtual.bench import Bench, VirtualArm
+from stringcast.pipeline.hitting.desk import PointDesk, measured
+from stringcast.pipeline.hitting.job import settings
+from stringcast.pipeline.hitting.lessons import lessons, model_found
+from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
+from stringcast.pipeline.settings import composed
+from stringcast.pipeline.world import world
+from stringcast.stages.judge import judge
 
 
 def test_points_are_those_of_the_bench_with_noise_of_the_size_told(arm, camera):
@@ -143,7 +143,7 @@ def test_a_diagnosis_of_the_lessons_makes_the_model_that_casts(turned, monkeypat
         finding = pd.DataFrame([{"extended": yaml.safe_dump(said)}])
         return SimpleNamespace(finding=finding)
 
-    monkeypatch.setattr("stages.diagnose.diagnose.diagnose", diagnose)
+    monkeypatch.setattr("stringcast.stages.diagnose.diagnose.diagnose", diagnose)
     taught = lessons(turned, 2)
     config = {**turned.world.config, "diagnose": {"_target_": "stages.diagnose.diagnose.diagnose"}}
     assert model_found(world(config, lambda block: f"conf/{block}"), taught) == said

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from pipeline.commands import NAMES
-from pipeline.settings import composed
+from stringcast.pipeline.commands import NAMES
+from stringcast.pipeline.settings import composed
 
 ROOT = Path(__file__).resolve().parents[2]
 CALL = re.compile(r"python3? (?:-m pipeline|tasks\.py run)(?![.\w])(.*)")

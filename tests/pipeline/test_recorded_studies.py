@@ -2,9 +2,9 @@
 
 import pandas as pd
 
-from data.store import read_table
-from pipeline.study.record import FOLDER, appended, by_code, in_markdown
-from pipeline.study.scores import BENCHES
+from stringcast.data.store import read_table
+from stringcast.pipeline.study.record import FOLDER, appended, by_code, in_markdown
+from stringcast.pipeline.study.scores import BENCHES
 
 
 def test_every_recorded_bench_names_its_code():

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from data.dataset import read
-from stages.roles import HardwareError
+from stringcast.data.dataset import read
+from stringcast.stages.roles import HardwareError
 from tests.faults.toy import CALLS, toy_run, toy_world
 
 REASON = "rehearsal with the arm disabled"

@@ -3,9 +3,9 @@
 import pytest
 from omegaconf import OmegaConf
 
-from data.about import about
-from data.schema import DataError
-from pipeline import brought, settings
+from stringcast.data.about import about
+from stringcast.data.schema import DataError
+from stringcast.pipeline import brought, settings
 
 
 def composed(folder, string, *more):

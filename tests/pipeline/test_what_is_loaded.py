@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.sources import closure, home
-from pipeline.targets import ROLES
+from stringcast.pipeline.sources import closure, home
+from stringcast.pipeline.targets import ROLES
 from tests.faults.toy import toy_run, toy_world
 
 ROOT = Path(__file__).resolve().parents[2]

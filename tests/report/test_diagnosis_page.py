@@ -14,18 +14,18 @@ from matplotlib import style
 from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
-from data.artifacts import Diagnosis
-from stages.model.library import library
-from stages.model.model import Model
-from stages.model.string import String
-from stages.report.diagnosis import DiagnosisRecord, diagnosis_report
-from stages.report.diagnosis.figures.colours import ABOVE, BELOW
-from stages.report.diagnosis.figures.maps import maps, parts
-from stages.report.diagnosis.figures.overlay import worst
-from stages.report.diagnosis.figures.tip import last
-from stages.report.diagnosis.record import TRIALS, away, rms
-from stages.report.diagnosis.words import gain, headline, interval, percent, quantity
-from stages.report.picture import STYLE
+from stringcast.data.artifacts import Diagnosis
+from stringcast.stages.model.library import library
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+from stringcast.stages.report.diagnosis import DiagnosisRecord, diagnosis_report
+from stringcast.stages.report.diagnosis.figures.colours import ABOVE, BELOW
+from stringcast.stages.report.diagnosis.figures.maps import maps, parts
+from stringcast.stages.report.diagnosis.figures.overlay import worst
+from stringcast.stages.report.diagnosis.figures.tip import last
+from stringcast.stages.report.diagnosis.record import TRIALS, away, rms
+from stringcast.stages.report.diagnosis.words import gain, headline, interval, percent, quantity
+from stringcast.stages.report.picture import STYLE
 
 SIGMA = 7e-4
 S = np.linspace(0.05, 0.3, 6)

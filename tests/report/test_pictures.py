@@ -4,8 +4,8 @@ import base64
 
 import pytest
 
-from pipeline.commands.pictures import main, pictures
-from pipeline.settings import UserError
+from stringcast.pipeline.commands.pictures import main, pictures
+from stringcast.pipeline.settings import UserError
 
 
 def image(kind, content):

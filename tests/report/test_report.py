@@ -15,16 +15,16 @@ import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from data.artifacts import JOINTS, Estimate, Motion, Points, Trial
-from stages.generate import Box
-from stages.judge import LONGEST_GAP, Verdict
-from stages.model.model import Model
-from stages.model.string import String
-from stages.report import Cast, Record, report
-from stages.report.figures.residual import residuals
-from stages.report.picture import THEME
-from stages.report.player import FEWEST, FRAMES, animation, choose
-from stages.report.scene import draw, frame_figure, whole_view
+from stringcast.data.artifacts import JOINTS, Estimate, Motion, Points, Trial
+from stringcast.stages.generate import Box
+from stringcast.stages.judge import LONGEST_GAP, Verdict
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+from stringcast.stages.report import Cast, Record, report
+from stringcast.stages.report.figures.residual import residuals
+from stringcast.stages.report.picture import THEME
+from stringcast.stages.report.player import FEWEST, FRAMES, animation, choose
+from stringcast.stages.report.scene import draw, frame_figure, whole_view
 
 VOID = {"meta", "img", "input", "br", "link"}
 STRING = String(0.3)

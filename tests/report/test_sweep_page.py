@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stages.report.sweep import SweepRecord, sweep_report
-from stages.report.sweep.outcomes import OUTCOMES, average, magnitude, parameter, response, share
+from stringcast.stages.report.sweep import SweepRecord, sweep_report
+from stringcast.stages.report.sweep.outcomes import OUTCOMES, average, magnitude, parameter, response, share
 
 BETA = "estimate.beta"
 HIT, CASTS, E = OUTCOMES[:3]

@@ -13,9 +13,9 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table as Printed
 
-from data.schema import Column, Table
-from data.store import write_table
-from pipeline.origin import PACKAGES, code, versions
+from stringcast.data.schema import Column, Table
+from stringcast.data.store import write_table
+from stringcast.pipeline.origin import PACKAGES, code, versions
 from tests.speed.measures import Row, table
 from tests.speed.picture import picture
 

@@ -8,10 +8,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from stages.model import kernel
-from stages.model.hand import HandMotion
-from stages.model.stability import steps_per_tick
-from stages.model.string import String, simulate
+from stringcast.stages.model import kernel
+from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import String, simulate
 
 
 @dataclass(frozen=True)

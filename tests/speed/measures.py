@@ -16,15 +16,15 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from data.artifacts import MASKS, READINGS, Observation
-from stages.estimate import random_search
-from stages.estimate.matching import Matching
-from stages.model import kernel
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.model import Model
-from stages.model.stability import steps_per_tick
-from stages.model.string import simulate
+from stringcast.data.artifacts import MASKS, READINGS, Observation
+from stringcast.stages.estimate import random_search
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.model import kernel
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import simulate
 from tests.speed import fused, limits, scalar
 from tests.speed.engine import point_steps, step_loop
 from tests.speed.stopwatch import in_turns

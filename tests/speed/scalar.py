@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from stages.model.hand import HandMotion
+from stringcast.stages.model.hand import HandMotion
 
 GRAVITY = 9.81
 

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from data import dataset
-from data.schema import DataError
+from stringcast.data import dataset
+from stringcast.data.schema import DataError
 
 T = np.arange(50) * 0.01
 CAMERA = {"fps": 100, "width": 48, "height": 32, "px_per_m": 100.0, "origin_px": [24, 16]}

@@ -5,12 +5,12 @@ import pandas as pd
 import pytest
 import yaml
 
-from data import dataset
-from data.about import about
-from data.artifacts import ARM, POINTS
-from data.dataset import with_trial
-from data.schema import DataError
-from data.store import write_table
+from stringcast.data import dataset
+from stringcast.data.about import about
+from stringcast.data.artifacts import ARM, POINTS
+from stringcast.data.dataset import with_trial
+from stringcast.data.schema import DataError
+from stringcast.data.store import write_table
 
 T = np.arange(40) * 0.01
 NOISE = np.random.default_rng(1).standard_normal((120, 2)) / 30

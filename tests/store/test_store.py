@@ -10,10 +10,10 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from data import disk, store
-from data.artifacts import Points, Trial
-from data.images import Held, Images
-from data.schema import DataError
+from stringcast.data import disk, store
+from stringcast.data.artifacts import Points, Trial
+from stringcast.data.images import Held, Images
+from stringcast.data.schema import DataError
 
 AWKWARD = [0.1, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1 / 3, np.nextafter(1.0, 2.0)]
 
@@ -138,7 +138,7 @@ def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
     assert held[-1] is pictures[2]
     assert sorted(read) == [0, 0, 1, 2]  # the first once more, for its size
 
-    monkeypatch.setattr("data.images.ROOM", 2 * pictures[0].nbytes)
+    monkeypatch.setattr("stringcast.data.images.ROOM", 2 * pictures[0].nbytes)
     read.clear()
     held = Held(Files())
     for index in (0, 1, 0, 1, 2, 1, 0):

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from data.schema import DataError
-from pipeline.sweep.attempt import Attempt, complaint, ended
-from pipeline.sweep.ledger import DONE, FAILED, LOST, PENDING, RUNNING, Job, Ledger
+from stringcast.data.schema import DataError
+from stringcast.pipeline.sweep.attempt import Attempt, complaint, ended
+from stringcast.pipeline.sweep.ledger import DONE, FAILED, LOST, PENDING, RUNNING, Job, Ledger
 
 STAND_IN = '''
 """What a job does, by its seed: 2 fails, 3 is killed, 4 waits for ever; the others leave a file."""
@@ -89,7 +89,7 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(name
     if name == "ray":
         settings = settings | {"address": request.getfixturevalue("cluster")}
     ledger, keys = entered(tmp_path / "sweep", 0, 1, 2, 3, 5)
-    launch = importlib.import_module(f"pipeline.sweep.launchers.{name}").launch
+    launch = importlib.import_module(f"stringcast.pipeline.sweep.launchers.{name}").launch
     ended_keys = list(launch([Attempt(ledger.folder, key, stand_in) for key in keys], threads=2, **settings))
     assert sorted(ended_keys) == sorted(keys)
     assert states(ledger) == {0: DONE, 1: DONE, 2: FAILED, 3: FAILED, 5: DONE}

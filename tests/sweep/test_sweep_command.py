@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from data import store
+from stringcast.data import store
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"joblib": "joblib", "ray": "ray", "slurm": "submitit"}

@@ -5,15 +5,15 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from data import dataset
-from data.artifacts import ARM, FRAMES, POINTS
-from data.images import png
-from data.store import write_table, write_text
-from pipeline import keep
-from pipeline.run import Iteration, Result
-from pipeline.settings import UserError, composed
-from pipeline.sweep.show import left
-from pipeline.world import LEFT, _check_run
+from stringcast.data import dataset
+from stringcast.data.artifacts import ARM, FRAMES, POINTS
+from stringcast.data.images import png
+from stringcast.data.store import write_table, write_text
+from stringcast.pipeline import keep
+from stringcast.pipeline.run import Iteration, Result
+from stringcast.pipeline.settings import UserError, composed
+from stringcast.pipeline.sweep.show import left
+from stringcast.pipeline.world import LEFT, _check_run
 
 
 def test_the_time_left_is_at_the_pace_so_far():

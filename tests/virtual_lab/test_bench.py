@@ -3,12 +3,12 @@
 import numpy as np
 import pandas as pd
 
-from data.artifacts import JOINTS, Trial
-from hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
-from hardware.virtual.obstacles import Box, Obstacles
-from hardware.virtual.render import Look, render, scenery
-from hardware.virtual.servo import Servo
-from stages.execute import execute
+from stringcast.data.artifacts import JOINTS, Trial
+from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.obstacles import Box, Obstacles
+from stringcast.hardware.virtual.render import Look, render, scenery
+from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.execute import execute
 
 
 def test_the_velocity_loop_has_the_bandwidth_it_states():

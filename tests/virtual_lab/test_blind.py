@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from data.dataset import read
-from data.store import content_hash
-from hardware.virtual.blind import LATEST, VERSIONS, draw
-from hardware.virtual.blind.disguise import disguised
-from hardware.virtual.blind.hidden import hidden
-from hardware.virtual.outside import causes
-from hardware.virtual.outside.vibration import Vibration
-from stages.check.check import findings
-from stages.check.measured import Measured
-from stages.model.effects.camera_rotation import CameraRotation
-from stages.model.integrator import RungeKutta4
-from stages.model.library import library, named
-from stages.model.string import BASE
+from stringcast.data.dataset import read
+from stringcast.data.store import content_hash
+from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
+from stringcast.hardware.virtual.blind.disguise import disguised
+from stringcast.hardware.virtual.blind.hidden import hidden
+from stringcast.hardware.virtual.outside import causes
+from stringcast.hardware.virtual.outside.vibration import Vibration
+from stringcast.stages.check.check import findings
+from stringcast.stages.check.measured import Measured
+from stringcast.stages.model.effects.camera_rotation import CameraRotation
+from stringcast.stages.model.integrator import RungeKutta4
+from stringcast.stages.model.library import library, named
+from stringcast.stages.model.string import BASE
 
 DRIFT, NULL = (VERSIONS[1].cases.index(name) for name in ("clock_drift", "none"))
 PAIR = 46  # pixel_scale and arm_lag: with nothing hidden on the string there is less to compile

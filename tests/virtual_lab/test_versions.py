@@ -6,17 +6,17 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from data.store import content_hash
-from hardware.virtual.blind import LATEST, VERSIONS, draw
-from hardware.virtual.outside import causes
-from stages.model import effects
-from stages.model.library import library
-from stages.model.string import BASE
+from stringcast.data.store import content_hash
+from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
+from stringcast.hardware.virtual.outside import causes
+from stringcast.stages.model import effects
+from stringcast.stages.model.library import library
+from stringcast.stages.model.string import BASE
 
 ROOT = Path(__file__).resolve().parents[2]
 FAKE = '''"""Nothing, for a test."""
 
-from stages.model.effects.anisotropic_drag import AnisotropicDrag
+from stringcast.stages.model.effects.anisotropic_drag import AnisotropicDrag
 
 class Earliest(AnisotropicDrag):
     """Before all others in the alphabet, and on the string."""

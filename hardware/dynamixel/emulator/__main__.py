@@ -1,6 +1,6 @@
-"""`python -m hardware.dynamixel.emulator`: serve three servos on a pseudo-terminal, whose name is printed first.
+"""`python -m stringcast.hardware.dynamixel.emulator`: serve three servos on a pseudo-terminal.
 
-It ends with whoever started it.
+Its name is printed first. It ends with whoever started it.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from hardware.dynamixel.emulator.bus import STRIKES, Bus, Servo
-from hardware.dynamixel.registers import TORQUE_ENABLE
-from hardware.emulated.terminal import serve
+from stringcast.hardware.dynamixel.emulator.bus import STRIKES, Bus, Servo
+from stringcast.hardware.dynamixel.registers import TORQUE_ENABLE
+from stringcast.hardware.emulated.terminal import serve
 
 AFTER = 1.0  # [s] for which unplugged servos go on
 
 
 def main() -> None:
     """Serve until --until seconds are over."""
-    parser = argparse.ArgumentParser(prog="python -m hardware.dynamixel.emulator", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m stringcast.hardware.dynamixel.emulator", description=__doc__)
     parser.add_argument("--log", type=Path, default=Path(os.devnull), help="events, a line of JSON each")
     help_ = f"at the N-th velocity: {', '.join(STRIKES)}"
     parser.add_argument("--fault", action="append", default=[], type=fault, metavar="KIND:N", help=help_)

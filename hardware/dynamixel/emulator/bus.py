@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from hardware.dynamixel.emulator.packets import (
+from stringcast.hardware.dynamixel.emulator.packets import (
     PING,
     READ,
     SYNC_READ,
@@ -16,7 +16,7 @@ from hardware.dynamixel.emulator.packets import (
     Splitter,
     status,
 )
-from hardware.dynamixel.registers import (
+from stringcast.hardware.dynamixel.registers import (
     BUS_WATCHDOG,
     GOAL_VELOCITY,
     OPERATING_MODE,
@@ -32,8 +32,8 @@ from hardware.dynamixel.registers import (
     WATCHDOG_UNIT,
     Register,
 )
-from hardware.emulated.joints import STEP, Joint
-from hardware.emulated.terminal import UnpluggedError
+from stringcast.hardware.emulated.joints import STEP, Joint
+from stringcast.hardware.emulated.terminal import UnpluggedError
 
 MODEL = bytes([0xFC, 0x03, 0x2D])  # XM430-W350, firmware 45
 NO_ERROR, UNKNOWN, RANGE, ACCESS = 0, 2, 4, 7  # of status packets

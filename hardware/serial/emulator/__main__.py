@@ -1,4 +1,4 @@
-"""`python -m hardware.serial.emulator`: serve a device on a pseudo-terminal, whose name is printed first.
+"""`python -m stringcast.hardware.serial.emulator`: serve a device on a pseudo-terminal, whose name is printed first.
 
 It ends with whoever started it.
 """
@@ -11,9 +11,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from hardware.emulated.terminal import serve
-from hardware.serial.emulator.device import KINDS, Device
-from hardware.serial.firmware import Firmware
+from stringcast.hardware.emulated.terminal import serve
+from stringcast.hardware.serial.emulator.device import KINDS, Device
+from stringcast.hardware.serial.firmware import Firmware
 
 AFTER = 0.5  # [s] for which an unplugged device goes on
 
@@ -28,7 +28,7 @@ def main() -> None:
 
 def parsed() -> argparse.Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m hardware.serial.emulator", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m stringcast.hardware.serial.emulator", description=__doc__)
     parser.add_argument("--log", type=Path, default=Path(os.devnull), help="events, a line of JSON each")
     parser.add_argument(
         "--fault",

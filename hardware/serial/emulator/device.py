@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from hardware.emulated.joints import STEP, Joints
-from hardware.emulated.terminal import UnpluggedError
-from hardware.serial.emulator.faults import LINE, whole
-from hardware.serial.firmware import Firmware
-from hardware.serial.protocol import Deframer, FrameError, Kind, State, decode_command
+from stringcast.hardware.emulated.joints import STEP, Joints
+from stringcast.hardware.emulated.terminal import UnpluggedError
+from stringcast.hardware.serial.emulator.faults import LINE, whole
+from stringcast.hardware.serial.firmware import Firmware
+from stringcast.hardware.serial.protocol import Deframer, FrameError, Kind, State, decode_command
 
 FREEZE = 0.2  # [s] for which a frozen device reads nothing; its watchdog's timer goes on
 BOOT = 0.05  # [s] that a device needs once its supply is back

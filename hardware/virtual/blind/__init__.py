@@ -1,7 +1,7 @@
 """Benches that hide a cause, for tests of the diagnosis: measured points and joint logs, and a sealed envelope."""
 
-from hardware.virtual.blind.bench import BlindBench
-from hardware.virtual.blind.drawing import draw
-from hardware.virtual.blind.version import LATEST, VERSIONS
+from stringcast.hardware.virtual.blind.bench import BlindBench
+from stringcast.hardware.virtual.blind.drawing import draw
+from stringcast.hardware.virtual.blind.version import LATEST, VERSIONS
 
 __all__ = ["LATEST", "VERSIONS", "BlindBench", "draw"]

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from data.artifacts import ARM, JOINTS, POINTS
-from data.dataset import FORMAT, with_trial
-from data.store import write_table, write_text
-from hardware.virtual.blind.hidden import Hidden
-from hardware.virtual.blind.scene import Scene
+from stringcast.data.artifacts import ARM, JOINTS, POINTS
+from stringcast.data.dataset import FORMAT, with_trial
+from stringcast.data.store import write_table, write_text
+from stringcast.hardware.virtual.blind.hidden import Hidden
+from stringcast.hardware.virtual.blind.scene import Scene
 
 
 @dataclass(frozen=True)

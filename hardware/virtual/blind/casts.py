@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BPoly
 
-from hardware.virtual.servo import Servo
-from stages.model.arm import Arm
-from stages.model.hand import JointMotion, joint_motion
+from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.hand import JointMotion, joint_motion
 
 BEFORE, AFTER = 0.05, 0.1  # [s] of rest around the movement
 FINE = 0.001  # [s]

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hardware.virtual.blind.scene import Scene, unexplained
-from stages.model.effect import Effect, StringEffect, components
-from stages.model.effects.contact import Contact
-from stages.model.effects.grasp_slip import GraspSlip
+from stringcast.hardware.virtual.blind.scene import Scene, unexplained
+from stringcast.stages.model.effect import Effect, StringEffect, components
+from stringcast.stages.model.effects.contact import Contact
+from stringcast.stages.model.effects.grasp_slip import GraspSlip
 
 LITTLE = 0.03  # of an effect's range
 PLANES = np.arange(8) * np.pi / 4  # tilts that are tried [rad]

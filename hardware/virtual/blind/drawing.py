@@ -11,16 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hardware.virtual.blind.bench import BlindBench
-from hardware.virtual.blind.casts import random_cast
-from hardware.virtual.blind.disguise import disguised
-from hardware.virtual.blind.hidden import Hidden, hidden
-from hardware.virtual.blind.scene import Scene, unexplained
-from hardware.virtual.blind.version import LATEST, NONE, PAIR, RESOLUTION, VERSIONS, Version
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.effect import Effect
-from stages.model.string import String
+from stringcast.hardware.virtual.blind.bench import BlindBench
+from stringcast.hardware.virtual.blind.casts import random_cast
+from stringcast.hardware.virtual.blind.disguise import disguised
+from stringcast.hardware.virtual.blind.hidden import Hidden, hidden
+from stringcast.hardware.virtual.blind.scene import Scene, unexplained
+from stringcast.hardware.virtual.blind.version import LATEST, NONE, PAIR, RESOLUTION, VERSIONS, Version
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.string import String
 
 SIZES = (6.0, 40.0)  # in sigmas
 LEAST, MOST = 5.0, 60.0  # of a size as it turns out

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hardware.virtual.outside import Outside
-from stages.model.effect import Effect
-from stages.model.effects.backlash import Backlash
+from stringcast.hardware.virtual.outside import Outside
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.effects.backlash import Backlash
 
 CLEAR = 0.01  # [m] that a plane keeps from the hand and from the string at rest
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hardware.virtual.blind.casts import FINE, Cast
-from hardware.virtual.blind.version import Version
-from stages.model.arm import Arm
-from stages.model.camera import Camera
-from stages.model.effect import Effect, StringEffect
-from stages.model.implicit import ImplicitLeapfrog
-from stages.model.model import Model
-from stages.model.stability import steps_per_tick
-from stages.model.string import String
+from stringcast.hardware.virtual.blind.casts import FINE, Cast
+from stringcast.hardware.virtual.blind.version import Version
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Effect, StringEffect
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.stability import steps_per_tick
+from stringcast.stages.model.string import String
 
 POINTS = 160  # of what really hangs there: a tip that cracks is then a quarter of a sigma off, with 40 points four
 LARGEST_STEP = 1e-4  # [s] of what really hangs there

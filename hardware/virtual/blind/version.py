@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hardware.virtual.outside import Outside, causes
-from stages.model.effect import Effect, StringEffect
-from stages.model.library import named
-from stages.model.string import BASE
+from stringcast.hardware.virtual.outside import Outside, causes
+from stringcast.stages.model.effect import Effect, StringEffect
+from stringcast.stages.model.library import named
+from stringcast.stages.model.string import BASE
 
 NONE, RESOLUTION, PAIR = "none", "resolution", "pair"
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hardware.virtual.conditions.camera import Closer, Exposure, HotPixels, Noise, Shake
-from hardware.virtual.conditions.clutter import ArmCable, Cables
-from hardware.virtual.conditions.coding import Jpeg, Video
-from hardware.virtual.conditions.condition import Condition, Shot, film, shot_of, staged
-from hardware.virtual.conditions.light import Blobs, Contrast, Flicker, Gradient, Shadow
-from hardware.virtual.conditions.pose import Across, Behind, Loop
+from stringcast.hardware.virtual.conditions.camera import Closer, Exposure, HotPixels, Noise, Shake
+from stringcast.hardware.virtual.conditions.clutter import ArmCable, Cables
+from stringcast.hardware.virtual.conditions.coding import Jpeg, Video
+from stringcast.hardware.virtual.conditions.condition import Condition, Shot, film, shot_of, staged
+from stringcast.hardware.virtual.conditions.light import Blobs, Contrast, Flicker, Gradient, Shadow
+from stringcast.hardware.virtual.conditions.pose import Across, Behind, Loop
 
 Severities = tuple[tuple[Condition, ...], ...]
 CONDITIONS: Mapping[str, Severities] = {

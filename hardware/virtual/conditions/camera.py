@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from hardware.virtual.conditions.condition import Condition, Moment, Shot
+from stringcast.hardware.virtual.conditions.condition import Condition, Moment, Shot
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hardware.virtual.conditions.condition import Condition, Moment, Shot
-from hardware.virtual.render import cover
-from stages.model.camera import Camera
+from stringcast.hardware.virtual.conditions.condition import Condition, Moment, Shot
+from stringcast.hardware.virtual.render import cover
+from stringcast.stages.model.camera import Camera
 
 
 @dataclass(frozen=True)

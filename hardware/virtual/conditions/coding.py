@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hardware.virtual.conditions.condition import Condition
+from stringcast.hardware.virtual.conditions.condition import Condition
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hardware.virtual.bench import EXPOSURES, Bench
-from hardware.virtual.render import Look, noisy, render, scenery
-from stages.model.camera import Camera
+from stringcast.hardware.virtual.bench import EXPOSURES, Bench
+from stringcast.hardware.virtual.render import Look, noisy, render, scenery
+from stringcast.stages.model.camera import Camera
 
 FINE = 2.5e-4  # [s] between the moments a shot is kept at
 MOST = 32  # moments drawn in one exposure at most

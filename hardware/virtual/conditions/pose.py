@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hardware.virtual.conditions.condition import Condition, Moment, Shot
-from hardware.virtual.render import cover
+from stringcast.hardware.virtual.conditions.condition import Condition, Moment, Shot
+from stringcast.hardware.virtual.render import cover
 
 
 @dataclass(frozen=True)

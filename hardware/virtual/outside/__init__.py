@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from stages.model.effect import Effect
-from stages.model.picture import line
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.picture import line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hardware.virtual.outside import Outside, direction, moment
-from stages.model.effect import CameraEffect, Quantity
-from stages.model.parameter import Parameter
+from stringcast.hardware.virtual.outside import Outside, direction, moment
+from stringcast.stages.model.effect import CameraEffect, Quantity
+from stringcast.stages.model.parameter import Parameter
 
 if TYPE_CHECKING:
-    from stages.model.camera import Camera
+    from stringcast.stages.model.camera import Camera
 
 
 class BumpedCamera(CameraEffect, Outside):

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hardware.virtual.outside import Outside, place
-from stages.model.effect import Quantity, StringEffect
-from stages.model.parameter import Parameter
+from stringcast.hardware.virtual.outside import Outside, place
+from stringcast.stages.model.effect import Quantity, StringEffect
+from stringcast.stages.model.parameter import Parameter
 
 
 class Magnet(StringEffect, Outside):

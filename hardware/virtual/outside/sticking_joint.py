@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hardware.virtual.outside import Outside, moment
-from stages.model.effect import HandEffect, Quantity
-from stages.model.parameter import Parameter
+from stringcast.hardware.virtual.outside import Outside, moment
+from stringcast.stages.model.effect import HandEffect, Quantity
+from stringcast.stages.model.parameter import Parameter
 
 
 class StickingJoint(HandEffect, Outside):

@@ -7,9 +7,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.sweep.attempt import Attempt
-from pipeline.sweep.cores import cores
-from pipeline.sweep.extra import extra
+from stringcast.pipeline.sweep.attempt import Attempt
+from stringcast.pipeline.sweep.cores import cores
+from stringcast.pipeline.sweep.extra import extra
 
 
 def launch(

@@ -1,4 +1,4 @@
-"""Jobs on the machines of a Ray cluster, which all see the sweep's folder and this one under the same path."""
+"""Jobs on the machines of a Ray cluster, which all see the sweep's folder, this one and Python under the same paths."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from pipeline.origin import ROOT
-from pipeline.settings import UserError
-from pipeline.sweep.attempt import Attempt
-from pipeline.sweep.extra import extra
+from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.sweep.attempt import Attempt
+from stringcast.pipeline.sweep.extra import extra
 
 
 def launch(
@@ -25,9 +24,8 @@ def launch(
     resources: what else a job needs, as `ray.remote` takes it, such as {"memory": 2e9}.
     """
     ray = extra("ray", "ray")
-    found = {"PYTHONPATH": str(ROOT)}
     try:
-        ray.init(address=address, runtime_env={"env_vars": found}, include_dashboard=False, log_to_driver=False)
+        ray.init(address=address, include_dashboard=False, log_to_driver=False)
     except Exception as error:  # Ray raises nothing more definite
         where = "conf/hydra/launcher/ray.yaml or the command line"
         remedy = "Begin one with ray start --head, or give null to have one begun here"

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.sweep.attempt import Attempt
-from pipeline.sweep.cores import cores
+from stringcast.pipeline.sweep.attempt import Attempt
+from stringcast.pipeline.sweep.cores import cores
 
 
 def launch(attempts: Sequence[Attempt], *, threads: Annotated[int, Field(ge=0)]) -> Iterator[str]:

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from pipeline.sweep.attempt import Attempt
-from pipeline.sweep.extra import extra
+from stringcast.pipeline.sweep.attempt import Attempt
+from stringcast.pipeline.sweep.extra import extra
 
 
 def launch(

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from stages.model.effect import HandEffect, Quantity
-from stages.model.parameter import Parameter
-from stages.model.picture import line
-from stages.model.symmetry import follows, odd
+from stringcast.stages.model.effect import HandEffect, Quantity
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.picture import line
+from stringcast.stages.model.symmetry import follows, odd
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

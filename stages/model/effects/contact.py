@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import Quantity, StringEffect
-from stages.model.parameter import Parameter
-from stages.model.picture import line
-from stages.model.symmetry import nothing_at_zero
+from stringcast.stages.model.effect import Quantity, StringEffect
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.picture import line
+from stringcast.stages.model.symmetry import nothing_at_zero
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import Quantity, StringEffect
-from stages.model.parameter import Parameter
-from stages.model.picture import loop
-from stages.model.symmetry import odd
+from stringcast.stages.model.effect import Quantity, StringEffect
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.picture import loop
+from stringcast.stages.model.symmetry import odd
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import Quantity, StringEffect
-from stages.model.picture import line
+from stringcast.stages.model.effect import Quantity, StringEffect
+from stringcast.stages.model.picture import line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import Quantity, StringEffect
-from stages.model.parameter import Parameter
-from stages.model.symmetry import nothing_at_zero
+from stringcast.stages.model.effect import Quantity, StringEffect
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.symmetry import nothing_at_zero
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import CameraEffect, Quantity
-from stages.model.parameter import Parameter
-from stages.model.picture import grid
-from stages.model.symmetry import odd
+from stringcast.stages.model.effect import CameraEffect, Quantity
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.picture import grid
+from stringcast.stages.model.symmetry import odd
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from stages.model.camera import Camera
+    from stringcast.stages.model.camera import Camera
 
 
 class PixelScale(CameraEffect):

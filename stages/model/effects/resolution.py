@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages.model.effect import ModelChange
-from stages.model.picture import line
+from stringcast.stages.model.effect import ModelChange
+from stringcast.stages.model.picture import line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from stages.model.model import Model
+    from stringcast.stages.model.model import Model
 
 
 class Resolution(ModelChange):

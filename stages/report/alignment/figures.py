@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
 
 WORST = 25.0  # rise of the deviance up to which it is drawn
 END = 3.84  # of a 95 % interval

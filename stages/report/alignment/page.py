@@ -8,10 +8,10 @@ from typing import Any
 
 from matplotlib import style
 
-from data.alignment import Alignment
-from stages.report.alignment.figures import likelihood, places, residuals
-from stages.report.picture import STYLE
-from stages.report.template import template
+from stringcast.data.alignment import Alignment
+from stringcast.stages.report.alignment.figures import likelihood, places, residuals
+from stringcast.stages.report.picture import STYLE
+from stringcast.stages.report.template import template
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The page of a calibration: what was measured of a camera, and by what."""
 
-from stages.report.calibration.page import calibration_report
-from stages.report.calibration.record import CalibrationRecord
+from stringcast.stages.report.calibration.page import calibration_report
+from stringcast.stages.report.calibration.record import CalibrationRecord
 
 __all__ = ["CalibrationRecord", "calibration_report"]

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from matplotlib import style
 
-from stages.report.calibration.figures.arrows import magnified
-from stages.report.calibration.figures.coverage import coverage
-from stages.report.calibration.figures.errors import errors
-from stages.report.calibration.figures.view import view
-from stages.report.calibration.record import CalibrationRecord
-from stages.report.picture import STYLE, Picture
-from stages.report.template import template
+from stringcast.stages.report.calibration.figures.arrows import magnified
+from stringcast.stages.report.calibration.figures.coverage import coverage
+from stringcast.stages.report.calibration.figures.errors import errors
+from stringcast.stages.report.calibration.figures.view import view
+from stringcast.stages.report.calibration.record import CalibrationRecord
+from stringcast.stages.report.picture import STYLE, Picture
+from stringcast.stages.report.template import template
 
 
 def calibration_report(record: CalibrationRecord) -> str:

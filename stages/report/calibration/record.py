@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from data.calibration import Calibration
+from stringcast.data.calibration import Calibration
 
 
 @dataclass(frozen=True)

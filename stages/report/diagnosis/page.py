@@ -8,21 +8,21 @@ import numpy as np
 import pandas as pd
 from matplotlib import style
 
-from stages.report.diagnosis import words
-from stages.report.diagnosis.figures.cause import cause
-from stages.report.diagnosis.figures.gain import foretold, likelier
-from stages.report.diagnosis.figures.likeness import likeness
-from stages.report.diagnosis.figures.maps import maps
-from stages.report.diagnosis.figures.missing import missing
-from stages.report.diagnosis.figures.overlay import overlays
-from stages.report.diagnosis.figures.proposed import proposed
-from stages.report.diagnosis.figures.screening import screenings
-from stages.report.diagnosis.figures.size import size
-from stages.report.diagnosis.figures.tip import tips
-from stages.report.diagnosis.record import DiagnosisRecord
-from stages.report.picture import STYLE
-from stages.report.template import template
-from stages.report.words import mm
+from stringcast.stages.report.diagnosis import words
+from stringcast.stages.report.diagnosis.figures.cause import cause
+from stringcast.stages.report.diagnosis.figures.gain import foretold, likelier
+from stringcast.stages.report.diagnosis.figures.likeness import likeness
+from stringcast.stages.report.diagnosis.figures.maps import maps
+from stringcast.stages.report.diagnosis.figures.missing import missing
+from stringcast.stages.report.diagnosis.figures.overlay import overlays
+from stringcast.stages.report.diagnosis.figures.proposed import proposed
+from stringcast.stages.report.diagnosis.figures.screening import screenings
+from stringcast.stages.report.diagnosis.figures.size import size
+from stringcast.stages.report.diagnosis.figures.tip import tips
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord
+from stringcast.stages.report.picture import STYLE
+from stringcast.stages.report.template import template
+from stringcast.stages.report.words import mm
 
 FILTERS = (words.plain, words.percent, words.gain, words.quantity, words.interval, words.headline, words.joined)
 FEW = 12  # theories shown at once; the others are folded

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from data.artifacts import Diagnosis
-from stages.model.effect import Effect
-from stages.model.model import Model
+from stringcast.data.artifacts import Diagnosis
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.model import Model
 
 TRIALS = 8  # drawn at most: those that the base model gets most wrong
 

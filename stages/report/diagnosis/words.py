@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from stages.report.words import UNKNOWN, significant, unit
+from stringcast.stages.report.words import UNKNOWN, significant, unit
 
 HANDY = {"s": (1e3, "ms"), "m": (1e3, "mm"), "rad": (180 / np.pi, "°"), "1": (1.0, "")}
 OUTCOMES = {"none": "nothing is wrong", "unknown": "something that the library does not hold"}

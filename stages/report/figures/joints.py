@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from data.artifacts import JOINTS
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.record import Cast
+from stringcast.data.artifacts import JOINTS
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.record import Cast
 
 COLOURS = (LIGHT["after"], LIGHT["before"], LIGHT["measured"])
 

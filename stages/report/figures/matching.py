@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from data.artifacts import Estimate
-from stages.report.figures.timeline import broken, mark_movement
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.record import Cast
-from stages.report.words import rate
+from stringcast.data.artifacts import Estimate
+from stringcast.stages.report.figures.timeline import broken, mark_movement
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.record import Cast
+from stringcast.stages.report.words import rate
 
 
 def matching(estimate: Estimate | None, cast: Cast | None = None) -> Picture | None:

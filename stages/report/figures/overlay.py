@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.report.picture import ON_FRAMES, Picture, raster
-from stages.report.record import Cast, Record
-from stages.report.scene import corners, draw, frame_figure, line, millimetres, view
-from stages.report.words import mm, ms
+from stringcast.stages.report.picture import ON_FRAMES, Picture, raster
+from stringcast.stages.report.record import Cast, Record
+from stringcast.stages.report.scene import corners, draw, frame_figure, line, millimetres, view
+from stringcast.stages.report.words import mm, ms
 
 AROUND = 0.03  # [s] of the tip's way, each side of the closest approach
 

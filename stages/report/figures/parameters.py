@@ -9,10 +9,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from data.artifacts import Estimate
-from stages.model.parameter import Parameter
-from stages.report.picture import LIGHT, Picture, powers, vector
-from stages.report.words import significant
+from stringcast.data.artifacts import Estimate
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.report.picture import LIGHT, Picture, powers, vector
+from stringcast.stages.report.words import significant
 
 
 def history(parameter: Parameter, estimates: Sequence[Estimate]) -> Picture:

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from stages.generate import Box
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.record import Cast, Record
-from stages.report.words import mm
+from stringcast.stages.generate import Box
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.record import Cast, Record
+from stringcast.stages.report.words import mm
 
 SIZE = (5.4, 4.9)
 

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.record import Record
-from stages.report.words import mm
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.record import Record
+from stringcast.stages.report.words import mm
 
 
 def progress(record: Record) -> Picture | None:

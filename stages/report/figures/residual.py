@@ -7,10 +7,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.report.figures.timeline import mark_movement
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.record import Cast, Record
-from stages.report.words import mm
+from stringcast.stages.report.figures.timeline import mark_movement
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.record import Cast, Record
+from stringcast.stages.report.words import mm
 
 CELLS = 30  # along the string
 

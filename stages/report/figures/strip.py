@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.report.picture import Picture, raster
-from stages.report.record import Cast, Record
-from stages.report.scene import View, draw, frame_figure
-from stages.report.words import ms
+from stringcast.stages.report.picture import Picture, raster
+from stringcast.stages.report.record import Cast, Record
+from stringcast.stages.report.scene import View, draw, frame_figure
+from stringcast.stages.report.words import ms
 
 FRAMES = 6
 

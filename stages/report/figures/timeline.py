@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from stages.judge import LONGEST_GAP
-from stages.report.picture import LIGHT, MM
-from stages.report.record import Cast
+from stringcast.stages.judge import LONGEST_GAP
+from stringcast.stages.report.picture import LIGHT, MM
+from stringcast.stages.report.record import Cast
 
 
 def broken(t: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 from matplotlib import style
 
-from stages.report.paper.figures import ONE_MOTION
-from stages.report.paper.record import LABELS, Drawn, PaperRecord
-from stages.report.picture import STYLE, Picture, vector
-from stages.report.template import template
+from stringcast.stages.report.paper.figures import ONE_MOTION
+from stringcast.stages.report.paper.record import LABELS, Drawn, PaperRecord
+from stringcast.stages.report.picture import STYLE, Picture, vector
+from stringcast.stages.report.template import template
 
 # What stands above each figure, the experiments it is of, and what the paper says about them.
 SECTIONS: dict[str, tuple[str, tuple[str, ...], str]] = {

@@ -1,6 +1,6 @@
 """The page of a sweep: how what came out responds to what was varied."""
 
-from stages.report.sweep.page import sweep_report
-from stages.report.sweep.record import SweepRecord
+from stringcast.stages.report.sweep.page import sweep_report
+from stringcast.stages.report.sweep.record import SweepRecord
 
 __all__ = ["SweepRecord", "sweep_report"]

@@ -8,14 +8,14 @@ from typing import Any
 
 from matplotlib import style
 
-from stages.report.picture import STYLE, Picture
-from stages.report.sweep.figures.curve import curve
-from stages.report.sweep.figures.plane import plane
-from stages.report.sweep.figures.reach import PLACE, reach
-from stages.report.sweep.outcomes import Outcome, response
-from stages.report.sweep.record import SweepRecord
-from stages.report.template import template
-from stages.report.words import significant
+from stringcast.stages.report.picture import STYLE, Picture
+from stringcast.stages.report.sweep.figures.curve import curve
+from stringcast.stages.report.sweep.figures.plane import plane
+from stringcast.stages.report.sweep.figures.reach import PLACE, reach
+from stringcast.stages.report.sweep.outcomes import Outcome, response
+from stringcast.stages.report.sweep.record import SweepRecord
+from stringcast.stages.report.template import template
+from stringcast.stages.report.words import significant
 
 MAPPED = ("hit", "manipulations", "E_after")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from stages.report.sweep.outcomes import OUTCOMES, Outcome, parameter
+from stringcast.stages.report.sweep.outcomes import OUTCOMES, Outcome, parameter
 
 SEED = "seed"
 

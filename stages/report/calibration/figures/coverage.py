@@ -5,8 +5,8 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stages.report.calibration.figures.arrows import arrows
-from stages.report.picture import LIGHT, Picture, vector
+from stringcast.stages.report.calibration.figures.arrows import arrows
+from stringcast.stages.report.picture import LIGHT, Picture, vector
 
 WIDTH = 6.0  # [inch]
 

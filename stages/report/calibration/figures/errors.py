@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stages.report.picture import LIGHT, Picture, vector
+from stringcast.stages.report.picture import LIGHT, Picture, vector
 
 
 def errors(views: pd.DataFrame) -> Picture:

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stages.report.calibration.figures.arrows import arrows
-from stages.report.picture import ON_FRAMES, Picture, raster
+from stringcast.stages.report.calibration.figures.arrows import arrows
+from stringcast.stages.report.picture import ON_FRAMES, Picture, raster
 
 WIDTH = 3.0  # [inch]
 

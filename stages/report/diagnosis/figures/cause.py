@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.model.effect import Effect
-from stages.report.picture import LIGHT, Picture, vector
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.report.picture import LIGHT, Picture, vector
 
 
 def cause(effect: type[Effect], values: Mapping[str, float]) -> Picture:

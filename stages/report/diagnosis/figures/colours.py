@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.colors import LinearSegmentedColormap
 
-from stages.report.picture import LIGHT
+from stringcast.stages.report.picture import LIGHT
 
 MODEL = {"base": LIGHT["before"], "extended": LIGHT["after"]}
 NAMES = {"base": "base model", "extended": "extended model"}

@@ -6,11 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.figures.colours import MODEL, NAMES
-from stages.report.diagnosis.record import DiagnosisRecord
-from stages.report.diagnosis.words import gain
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.words import mm
+from stringcast.stages.report.diagnosis.figures.colours import MODEL, NAMES
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord
+from stringcast.stages.report.diagnosis.words import gain
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.words import mm
 
 
 def foretold(record: DiagnosisRecord) -> Picture | None:

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from stages.report.diagnosis.record import DiagnosisRecord
-from stages.report.diagnosis.words import plain
-from stages.report.picture import LIGHT, Picture, vector
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord
+from stringcast.stages.report.diagnosis.words import plain
+from stringcast.stages.report.picture import LIGHT, Picture, vector
 
 
 def likeness(record: DiagnosisRecord) -> Picture | None:

@@ -9,9 +9,9 @@ from matplotlib.collections import QuadMesh
 from matplotlib.colors import AsinhNorm
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.figures.colours import DIVERGING, NAMES, NOTHING
-from stages.report.diagnosis.record import DiagnosisRecord
-from stages.report.picture import MM, Picture, vector
+from stringcast.stages.report.diagnosis.figures.colours import DIVERGING, NAMES, NOTHING
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord
+from stringcast.stages.report.picture import MM, Picture, vector
 
 PLACES, MOMENTS = 30, 80  # cells at most, along the string and in time
 LEAST = 5.0  # standard deviations: the end of the colour scale is never nearer

@@ -9,9 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.record import TRIALS, DiagnosisRecord
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.words import significant
+from stringcast.stages.report.diagnosis.record import TRIALS, DiagnosisRecord
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.words import significant
 
 LONGEST = 0.28  # [inch] an arrow
 

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.figures.colours import MODEL
-from stages.report.diagnosis.record import DiagnosisRecord, away
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.words import mm, ms
+from stringcast.stages.report.diagnosis.figures.colours import MODEL
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord, away
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.words import mm, ms
 
 FAR = 0.75  # quantile along the string that says how wrong a frame is: a few outliers do not
 

@@ -7,10 +7,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.record import DiagnosisRecord
-from stages.report.diagnosis.words import plain
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.words import mm, ms
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord
+from stringcast.stages.report.diagnosis.words import plain
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.words import mm, ms
 
 COLOURS = ("after", "before", "measured", "target")  # the likeliest theory first
 STYLES = ("-", "--", "-.", ":")

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.record import DiagnosisRecord
-from stages.report.diagnosis.words import gain, plain
-from stages.report.picture import LIGHT, Picture, vector
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord
+from stringcast.stages.report.diagnosis.words import gain, plain
+from stringcast.stages.report.picture import LIGHT, Picture, vector
 
 BARS = 14  # effects drawn at most, the most promising
 

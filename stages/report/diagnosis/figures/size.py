@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.figures.colours import MODEL, NAMES
-from stages.report.diagnosis.record import DiagnosisRecord, rms
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.words import mm
+from stringcast.stages.report.diagnosis.figures.colours import MODEL, NAMES
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord, rms
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.words import mm
 
 
 def size(record: DiagnosisRecord) -> Picture | None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stages.report.diagnosis.figures.colours import MODEL
-from stages.report.diagnosis.record import DiagnosisRecord, away
-from stages.report.picture import LIGHT, MM, Picture, vector
-from stages.report.words import mm
+from stringcast.stages.report.diagnosis.figures.colours import MODEL
+from stringcast.stages.report.diagnosis.record import DiagnosisRecord, away
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.words import mm
 
 NEAR = 0.05  # of the length measured: a point as near to the end stands for the tip
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from matplotlib import style
 
-from stages.report.paper.figures.matching import matching
-from stages.report.paper.figures.parameters import parameters
-from stages.report.paper.figures.rates import rates
-from stages.report.paper.figures.shapes import shapes
-from stages.report.paper.figures.trajectories import trajectories
-from stages.report.paper.record import Drawn, PaperRecord
-from stages.report.picture import STYLE
+from stringcast.stages.report.paper.figures.matching import matching
+from stringcast.stages.report.paper.figures.parameters import parameters
+from stringcast.stages.report.paper.figures.rates import rates
+from stringcast.stages.report.paper.figures.shapes import shapes
+from stringcast.stages.report.paper.figures.trajectories import trajectories
+from stringcast.stages.report.paper.record import Drawn, PaperRecord
+from stringcast.stages.report.picture import STYLE
 
 ONE_MOTION = ("one_motion_A", "one_motion_B", "one_motion_C")
 TARGETS = ("A_300_900", "A_400_700", "A_900_500")

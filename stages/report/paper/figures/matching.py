@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from stages.report.figures.timeline import broken
-from stages.report.paper.record import Drawn, PaperRecord
-from stages.report.picture import LIGHT, MM
-from stages.report.words import rate
+from stringcast.stages.report.figures.timeline import broken
+from stringcast.stages.report.paper.record import Drawn, PaperRecord
+from stringcast.stages.report.picture import LIGHT, MM
+from stringcast.stages.report.words import rate
 
 LATER = 4  # the manipulation that the paper compares with the first
 AROUND = 0.05  # [s] each side of the closest approach, over which E_f is averaged for comparison

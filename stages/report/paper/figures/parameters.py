@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from stages.report.paper.record import Drawn, PaperRecord
-from stages.report.picture import LIGHT, powers
-from stages.report.words import significant
+from stringcast.stages.report.paper.record import Drawn, PaperRecord
+from stringcast.stages.report.picture import LIGHT, powers
+from stringcast.stages.report.words import significant
 
 SYMBOLS = ("k_h", "c_h", "k_ph", "c_ph")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from stages.report.paper.record import LABELS, Drawn, PaperRecord
-from stages.report.picture import LIGHT
+from stringcast.stages.report.paper.record import LABELS, Drawn, PaperRecord
+from stringcast.stages.report.picture import LIGHT
 
 SHOWN = {1: ("before", "o"), 2: ("after", "s"), 3: ("measured", "D"), 5: ("target", "^")}
 

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from stages.report.paper.record import LABELS, Drawn, PaperRecord
-from stages.report.picture import LIGHT, MM
-from stages.report.words import mm
+from stringcast.stages.report.paper.record import LABELS, Drawn, PaperRecord
+from stringcast.stages.report.picture import LIGHT, MM
+from stringcast.stages.report.words import mm
 
 LOOK: dict[str, dict[str, Any]] = {
     "arm": {"color": LIGHT["soft"], "lw": 2.2, "marker": "o", "ms": 3},

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from stages.report.paper.figures.shapes import boxes
-from stages.report.paper.record import LABELS, Drawn, PaperRecord
-from stages.report.picture import LIGHT, MM
+from stringcast.stages.report.paper.figures.shapes import boxes
+from stringcast.stages.report.paper.record import LABELS, Drawn, PaperRecord
+from stringcast.stages.report.picture import LIGHT, MM
 
 COLOURS = ("after", "before", "measured")
 

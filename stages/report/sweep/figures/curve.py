@@ -7,10 +7,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from stages.report.picture import LIGHT, Picture, powers, vector
-from stages.report.sweep.figures.levels import marked
-from stages.report.sweep.outcomes import Outcome, response
-from stages.report.words import significant
+from stringcast.stages.report.picture import LIGHT, Picture, powers, vector
+from stringcast.stages.report.sweep.figures.levels import marked
+from stringcast.stages.report.sweep.outcomes import Outcome, response
+from stringcast.stages.report.words import significant
 
 
 def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:

@@ -6,10 +6,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from stages.report.picture import LIGHT, Picture, vector
-from stages.report.sweep.figures.levels import named
-from stages.report.sweep.outcomes import Outcome, response
-from stages.report.words import significant
+from stringcast.stages.report.picture import LIGHT, Picture, vector
+from stringcast.stages.report.sweep.figures.levels import named
+from stringcast.stages.report.sweep.outcomes import Outcome, response
+from stringcast.stages.report.words import significant
 
 DARKEST = 0.75  # opacity of the largest mean, dark enough to see and light enough to read on
 

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
 
 PLACE = ("target.x", "target.y")
 FAINTEST = 0.15  # opacity of the most manipulations

@@ -1,0 +1,1 @@
+"""The settings, a folder for each group; Hydra finds them as `pkg://stringcast.conf`."""

@@ -1,0 +1,5 @@
+"""`python -m stringcast`: the command `stringcast`."""
+
+from stringcast.pipeline.__main__ import called
+
+called()
