@@ -16,9 +16,10 @@ arithmetic and numpy functions without branches. They return what they add. Ever
 per mass per length, so that a law knows nothing of mass points.
 
 A law with memory is two: `held` says what a hinge holds after its curvature has changed by `change`
-within `dt`, from what it held before, and `held_moment` the moment of that. A string that hangs at rest
-holds nothing, for the swings that die down there leave it on neither side; one that is let go elsewhere
-was pulled there slowly, and holds `held(held=0, change=curvature - curvature_at_rest, dt=inf)`.
+within `dt`, from what it held before, and `held_moment` the moment of that; `grasp_held` and
+`grasp_held_moment` say it of the grasp and its angle. A string that hangs at rest holds nothing, for the
+swings that die down there leave it on neither side; one that is let go elsewhere was pulled there slowly,
+and holds `held(held=0, change=curvature - curvature_at_rest, dt=inf)`.
 """
 
 from __future__ import annotations
@@ -64,6 +65,8 @@ SLOTS: dict[str, Slot] = {
     # for hinges with a memory: what one holds after its curvature has changed, and the moment that goes with it
     "held": Slot("what a hinge holds, from what it held", "1/m", {"held": "1/m", "change": "1/m", "dt": "s"}),
     "held_moment": Slot("bending moment over mass per length", "m3/s2", {"held": "1/m"}),
+    "grasp_held": Slot("what the grasp holds, from what it held", "rad", {"held": "rad", "change": "rad", "dt": "s"}),
+    "grasp_held_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"held": "rad"}),
     "grasp_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"angle": "rad", "rate": "rad/s"}),
     # v is the string's velocity, u that through the air, (tx, ty) the string's direction towards the tip, dt the step
     "load": Slot(
@@ -85,6 +88,12 @@ SLOTS: dict[str, Slot] = {
 
 # Slots whose value times one of its arguments belongs to another slot: which, and the argument.
 PER = {"hinge_stiffness": ("moment", "curvature"), "hinge_drag": ("moment", "rate")}
+
+# What is held, by the slot that its moment belongs to: the slots of the state and of its moment, and what it follows.
+HELD = {
+    "moment": ("held", "held_moment", "curvature"),
+    "grasp_moment": ("grasp_held", "grasp_held_moment", "angle"),
+}
 
 
 class Effect(ABC):

@@ -11,8 +11,9 @@ staggered grid): second order, stable at any step, and without damping of its ow
 sees the velocity extrapolated by half a step, and is second order too. What of a law is not
 linear stays explicit and bounds the step, as in the other methods. What hinges have per curvature and per
 rate (a bending that hardens, dry friction) is averaged with what it is at the step's start, and bounds
-nothing: with a drag that changes, of first order. What hinges hold is averaged with its steepest rise, that where
-they turn back: an upper bound is stable, and off by a term of second order where it is less.
+nothing: with a drag that changes, of first order. What hinges and the grasp hold is
+averaged with its steepest rise, that where they turn back: an upper bound is stable, and off by a term of second
+order where it is less.
 
 With D the difference along the string, t and n = rotated t the directions of a segment, r
 its length and e = n / r how its angle turns with its end, the matrix is
@@ -168,7 +169,7 @@ class ImplicitLeapfrog(Integrator):
     behind: float = 0.5
     rows: tuple[str, ...] = ROWS
     velocity: tuple[str, ...] = ("qx = B[VX + p] + 0.5 * B[DVX + p]", "qy = B[VY + p] + 0.5 * B[DVY + p]")
-    averaged: tuple[str, ...] = ("hinge_stiffness", "hinge_drag", "held_moment")
+    averaged: tuple[str, ...] = ("hinge_stiffness", "hinge_drag", "held_moment", "grasp_held_moment")
     turned: str = field(default=turn.ANY, repr=False)
     solver: str = field(default=SOLVER, repr=False)
     solve: str = "settle(B, n, dt)"
@@ -195,7 +196,7 @@ class ImplicitLeapfrog(Integrator):
     def constants(self, string: String, material: np.ndarray, dt: float) -> Mapping[str, np.ndarray]:
         """Masses and averaged slopes: dt/2 of the damping and dt^2/4 of the stiffness, by which a change acts."""
         _, (stiffness, damping) = slopes(string, material)
-        stiffness[1] += turning_back(string, material)
+        stiffness += turning_back(string, material)
         axial, bending, grasp = (0.5 * dt * damping + 0.25 * dt**2 * stiffness)[..., None]
         segment = string.segments(material)[:, None]
         hinges = np.repeat(bending / segment, string.points - 2, axis=1)

@@ -42,7 +42,7 @@ import llvmlite.binding
 import numba
 import numpy as np
 
-from stringcast.stages.model.effect import PER, StringEffect, arguments
+from stringcast.stages.model.effect import HELD, PER, StringEffect, arguments
 from stringcast.stages.model.integrator import Integrator
 from stringcast.stages.model.precision import Precision
 
@@ -60,6 +60,8 @@ EXPRESSIONS = {
     "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge<<longer>>"},
     "held": {"change": "change", "dt": "lapse"},
     "held_moment": {},
+    "grasp_held": {"change": "change", "dt": "lapse"},
+    "grasp_held_moment": {},
     "hinge_stiffness": {},
     "hinge_drag": {},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
@@ -74,6 +76,7 @@ EXPRESSIONS = {
 HIDDEN = ("LONGER", "OVER")  # rows of strings that begin elsewhere: length over that stated, and one over a segment's
 
 Run = Callable[..., None]
+Slots = Mapping[str, Sequence[type[StringEffect]]]
 
 
 @cache
@@ -127,14 +130,14 @@ def source(
             [
                 _sum(slots, "moment", names),
                 *(f"{slot} * {_factor(slot)}" for slot in per),
-                *(_call(e, "held_moment", names, {"held": f"held_{i}"}) for i, e in enumerate(slots["held"])),
+                *_held_moments(slots, "held", names),
             ]
         ),
-        "held": "\n".join(_memory(slots["held"], names, len(integrator.nodes))),
+        **{slot: "\n".join(_memory(slots, slot, names, len(integrator.nodes))) for slot, _, _ in HELD.values()},
         "per": "\n".join([*(f"{slot} = {at(slot, _factor(slot))}" for slot in per), *integrator.hinge(per, at)]),
         "rest": _sum(slots, "rest_curvature", names),
         "set": "B[SET + j]" if slots["rest_curvature"] else "0.0",
-        "grasp_moment": _sum(slots, "grasp_moment", names),
+        "grasp_moment": " + ".join([_sum(slots, "grasp_moment", names), *_held_moments(slots, "grasp_held", names)]),
         "flow": _vector(slots, "flow", names, "air"),
         "load": _vector(slots, "load", names, "load"),
         "acceleration": _vector(slots, "acceleration", names, "fall"),
@@ -162,16 +165,21 @@ def source(
     return precision.text(text)
 
 
-def _memory(effects: Sequence[type[StringEffect]], names: Sequence[str], passes: int) -> Iterator[str]:
-    """Source text of what becomes of a hinge's memory: it is kept with the first pass of a step, of which the others
+def _held_moments(slots: Slots, slot: str, names: Sequence[str]) -> list[str]:
+    """Calls of the moments of what is held."""
+    return [_call(e, f"{slot}_moment", names, {"held": f"held_{i}"}) for i, e in enumerate(slots[slot])]
+
+
+def _memory(slots: Slots, slot: str, names: Sequence[str], passes: int) -> Iterator[str]:
+    """Source text of what becomes of what a hinge holds: it is kept with the first pass of a step, of which the others
     are rehearsals."""
-    if not effects:
+    if not slots[slot]:
         return
     kept = "{new}" if passes == 1 else "{new} if stage == 0 else {old}"
     yield "change = curvature - B[CURVED + k]"
     yield "lapse = dt" if passes == 1 else "lapse = dt if stage == 0 else dt * NODES[stage]"
-    for i, effect in enumerate(effects):
-        yield f"held_{i} = {_call(effect, 'held', names, {'held': f'B[HELD{i} + k]'})}"
+    for i, effect in enumerate(slots[slot]):
+        yield f"held_{i} = {_call(effect, slot, names, {'held': f'B[HELD{i} + k]'})}"
         yield f"B[HELD{i} + k] = {kept.format(new=f'held_{i}', old=f'B[HELD{i} + k]')}"
     yield f"B[CURVED + k] = {kept.format(new='curvature', old='B[CURVED + k]')}"
 
@@ -180,7 +188,7 @@ def kinds(integrator: Integrator, precision: Precision, effects: Sequence[type[S
     """Which of a point's rows is which, by name; the last are how long a string really is, and what its hinge was bent
     to and each effect holds."""
     hidden = HIDDEN if any("hidden_length" in e.laws() for e in effects) else ()
-    holding = sum("held" in e.laws() for e in effects)
+    holding = max(sum(slot in e.laws() for e in effects) for slot, _, _ in HELD.values())
     memory = ("CURVED", *(f"HELD{i}" for i in range(holding))) if holding else ()
     return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows, *hidden, *memory))}
 
@@ -229,9 +237,7 @@ def _index(effect: type[StringEffect], argument: str, names: Sequence[str]) -> i
     raise TypeError(f"effect '{effect.name}': no parameter '{argument}'; there are {', '.join(names)}")
 
 
-def _sum(
-    slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequence[str], more: Mapping[str, str] | None = None
-) -> str:
+def _sum(slots: Slots, slot: str, names: Sequence[str], more: Mapping[str, str] | None = None) -> str:
     return " + ".join(_call(e, slot, names, more or {}) for e in slots[slot]) or "0.0"
 
 
@@ -241,7 +247,7 @@ def _factor(slot: str) -> str:
     return EXPRESSIONS[other][argument]
 
 
-def _vector(slots: dict[str, list[type[StringEffect]]], slot: str, names: Sequence[str], prefix: str) -> str:
+def _vector(slots: Slots, slot: str, names: Sequence[str], prefix: str) -> str:
     calls = [f"{prefix}{i}x, {prefix}{i}y = {_call(e, slot, names, {})}" for i, e in enumerate(slots[slot])]
     total = [f"{prefix}{c} = " + (" + ".join(f"{prefix}{i}{c}" for i in range(len(calls))) or "0.0") for c in "xy"]
     return "\n".join([*calls, *total])
@@ -333,6 +339,7 @@ B[PULL + k] = <<tension>>
     "grasped": """
 curvature = angle - B[HA + j]<<kink>> - <<set>>
 bend = omega - B[HW + j]
+<<grasp_held>>
 B[MOMENT + k] = <<grasp_moment>>
 """,
     "hinge": """

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.effect import arguments, taken
+from stringcast.stages.model.effect import HELD, arguments, taken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,15 +25,18 @@ def line(axes: Axes, x: np.ndarray, y: np.ndarray, across: str, up: str) -> None
 
 
 def loop(axes: Axes, effect: type[StringEffect], values: Mapping[str, float], farthest: float, lapse: float) -> None:
-    """Draw what hinges with a memory hold, bent there and back to +-farthest [1/m] within a lapse [s] a quarter."""
+    """Draw what a hinge or a grasp with a memory holds, bent there and back to +-farthest [1/m] or [rad] within a lapse
+    [s] a quarter."""
     bent = farthest * np.interp(np.linspace(0.0, 5.0, 501), np.arange(6), [0.0, 1.0, 0.0, -1.0, 0.0, 1.0])
     laws, state, moments = effect.laws(), 0.0, []
+    held, moment, bends = next(each for each in HELD.values() if each[0] in laws)
     own = {slot: {name: values[name] for name in arguments(laws[slot]) if name in values} for slot in laws}
     for change in np.diff(bent, prepend=0.0):
         known = {"held": state, "change": change, "dt": lapse / 100}
-        state = laws["held"](**taken(laws["held"], known), **own["held"])
-        moments.append(laws["held_moment"](state, **own["held_moment"]))
-    line(axes, bent, np.array(moments), "curvature / (1/m)", "moment / (m3/s2)")
+        state = laws[held](**taken(laws[held], known), **own[held])
+        moments.append(laws[moment](state, **own[moment]))
+    across = {"curvature": "curvature / (1/m)", "angle": "angle at the grasp / rad"}[bends]
+    line(axes, bent, np.array(moments), across, "moment / (m3/s2)")
 
 
 def grid(axes: Axes, seen: Callable[..., np.ndarray], **values: float) -> None:

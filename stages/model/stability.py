@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stringcast.stages.model.effect import PER
+from stringcast.stages.model.effect import HELD, PER
 
 if TYPE_CHECKING:
     from stringcast.stages.model.string import String
@@ -53,8 +53,8 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """
     axial, bending, grasp = _operators(string, material)
     stiffness, damping = string.integrator.explicit(*slopes(string, material))
-    if "held_moment" not in string.integrator.averaged:
-        stiffness = stiffness + np.array([[0.0], [1.0], [0.0]]) * turning_back(string, material)
+    explicit = [[slot in HELD and HELD[slot][1] not in string.integrator.averaged] for slot in SAMPLES]
+    stiffness = stiffness + explicit * turning_back(string, material)
     length = string.segments(material)
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
     taut = np.array([[1 + TAUT], [1.0], [1.0]])
@@ -85,14 +85,20 @@ def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def turning_back(string: String, material: np.ndarray) -> np.ndarray:
-    """Steepest rise with the curvature of the moment that hinges hold, (C,) [m4/s2]: where they turn back."""
-    farthest = np.full((1, 1), SAMPLES["moment"][0][1][-1])
-    states = [each * np.linspace(-1.0, 1.0, 9) for each in string.held(material, farthest)]
-    before, steepest = list(string.held_moments(material, states)), np.zeros(len(material))
-    for bit in (1e-6, -1e-6):  # [1/m]
-        after = string.held_moments(material, string.held(material, np.full((1, 1), bit), states, SOON))
-        rises = [((new - old) / bit).max(axis=1) for new, old in zip(after, before, strict=True)]
-        steepest = np.maximum(steepest, sum(rises, np.zeros(len(material))))
+    """Steepest rise with curvature and angle of the moments that hinges and the grasp hold, (3, C), as `slopes`: where
+    they turn back."""
+    steepest = np.zeros((len(SAMPLES), len(material)))
+    for row, slot in enumerate(SAMPLES):
+        if slot not in HELD or not string.holds(slot):
+            continue
+        farthest = np.full((1, 1), SAMPLES[slot][0][1][-1])
+        states = [each * np.linspace(-1.0, 1.0, 9) for each in string.held(slot, material, farthest)]
+        before = list(string.held_moments(slot, material, states))
+        for bit in (1e-6, -1e-6):  # [1/m] or [rad]
+            bent = string.held(slot, material, np.full((1, 1), bit), states, SOON)
+            after = string.held_moments(slot, material, bent)
+            rises = [((new - old) / bit).max(axis=1) for new, old in zip(after, before, strict=True)]
+            steepest[row] = np.maximum(steepest[row], sum(rises, np.zeros(len(material))))
     return steepest
 
 

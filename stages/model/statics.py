@@ -72,7 +72,7 @@ def moments(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moments at the hinges and their slope with the hinge angle, (C, n) each; the free end has none."""
     zero = np.zeros((1, 1))
-    hinge = angles[:, :1] - theta[:, None] - grasp_set(string, material)
+    hinge = grasp_angle(string, material, theta, angles)
     first, first_slope = sloped(string, material, "grasp_moment", "angle", hinge, {"rate": zero})
     s = string.places(material)[:, 1:-1]
     bend = curvatures(string, material, angles)
@@ -86,6 +86,11 @@ def curvatures(string: String, material: np.ndarray, angles: np.ndarray) -> np.n
     """Of the hinges, beyond that at rest, (C, n - 2) [1/m]. angles: (C, n - 1) of the segments [rad]."""
     s = string.places(material)[:, 1:-1]
     return np.diff(angles, axis=1) / string.segments(material)[:, None] - _at_rest(string, material, s)
+
+
+def grasp_angle(string: String, material: np.ndarray, theta: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Of the hinge there, beyond that at rest, (C, 1) [rad]. theta: (1 or C,) of the hand. angles: (C, n - 1)."""
+    return angles[:, :1] - theta[:, None] - grasp_set(string, material)
 
 
 def grasp_set(string: String, material: np.ndarray) -> np.ndarray:

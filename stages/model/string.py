@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stringcast.stages.model import kernel
-from stringcast.stages.model.effect import Law, StringEffect, arguments, placed, taken
+from stringcast.stages.model.effect import HELD, Law, StringEffect, arguments, placed, taken
 from stringcast.stages.model.effects.air_drag import AirDrag
 from stringcast.stages.model.effects.axial_damper import AxialDamper
 from stringcast.stages.model.effects.axial_spring import AxialSpring
@@ -33,7 +33,7 @@ from stringcast.stages.model.precision import Double, Precision
 from stringcast.stages.model.sampling import asked, between, sampled, stayed, unpacked
 from stringcast.stages.model.stability import steps_per_tick
 from stringcast.stages.model.state import State
-from stringcast.stages.model.statics import curvatures, grasp_set, softness
+from stringcast.stages.model.statics import curvatures, grasp_angle, grasp_set, softness
 
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -201,31 +201,32 @@ class String:
         for law in self._laws.get(slot, ()):
             yield _value(law, material, given)
 
+    def holds(self, slot: str) -> int:
+        """How many effects hold something whose moment belongs to a slot: `moment` or `grasp_moment`."""
+        return len(self._laws.get(HELD[slot][0], ()))
+
     def held(
         self,
+        slot: str,
         material: np.ndarray,
         change: np.ndarray,
         before: Sequence[np.ndarray] | None = None,
         lapse: float = np.inf,
     ) -> list[np.ndarray]:
-        """What hinges hold after a change of curvature, for each effect with a memory, (1 or C, M) each [1/m].
+        """What hinges hold after a change of curvature, or the grasp after one of angle, for each effect with a memory,
+        (1 or C, M) each [1/m] or [rad].
 
-        material: (C, rows). change: (1 or C, M) [1/m], in a time `lapse` [s]. before: what each of them held, (1 or C,
-        M) [1/m]; nothing, if it is not given: with the lapse as it is, they were bent slowly from straight.
+        slot: that of the moment. material: (C, rows). change: (1 or C, M), in a time `lapse` [s]. before: what each of
+        them held, (1 or C, M); nothing, if it is not given: with the lapse as it is, it was bent slowly from straight.
         """
-        laws = self._laws.get("held", [])
+        laws = self._laws.get(HELD[slot][0], [])
         known = {"change": change, "dt": np.full((1, 1), lapse)}
         start = [np.zeros((1, 1))] * len(laws) if before is None else before
         return [_value(law, material, {**known, "held": held}) for law, held in zip(laws, start, strict=True)]
 
-    @property
-    def holds(self) -> bool:
-        """Whether a hinge holds anything: an effect with a memory is at work."""
-        return "held" in self._laws
-
-    def held_moments(self, material: np.ndarray, held: Sequence[np.ndarray]) -> Iterator[Any]:
-        """The moment of what hinges hold, for each effect with a memory. held: in the order of `self.held`."""
-        for law, state in zip(self._laws.get("held_moment", ()), held, strict=True):
+    def held_moments(self, slot: str, material: np.ndarray, held: Sequence[np.ndarray]) -> Iterator[Any]:
+        """The moment of what is held, for each effect with a memory. held: in the order of `self.held`."""
+        for law, state in zip(self._laws.get(HELD[slot][1], ()), held, strict=True):
             yield _value(law, material, {"held": state})
 
     @cached_property
@@ -378,7 +379,7 @@ def _run(
     start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
     angles, lengths, velocity, hung = (part[index] for part in start)
     constants = string.integrator.constants(*string.at_work(material[index]), hand.tick / steps)
-    further = {**constants, **_memory(string, material[index], angles, hung)}
+    further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung)}
     positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further)
     shared = len(pose) == 1
     cubic = string.precision.hand(_cubic(own, rate if shared else rate[index], hand.tick))
@@ -424,7 +425,7 @@ def _moving(
     relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
     hand = np.broadcast_to(rate[:, :1, :2], (len(material), 1, 2))
     velocity = np.concatenate([hand, hand + relative], axis=1)
-    hung = hanging(*string.at_work(material), pose[:, 0])[0] if string.holds else angles
+    hung = hanging(*string.at_work(material), pose[:, 0])[0] if any(map(string.holds, HELD)) else angles
     return angles, lengths, velocity, hung
 
 
@@ -496,18 +497,29 @@ def _hidden(string: String, material: np.ndarray) -> dict[str, np.ndarray]:
     return {name: row[:, None] for name, row in zip(kernel.HIDDEN, rows, strict=True)}
 
 
-def _memory(string: String, material: np.ndarray, angles: np.ndarray, hung: np.ndarray) -> dict[str, np.ndarray]:
-    """The kernel's rows for hinges with a memory: what they are bent to, and what they then hold, (C, n - 1) each.
+def _memory(
+    string: String, material: np.ndarray, theta: np.ndarray, angles: np.ndarray, hung: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The kernel's rows for what has a memory: what hinges are bent to, and what they then hold, (C, n - 1) each; the
+    grasp's comes first.
 
-    angles: (C, n - 1) of the segments [rad]; hung: those at which hinges hold nothing, from which the string was pulled
-    slowly. The grasp's hinge, which comes first, has none.
+    theta: (1 or C,) of the hand [rad]. angles: (C, n - 1) of the segments [rad]; hung: those at which nothing is held,
+    from which the string was pulled slowly.
     """
-    if not string.holds:
+    count = max(string.holds(slot) for slot in HELD)
+    if not count:
         return {}
-    bent, before = (curvatures(string, material, each) for each in (angles, hung))
-    held = {f"HELD{i}": np.broadcast_to(h, bent.shape) for i, h in enumerate(string.held(material, bent - before))}
-    rows = {"CURVED": bent, **held}
-    return {name: np.pad(values, ((0, 0), (1, 0))) for name, values in rows.items()}
+    bent, before = (
+        {"grasp_moment": grasp_angle(string, material, theta, each), "moment": curvatures(string, material, each)}
+        for each in (angles, hung)
+    )
+    places = {"grasp_moment": slice(0, 1), "moment": slice(1, None)}
+    rows = np.zeros((1 + count, *angles.shape))
+    for slot, place in places.items():
+        rows[0, :, place] = bent[slot]
+        for row, held in zip(rows[1:], string.held(slot, material, bent[slot] - before[slot]), strict=False):
+            row[:, place] = held
+    return dict(zip(("CURVED", *(f"HELD{i}" for i in range(count))), rows, strict=True))
 
 
 def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:

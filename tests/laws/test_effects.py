@@ -33,6 +33,7 @@ NAMES = [
     "dahl_friction",
     "standard_linear_solid",
     "clamp",
+    "grasp_play",
     "anisotropic_drag",
     "resolution",
     "contact",
@@ -78,6 +79,7 @@ CORNER = {
 }
 ACTING |= dict.fromkeys(CORNER, CORNER)
 ACTING |= {f"{name}.slip": {f"{name}.cap": 2e-3} for name in ("maxwell_slip", "dahl_friction")}
+ACTING |= {"grasp_play.slip": {"grasp_play.cap": 0.02}}
 ACTING |= {"standard_linear_solid.relaxation": {"standard_linear_solid.stiffness": 1e-3}}
 LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
 SYMMETRIES = [(effect, symmetry) for effect in LIBRARY.values() for symmetry in effect.symmetries]
@@ -145,7 +147,10 @@ def test_at_their_start_laws_add_nothing(effect):
     if issubclass(effect, StringEffect):
         known |= effect.derived(**still)
     absent = {"joints": "angles", "grasp": "pose", "times": "t", "seen": "points"}
-    for name in effect.laws().keys() - {"held"}:  # what a hinge holds is nothing to the string: its moment is
+    for name in effect.laws().keys() - {
+        "held",
+        "grasp_held",
+    }:  # what a hinge holds is nothing to the string: its moment is
         value = law_of(effect, name)(known)
         np.testing.assert_allclose(value - known.get(absent.get(name), 0.0), 0.0, atol=1e-15, err_msg=name)
 

@@ -1,0 +1,57 @@
+"""A stiff rod between jaws that hold it by dry friction: it hangs freely, and swings down evenly."""
+
+import numpy as np
+
+from stringcast.stages.model.effects.grasp_play import GraspPlay
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.state import State
+from stringcast.stages.model.string import BASE, String, simulate
+
+LENGTH = 0.3
+WEIGHT = 9.81 * LENGTH**2 / 2  # [m3/s2] the moment that holds it level
+ROD = {
+    **{"axial_stiffness": 9e6, "axial_damping": 100.0, "bending_stiffness": 4e5, "bending_damping": 0.05},
+    **{"linear_drag": 1e-12, "quadratic_drag": 1e-12, "grasp_stiffness": 1e-12, "grasp_damping": 1e-12},
+}
+HELD = String(
+    LENGTH,
+    8,
+    (*BASE, GraspPlay),
+    tip_cell=0.5,
+    grasp_cell=0.5,
+    integrator=ImplicitLeapfrog(),
+    largest_step=5e-4,
+)
+
+
+def still(theta):
+    """A hand that rests in this direction for 3 s, and when it is looked at."""
+    t = np.arange(0, 3.0, 0.005)
+    return hand_motion_from_grasp(t, np.stack([0 * t, 0 * t, 0 * t + theta], axis=-1)), t
+
+
+def test_it_hangs_at_rest_as_if_nothing_held_it():
+    """However the jaws lie, and stays there."""
+    values = HELD.values(ROD | {"grasp_play.cap": 0.2, "grasp_play.slip": 0.02})[None]
+    tip = simulate(HELD, still(-1.0)[0], values, np.linspace(0, 1, 20)).tip[0]
+    np.testing.assert_allclose(tip, np.tile([0.0, -LENGTH], (20, 1)), atol=1e-4)
+
+
+def test_it_swings_down_by_as_much_from_swing_to_swing():
+    """W (cos b - cos a) = cap (a + b - 2 slip) from one end a of a swing to the next, b: nearly a straight line."""
+    cap, slip, start = 0.02 * WEIGHT, 1e-3, 0.35
+    hand, t = still(-np.pi / 2)
+    begun = State(0.0, np.array([0.0, LENGTH]), np.full(2, start - np.pi / 2), np.zeros(2))
+    values = HELD.values(ROD | {"grasp_play.cap": cap, "grasp_play.slip": slip})[None]
+    tip = simulate(HELD, hand, values, t, begun).tip[0]
+    angle = np.abs(np.arctan2(tip[:, 0], -tip[:, 1]))
+    ends = angle[1:-1][(angle[1:-1] >= angle[:-2]) & (angle[1:-1] > angle[2:])]
+    expected = [start]
+    while len(expected) <= len(ends):
+        a, way = expected[-1], np.linspace(0, expected[-1], 100_001)
+        left = WEIGHT * (np.cos(way) - np.cos(a)) - cap * (a + way - 2 * slip)
+        expected.append(way[np.flatnonzero(left > 0)[-1]])
+    assert len(ends) == 6
+    np.testing.assert_allclose(ends, expected[1:], atol=1e-3)
+    np.testing.assert_allclose(-np.diff(ends), 0.04, atol=2e-3)
