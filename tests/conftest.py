@@ -1,6 +1,8 @@
 """What several tests need: the default world, and trials filmed once."""
 
 import os
+import subprocess
+import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -62,8 +64,42 @@ def pytest_sessionfinish(session, exitstatus):
 @pytest.fixture(autouse=True, scope="session")
 def cores_are_shared():
     """Side by side, each worker has its share of the cores: with all of them each, they would wait for one another."""
+    numba.set_num_threads(share())
+
+
+def share():
+    """How many cores each worker has."""
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    numba.set_num_threads(max(numba.config.NUMBA_NUM_THREADS // workers, 1))
+    return max(numba.config.NUMBA_NUM_THREADS // workers, 1)
+
+
+def pipeline(*words):
+    """The command as a user gives it, in a process of its own, with a worker's share of the cores: threads that wait
+    for one another spin, and a diagnosis beside other work took 66 s of processor for 25."""
+    command = [sys.executable, "-m", "pipeline", *map(str, words)]
+    around = os.environ | {"NUMBA_NUM_THREADS": str(share())}
+    return subprocess.run(command, cwd=ROOT, env=around, capture_output=True, text=True, timeout=500, check=False)
+
+
+@pytest.fixture
+def called(monkeypatch, capsys):
+    """The same in this process, where nothing is asked of the process: one of its own takes 2 s to start."""
+    from stringcast.pipeline import __main__ as shell
+
+    def call(*words):
+        capsys.readouterr()
+        monkeypatch.setattr(sys, "argv", ["pipeline", *map(str, words)])
+        monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")  # as Hydra finds it when it is run
+        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set, and then put back
+        monkeypatch.chdir(ROOT)
+        try:
+            status = shell.called()
+        except SystemExit as stopped:
+            status = stopped.code
+        said, words = capsys.readouterr(), status if isinstance(status, str) else ""  # which Python would print
+        return subprocess.CompletedProcess(sys.argv, 1 if words else status or 0, said.out, said.err + words)
+
+    return call
 
 
 @contextmanager
@@ -75,6 +111,11 @@ def threads(number):
         yield
     finally:
         numba.set_num_threads(before)
+
+
+def other_threads():
+    """With another number of threads than now, where there are several cores."""
+    return threads(1 if numba.get_num_threads() > 1 else numba.config.NUMBA_NUM_THREADS)
 
 
 def configured(kind, path):

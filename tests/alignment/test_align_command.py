@@ -1,7 +1,5 @@
 """Alignment from the command line, and what other experiments make of it."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -50,7 +48,7 @@ def test_a_range_that_is_none_is_refused(told, words):
         made({"time_offset.offset": told})
 
 
-def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(arm, camera, tmp_path):
+def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(arm, camera, called, tmp_path):
     bench = stand(Model(String(0.3), arm, camera))
     seen = bench.observation(OFF)
     trials = tmp_path / "trials"
@@ -60,15 +58,7 @@ def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(arm, ca
     about = {"format": 1, "name": "swing", "string": {"length": 0.3}}
     about["arm"] = {"links": list(arm.links), "base": list(arm.base)}
     (trials / "dataset.yaml").write_text(yaml.safe_dump(about))
-    call = [
-        sys.executable,
-        "-m",
-        "pipeline",
-        "+experiment=align",
-        f"trials={trials}",
-        f"hydra.run.dir={tmp_path / 'run'}",
-    ]
-    ended = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False)
+    ended = called("+experiment=align", f"trials={trials}", f"hydra.run.dir={tmp_path / 'run'}")
     assert ended.returncode == 0, ended.stderr
     told = extended_model(tmp_path / "run")
     taken = made(**told).model

@@ -2,15 +2,13 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from conftest import ROOT, pipeline
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
@@ -19,7 +17,6 @@ from stringcast.stages.check.check import CHECKS, findings, refuse
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.overview import overview
 
-ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured"
 ANGLES = ["q1", "q2", "q3"]
@@ -391,38 +388,33 @@ def test_every_check_can_find_something():
     assert len(set(names)) == len(names) == 25
 
 
-def pipeline(*arguments):
-    command = [sys.executable, "-m", "pipeline", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=200, check=False)
-
-
-def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(dirty, tmp_path):
+def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(dirty, called, tmp_path):
     good = pipeline("check", SAMPLE)
     assert good.returncode == 0, good.stderr
     assert "Usable: 5 trials; nothing looks wrong" in good.stdout
     scaled("points", ["x", "y"], 1e3)(dirty)
-    bad = pipeline("check", dirty.write(tmp_path), "--json")
+    bad = called("check", dirty.write(tmp_path), "--json")
     assert bad.returncode == 1
     said = json.loads(bad.stdout)
     assert said["findings"][0]["remedy"] == "Multiply x and y by 0.001"
     assert said["findings"][0]["trials"] == TRIALS
     assert len(said["trials"]) == 3
     before = {file.name for file in tmp_path.iterdir()}
-    run = pipeline("+experiment=diagnose", f"trials={tmp_path}", f"hydra.run.dir={tmp_path / 'run'}")
+    run = called("+experiment=diagnose", f"trials={tmp_path}", f"hydra.run.dir={tmp_path / 'run'}")
     assert run.returncode == 1
     assert "Multiply x and y by 0.001" in run.stderr
     assert "Traceback" not in run.stderr
     assert {file.name for file in tmp_path.iterdir()} == before
 
 
-def test_what_cannot_be_read_is_one_error(tmp_path):
+def test_what_cannot_be_read_is_one_error(called, tmp_path):
     shutil.copytree(SAMPLE, tmp_path / "cut")
     file = tmp_path / "cut" / "points.parquet"
     file.write_bytes(file.read_bytes()[:-100])
-    cut = pipeline("check", tmp_path / "cut", "--json")
+    cut = called("check", tmp_path / "cut", "--json")
     assert cut.returncode == 1
     assert "points.parquet: not a whole Parquet file" in json.loads(cut.stdout)["findings"][0]["said"]
-    nowhere = pipeline("check", tmp_path / "nowhere")
+    nowhere = called("check", tmp_path / "nowhere")
     assert nowhere.returncode == 1
     assert "there is no such folder" in nowhere.stdout
     assert "Traceback" not in nowhere.stderr + cut.stderr

@@ -1,23 +1,14 @@
 """A diagnosis as a person asks for it, and the model that it leaves."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 import yaml
+from conftest import pipeline
 
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.store import load
 from stringcast.hardware.virtual.blind import draw
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-def pipeline(*overrides, folder):
-    command = [sys.executable, "-m", "pipeline", *overrides, f"hydra.run.dir={folder}"]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +18,8 @@ def places(arm, camera, tmp_path_factory):
     bench = draw(158, arm, camera, 1)  # of those that look like a lag, the one that took least time in the blind study
     bench.write(place / "data")
     bench.envelope(place / "envelope.json")
-    done = pipeline(
-        "+experiment=diagnose", f"trials={place / 'data'}", "diagnose.design.motions=60", folder=place / "run"
-    )
+    asked = ("+experiment=diagnose", f"trials={place / 'data'}", "diagnose.design.motions=60")
+    done = pipeline(*asked, f"hydra.run.dir={place / 'run'}")
     assert done.returncode == 0, done.stderr
     return place
 
@@ -54,8 +44,8 @@ def test_where_no_motion_would_help_it_says_so(places):
     assert "No motion tells them apart" in (places / "run" / "report.html").read_text()
 
 
-def test_an_arm_is_not_moved_for_trials_of_which_nobody_says_where_they_were_made(places, tmp_path):
-    done = pipeline("+experiment=decide", f"trials={places / 'data'}", folder=tmp_path / "run")
+def test_an_arm_is_not_moved_for_trials_of_which_nobody_says_where_they_were_made(places, called, tmp_path):
+    done = called("+experiment=decide", f"trials={places / 'data'}", f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 1
     assert "hardware=serial" in done.stderr
     assert "Traceback" not in done.stderr
@@ -69,11 +59,11 @@ def test_it_leaves_evidence_and_a_page(places):
     assert "arm_lag" in (places / "run" / "report.html").read_text()
 
 
-def test_other_experiments_take_the_extended_model(places):
+def test_other_experiments_take_the_extended_model(places, called):
     extended = yaml.safe_load((places / "run" / "extended.yaml").read_text())
     assert set(extended["effects"]) <= {"arm_lag", "time_offset"}
     wanted = ("+experiment=estimate", f"trials={places / 'data'}", f"extended={places / 'run'}")
-    done = pipeline(*wanted, "estimate.candidates=20", folder=places / "again")
+    done = called(*wanted, "estimate.candidates=20", f"hydra.run.dir={places / 'again'}")
     assert done.returncode == 0, done.stderr
     settings = json.loads((places / "again" / "config.json").read_text())
     assert settings["effects"] == extended["effects"]
@@ -81,10 +71,9 @@ def test_other_experiments_take_the_extended_model(places):
     assert settings["known"] == extended["known"]
 
 
-def test_what_is_not_a_diagnosis_is_refused_by_name(places, tmp_path):
-    done = pipeline(
-        "+experiment=estimate", f"trials={places / 'data'}", f"extended={tmp_path}", folder=tmp_path / "run"
-    )
+def test_what_is_not_a_diagnosis_is_refused_by_name(places, called, tmp_path):
+    wanted = ("+experiment=estimate", f"trials={places / 'data'}", f"extended={tmp_path}")
+    done = called(*wanted, f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 1
     assert "extended.yaml" in done.stderr
     assert "Traceback" not in done.stderr

@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import threads
+from conftest import other_threads
 from scipy.stats import binomtest
 
 from stringcast.data.artifacts import Estimate
@@ -179,7 +178,7 @@ def test_every_limit_of_the_arm_is_kept(model):
 
 
 def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
-    with threads(1 if numba.get_num_threads() > 1 else numba.config.NUMBA_NUM_THREADS):
+    with other_threads():
         again = chosen.generate(model, TARGET, (), None, None, seed=3, **SETTINGS)
     for table in blind.TABLES:
         pd.testing.assert_frame_equal(getattr(blind, table), getattr(again, table), check_exact=True)

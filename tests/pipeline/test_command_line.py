@@ -1,40 +1,30 @@
 """The command as a user gives it: runs, resumes, estimates again, sweeps, and refuses clearly."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from conftest import ROOT, other_threads, pipeline
 from omegaconf import OmegaConf
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from stringcast.data import store
-from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import brought, settings
 
-ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
-
-
-def pipeline(*overrides, folder=None, limit=300, **environment):
-    where = [f"hydra.run.dir={folder}"] if folder else []
-    command = [sys.executable, "-m", "pipeline", *overrides, *where]
-    around = {**os.environ, **environment}
-    return subprocess.run(command, cwd=ROOT, env=around, capture_output=True, text=True, timeout=limit, check=False)
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
     """A finished smoke run."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
-    done = pipeline("-v", "+experiment=quick", "manipulations=2", folder=folder)
+    done = pipeline("-v", "+experiment=quick", "manipulations=2", f"hydra.run.dir={folder}")
     assert done.returncode == 0, done.stderr
     assert "pipeline.keep: iterations/02/motion made in" in done.stderr
     return folder
@@ -50,7 +40,7 @@ def same(a, b):
         pd.testing.assert_frame_equal(a[name], b[name], check_exact=True, obj=name)
 
 
-def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch, capsys, tmp_path):
+def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch, called, tmp_path):
     """Sums of long columns by several threads differ in their last digit, and a fit that stops a step later by more."""
     for words, place in (
         (["seed=1"], "stringcast.pipeline.job.main"),
@@ -59,7 +49,7 @@ def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch, 
         seen = []
         monkeypatch.setattr(place, lambda given, seen=seen: seen.extend(threadpool_info()) or 0)
         with threadpool_limits(2, "blas"):
-            called(monkeypatch, capsys, *words, f"hydra.run.dir={tmp_path}")
+            called(*words, f"hydra.run.dir={tmp_path}")
         assert {pool["num_threads"] for pool in seen if pool["user_api"] == "blas"} == {1}
 
 
@@ -102,7 +92,7 @@ def test_every_number_has_its_unit_and_every_file_its_origin(quick):
     assert store.origin_of(quick / "points.parquet")["inputs"]
 
 
-def test_an_interrupted_run_goes_on_to_the_same_result(quick, tmp_path):
+def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
     """As if killed in the middle: later artifacts gone, one half-written aside. On another number of threads, too."""
     part = tmp_path / "part"
     shutil.copytree(quick, part)
@@ -110,25 +100,25 @@ def test_an_interrupted_run_goes_on_to_the_same_result(quick, tmp_path):
     shutil.rmtree(part / "iterations" / "02", ignore_errors=True)
     (part / "iterations" / "01" / ".estimate.0123.part").mkdir()
     (part / "run.json").unlink()
-    assert pipeline("resume", str(part), NUMBA_NUM_THREADS="1").returncode == 0
+    with other_threads():
+        assert called("resume", part).returncode == 0
     same(tables(part), tables(quick))
     for name in ("run.json", "report.html", "dataset.yaml"):
         assert (part / name).read_bytes() == (quick / name).read_bytes(), name
-    other = pipeline("+experiment=quick", "manipulations=2", "seed=9", folder=part)
+    other = called("+experiment=quick", "manipulations=2", "seed=9", f"hydra.run.dir={part}")
     assert other.returncode == 1
     assert "other settings" in other.stderr
 
 
-def test_a_run_comes_out_the_same_when_it_is_computed_again(quick):
-    command = [sys.executable, "-m", "pipeline", "verify", str(quick)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+def test_a_run_comes_out_the_same_when_it_is_computed_again(quick, called):
+    done = called("verify", quick)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "iterations/01/trial: the same to the bit" in done.stdout
     assert done.stdout.count("the same to the bit") == 4 * len(list((quick / "iterations").iterdir())) + 2
 
 
-def test_estimation_again_from_stored_trials_is_bit_identical(quick, tmp_path):
-    again = pipeline("+experiment=estimate", f"trials={quick}", folder=tmp_path / "again")
+def test_estimation_again_from_stored_trials_is_bit_identical(quick, called, tmp_path):
+    again = called("+experiment=estimate", f"trials={quick}", f"hydra.run.dir={tmp_path / 'again'}")
     assert again.returncode == 0, again.stderr
     for number in ("01", "02"):
         first = quick / "iterations" / number / "estimate"
@@ -136,19 +126,20 @@ def test_estimation_again_from_stored_trials_is_bit_identical(quick, tmp_path):
             same(tables(first), tables(tmp_path / "again" / "iterations" / number / "estimate"))
 
 
-def test_points_are_made_of_frames_where_only_frames_were_stored(quick, tmp_path):
+def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, tmp_path):
     """Somebody's dataset of pictures and joint angles: the same pictures give the same points."""
     theirs = tmp_path / "theirs"
     for file in ("arm.parquet", "frames.parquet", "dataset.yaml"):
         theirs.mkdir(exist_ok=True)
         shutil.copy(quick / file, theirs)
     shutil.copytree(quick / "iterations/01/trial", theirs / "iterations/01/trial")
-    done = pipeline("+experiment=estimate", f"trials={theirs}", "estimate.candidates=40", folder=tmp_path / "run")
+    asked = ("+experiment=estimate", f"trials={theirs}", "estimate.candidates=40")
+    done = called(*asked, f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 0, done.stderr
     same(tables(quick / "iterations/01/points"), tables(tmp_path / "run/iterations/01/points"))
     about = theirs / "dataset.yaml"
     about.write_text(about.read_text().replace("px_per_m", "per_m"))
-    refused = pipeline("+experiment=estimate", f"trials={theirs}", folder=tmp_path / "other")
+    refused = called(*asked, f"hydra.run.dir={tmp_path / 'other'}")
     assert refused.returncode == 1
     assert "camera.px_per_m must be there" in refused.stderr.replace("\n", " ")
 
@@ -178,37 +169,25 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, tmp_path
         (["hardware=serial", "hardware.port=/dev/nowhere", "generate.longest=0.4"], "source.number"),
     ],
 )
-def test_bad_input_is_one_clear_error(overrides, words, tmp_path, monkeypatch, capsys):
+def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):
     place = [] if any("run.dir" in o for o in overrides) else [f"hydra.run.dir={tmp_path / 'run'}"]
-    status, said = called(monkeypatch, capsys, *overrides, *place)
-    assert status not in (None, 0)
-    assert "Traceback" not in said
-    assert re.search(words, said.replace("\n", " "))
+    refused = called(*overrides, *place)
+    assert refused.returncode == 1
+    assert "Traceback" not in refused.stderr
+    assert re.search(words, refused.stderr.replace("\n", " "))
     if "hardware=serial" not in overrides:
         assert not (tmp_path / "run").exists() or not any((tmp_path / "run").iterdir())
 
 
-def called(monkeypatch, capsys, *overrides):
-    """Status and words of the command in this process: one of its own takes 3 s to start."""
-    monkeypatch.setattr(sys, "argv", ["pipeline", *overrides])
-    monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")  # as Hydra finds it when it is run
-    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set, and then put back
-    monkeypatch.chdir(ROOT)
-    with pytest.raises(SystemExit) as stopped:
-        shell.called()
-    status = stopped.value.code
-    return status, capsys.readouterr().err + (status if isinstance(status, str) else "")
-
-
 @pytest.mark.parametrize("overrides", [["estimate.beta=1.5"], ["hardwear=virtual"]])
 def test_a_refused_command_ends_with_its_error_and_a_status(overrides, tmp_path):
-    refused = pipeline(*overrides, folder=tmp_path / "run")
+    refused = pipeline(*overrides, f"hydra.run.dir={tmp_path / 'run'}")
     assert refused.returncode == 1
     assert "Traceback" not in refused.stderr
     assert refused.stderr.startswith("Error: ")
 
 
-def test_stored_trials_keep_their_settings_but_for_what_is_given(quick, tmp_path):
+def test_stored_trials_keep_their_settings_but_for_what_is_given(quick, called, tmp_path):
     """A part of a block given on the command line must not bring back the rest of its defaults."""
     about = tmp_path / "trials"
     shutil.copytree(quick, about)
@@ -216,12 +195,13 @@ def test_stored_trials_keep_their_settings_but_for_what_is_given(quick, tmp_path
     cma = {"_target_": "stages.estimate.cma_es.estimate", "candidates": 40, "sigma": 0.3, "population": 8}
     known["estimate"] = cma | {"matching": known["estimate"]["matching"]}
     (about / "config.json").write_text(json.dumps(known))
-    done = pipeline("+experiment=estimate", f"trials={about}", "estimate.matching.delta_w=0.5", folder=tmp_path / "run")
+    asked = ("+experiment=estimate", f"trials={about}", "estimate.matching.delta_w=0.5")
+    done = called(*asked, f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 0, done.stderr
     used = json.loads((tmp_path / "run" / "config.json").read_text())["estimate"]
     assert used == cma | {"matching": known["estimate"]["matching"] | {"delta_w": 0.5}}
     (about / "config.json").write_text("{")
-    refused = pipeline("+experiment=estimate", f"trials={about}", folder=tmp_path / "other")
+    refused = called(*asked, f"hydra.run.dir={tmp_path / 'other'}")
     assert refused.returncode == 1
     assert "config.json: damaged" in refused.stderr.replace("\n", " ")
 
@@ -258,12 +238,12 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     assert f"resume {tmp_path / 'run'}" in said.replace("\n", "")
 
 
-def test_a_damaged_trial_is_named(quick, tmp_path):
+def test_a_damaged_trial_is_named(quick, called, tmp_path):
     broken = tmp_path / "broken"
     shutil.copytree(quick, broken)
     file = broken / "points.parquet"
     file.write_bytes(file.read_bytes()[:-20])
-    refused = pipeline("+experiment=estimate", f"trials={broken}", folder=tmp_path / "run")
+    refused = called("+experiment=estimate", f"trials={broken}", f"hydra.run.dir={tmp_path / 'run'}")
     assert refused.returncode == 1
     assert "points.parquet" in refused.stderr.replace("\n", "")
 
@@ -296,8 +276,8 @@ def test_a_tolerance_finds_points_and_step_and_a_tighter_one_more():
     assert composed("string=fine").string.points == 29
 
 
-def test_help_helps():
-    shown = pipeline("--help")
+def test_help_helps(called):
+    shown = called("--help")
     assert shown.returncode == 0
     assert "+experiment=stringB" in shown.stdout
     assert "trials=" in shown.stdout

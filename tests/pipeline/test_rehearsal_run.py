@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
@@ -18,10 +16,9 @@ from tests.faults.toy import CALLS, toy_run, toy_world
 REASON = "rehearsal with the arm disabled"
 
 
-def test_nothing_is_learned_from_a_rehearsal(tmp_path):
+def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
     folder = tmp_path / "run"
-    command = [sys.executable, "-m", "pipeline", "+experiment=quick", "execute=dry", f"hydra.run.dir={folder}"]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    ran = called("+experiment=quick", "execute=dry", f"hydra.run.dir={folder}")
     assert ran.returncode == 0, ran.stderr
     said = " ".join(ran.stderr.replace("│", " ").split())
     assert REASON in said
