@@ -128,7 +128,7 @@ def extended_settings(model: Model, hypotheses: Hypotheses, causes: Causes) -> d
     kind = type(fine.integrator)
     string: dict[str, object] = {"points": segments + 1, "tip_cell": fine.tip_cell, "grasp_cell": fine.grasp_cell}
     string |= {"largest_step": fine.largest_step, "ranges": _wider(model.string, fine)}
-    integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}"}
+    integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")}
     known: dict[str, object] = {name: float(f"{value:.8g}") for name, value in fit.values.items()}
     for name, (low, high) in model.measured.items():
         known[name] = {"value": float(np.clip(fit.values[name], low, high)), "low": low, "high": high}
