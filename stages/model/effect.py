@@ -10,7 +10,7 @@ string (`StringEffect`), in the hand (`HandEffect`), in the camera (`CameraEffec
 their clocks (`ClockEffect`), or in the model's own making (`ModelChange`).
 
 The laws of the string run in the hot loop. They are static methods named after the slots
-below, take by name any of their slot's arguments and any parameter (their own, what they
+of `slots.py`, take by name any of their slot's arguments and any parameter (their own, what they
 derive from them, or one of the paper's), and are written for one candidate and one place, in
 arithmetic and numpy functions without branches. They return what they add. Everything is
 per mass per length, so that a law knows nothing of mass points.
@@ -24,76 +24,46 @@ and holds `held(held=0, change=curvature - curvature_at_rest, dt=inf)`.
 
 from __future__ import annotations
 
-import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
+from stringcast.stages.model import picture
+from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.symmetry import Symmetry
+from stringcast.stages.model.picture import line
+from stringcast.stages.model.slots import SLOTS, Law, Quantity, arguments
+from stringcast.stages.model.symmetry import (
+    Symmetry,
+    brakes,
+    carried,
+    even,
+    follows,
+    never_negative,
+    nothing_at_zero,
+    odd,
+    resists,
+    turns,
+    turns_about_centre,
+    unmoved,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+else:
+    Axes = Any  # loading it takes a second
 
-    from stringcast.stages.model.camera import Camera
-    from stringcast.stages.model.model import Model
+Values = Mapping[str, float]  # of parameters, by name
 
-Quantity = Any  # a float in the hot loop, elsewhere an array over candidates and places
-Law = Callable[..., Quantity]
-
-
-@dataclass(frozen=True)
-class Slot:
-    """A place for laws in the string's equation of motion. unit: of what they add; arguments: units by name."""
-
-    adds: str
-    unit: str
-    arguments: Mapping[str, str]
-
-
-PLACE = {"x": "m", "y": "m"}
-SLOTS: dict[str, Slot] = {
-    "tension": Slot("axial force over mass per length", "m2/s2", {"stretch": "1", "rate": "1/s", "s": "m"}),
-    "moment": Slot("bending moment over mass per length", "m3/s2", {"curvature": "1/m", "rate": "1/(m s)", "s": "m"}),
-    # for moments that are far from linear and can be steep: implicit steps average them as they are
-    "hinge_stiffness": Slot("bending moment over mass per length, per curvature", "m4/s2", {"curvature": "1/m"}),
-    "hinge_drag": Slot("bending moment over mass per length, per rate of curvature", "m4/s", {"rate": "1/(m s)"}),
-    # for hinges with a memory: what one holds after its curvature has changed, and the moment that goes with it
-    "held": Slot("what a hinge holds, from what it held", "1/m", {"held": "1/m", "change": "1/m", "dt": "s"}),
-    "held_moment": Slot("bending moment over mass per length", "m3/s2", {"held": "1/m"}),
-    "grasp_held": Slot("what the grasp holds, from what it held", "rad", {"held": "rad", "change": "rad", "dt": "s"}),
-    "grasp_held_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"held": "rad"}),
-    "grasp_moment": Slot("moment at the grasp over mass per length", "m3/s2", {"angle": "rad", "rate": "rad/s"}),
-    # v is the string's velocity, u that through the air, (tx, ty) the string's direction towards the tip, dt the step
-    "load": Slot(
-        "force over nominal mass, (x, y)",
-        "m/s2",
-        PLACE
-        | {"vx": "m/s", "vy": "m/s", "ux": "m/s", "uy": "m/s", "tx": "1", "ty": "1", "s": "m", "t": "s", "dt": "s"},
-    ),
-    "acceleration": Slot("acceleration whatever the mass, (x, y)", "m/s2", PLACE | {"t": "s"}),
-    "flow": Slot("velocity of the air, (x, y)", "m/s", PLACE | {"t": "s"}),
-    "rest_curvature": Slot("curvature at rest", "1/m", {"s": "m", "length": "m"}),
-    "density": Slot("mass per length over its nominal value, less 1", "1", {"s": "m", "length": "m"}),
-    "tip_mass": Slot("mass at the tip over nominal mass per length", "m", {"length": "m"}),
-    "tip_length": Slot("string at the tip beyond its length, of its mass and in its air", "m", {"length": "m"}),
-    # for a string that does not begin where the grasp is said to be; measured points are told from there all the same
-    "hidden_length": Slot("free string before the stated grasp", "m", {}),
-    "grasp_offset": Slot("where the free string begins, from the stated grasp, (along, across)", "m", {}),
-}
-
-# Slots whose value times one of its arguments belongs to another slot: which, and the argument.
-PER = {"hinge_stiffness": ("moment", "curvature"), "hinge_drag": ("moment", "rate")}
-
-# What is held, by the slot that its moment belongs to: the slots of the state and of its moment, and what it follows.
-HELD = {
-    "moment": ("held", "held_moment", "curvature"),
-    "grasp_moment": ("grasp_held", "grasp_held_moment", "angle"),
-}
+# All that an effect's file imports, beside numpy.
+__all__ = [
+    "Axes", "Camera", "CameraEffect", "ClockEffect", "Effect", "HandEffect", "ModelChange", "Parameter", "Quantity",
+    "StringEffect", "Values", "another", "brakes", "carried", "components", "even", "follows", "line", "never_negative",
+    "nothing_at_zero", "odd", "placed", "resists", "turns", "turns_about_centre", "unmoved",
+]  # fmt: skip
 
 
 class Effect(ABC):
@@ -112,23 +82,18 @@ class Effect(ABC):
 
     @staticmethod
     @abstractmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so, in a sentence without a full stop. values: of its parameters, by name."""
+    def words(values: Values) -> str:
+        """What is so, in a sentence without a full stop."""
 
     @staticmethod
-    def plausible(values: Mapping[str, float]) -> bool:
+    def plausible(values: Values) -> bool:
         """Whether such values can be what the words say, and not something else in their guise. By own names."""
         return True
 
     @classmethod
     @abstractmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A small picture of the law. values: of its parameters, by name."""
-
-    @classmethod
-    @abstractmethod
-    def join(cls, model: Model) -> Model:
-        """The model with this effect at work."""
+    def plot(cls, axes: Axes, values: Values) -> None:
+        """A small picture of the law, in named axes."""
 
     @classmethod
     @cache
@@ -157,15 +122,17 @@ class StringEffect(Effect):
         """The laws this effect defines, by slot."""
         return {slot: getattr(cls, slot) for slot in SLOTS if hasattr(cls, slot)}
 
+    @classmethod
+    def plot(cls, axes: Axes, values: Values) -> None:
+        """Its first law over the first of the slot's arguments that it takes, or the loop of what has a memory."""
+        paper = any(p.per_length for p in cls.parameters)
+        units = {p.unit: values[p.name] for p in cls.parameters}
+        picture.law(axes, cls.laws(), {**values, **cls.derived(**values)}, units, of_a_point=paper)
+
     @staticmethod
     def derived(*_: Quantity, **parameters: Quantity) -> dict[str, Quantity]:
         """What laws need of the parameters alone, computed once for each candidate and not in the loop."""
         return {}
-
-    @classmethod
-    def join(cls, model: Model) -> Model:
-        """The model whose string has this effect."""
-        return replace(model, string=replace(model.string, effects=(*model.string.effects, cls)))
 
 
 class HandEffect(Effect):
@@ -184,9 +151,9 @@ class HandEffect(Effect):
         return {law: getattr(cls, law) for law in ("joints", "grasp") if hasattr(cls, law)}
 
     @classmethod
-    def join(cls, model: Model) -> Model:
-        """The model whose hand has this effect."""
-        return replace(model, hand_effects=(*model.hand_effects, cls))
+    def plot(cls, axes: Axes, values: Values) -> None:
+        """What a joint does while a swing is reported, dashed."""
+        picture.swing(axes, cls.laws()["joints"], list(values.values()))
 
 
 class ClockEffect(Effect):
@@ -204,9 +171,10 @@ class ClockEffect(Effect):
         return {"times": cls.times}
 
     @classmethod
-    def join(cls, model: Model) -> Model:
-        """The model whose clocks have this effect."""
-        return replace(model, clock_effects=(*model.clock_effects, cls))
+    def plot(cls, axes: Axes, values: Values) -> None:
+        """The difference over time."""
+        t = np.linspace(0.0, 1.0, 2)
+        picture.line(axes, t, cls.times(t, **values) - t, "camera's clock / s", "arm's clock less that / s")
 
 
 class CameraEffect(Effect):
@@ -240,13 +208,18 @@ class CameraEffect(Effect):
         return {"seen": cls.seen}
 
     @classmethod
-    def join(cls, model: Model) -> Model:
-        """The model whose camera has this effect."""
-        return replace(model, camera_effects=(*model.camera_effects, cls))
+    def plot(cls, axes: Axes, values: Values) -> None:
+        """A square grid as it is seen."""
+        picture.grid(axes, cls.seen, **values)
 
 
 class ModelChange(Effect):
-    """Something wrong with the model's own making: no law and no parameter, but another model (`join`)."""
+    """Something wrong with the model's own making: no law and no parameter, but another number of mass points."""
+
+    @staticmethod
+    @abstractmethod
+    def points(points: int) -> int:
+        """How many mass points there are instead of so many."""
 
 
 Made = TypeVar("Made", bound=Effect)
@@ -256,12 +229,6 @@ Made = TypeVar("Made", bound=Effect)
 def another(effect: type[Made], number: int) -> type[Made]:
     """The effect once more, its name with a number: several of a kind can then be at work side by side."""
     return cast("type[Made]", type(f"{effect.__name__}{number}", (effect,), {"name": f"{effect.name}_{number}"}))
-
-
-@cache
-def arguments(law: Callable[..., object]) -> tuple[str, ...]:
-    """Names of a law's arguments, in order."""
-    return tuple(inspect.signature(law).parameters)
 
 
 def components(effect: type[Effect]) -> tuple[Parameter, ...]:
@@ -274,8 +241,3 @@ def components(effect: type[Effect]) -> tuple[Parameter, ...]:
 def placed(effect: type[Effect]) -> bool:
     """Whether one of an effect's laws depends on where the string is."""
     return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())
-
-
-def taken(law: Callable[..., object], known: Mapping[str, Quantity]) -> dict[str, Quantity]:
-    """Those of the known arguments that a law takes."""
-    return {name: known[name] for name in arguments(law) if name in known}

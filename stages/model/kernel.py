@@ -42,9 +42,10 @@ import llvmlite.binding
 import numba
 import numpy as np
 
-from stringcast.stages.model.effect import HELD, PER, StringEffect, arguments
+from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.integrator import Integrator
 from stringcast.stages.model.precision import Precision
+from stringcast.stages.model.slots import HELD, PER, arguments
 
 BEYOND = 2  # points after the tip that nothing is written to, for what looks further than the string goes
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect
+from stringcast.stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect, ModelChange, StringEffect
 from stringcast.stages.model.hand import Act, HandMotion, JointMotion
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.state import State
@@ -56,9 +56,19 @@ class Model:
         return reduce(Model._joined, effects, self)
 
     def _joined(self, effect: type[Effect]) -> Model:
+        """The model with one more, in its world."""
         if effect in self.effects:
             raise ValueError(f"effect '{effect.name}' is at work already. Name it once.")
-        return effect.join(self)
+        if issubclass(effect, ModelChange):
+            return self.divided(effect.points(self.string.points) - 1)
+        if issubclass(effect, StringEffect):
+            return replace(self, string=replace(self.string, effects=(*self.string.effects, effect)))
+        if issubclass(effect, HandEffect):
+            return replace(self, hand_effects=(*self.hand_effects, effect))
+        if issubclass(effect, ClockEffect):
+            return replace(self, clock_effects=(*self.clock_effects, effect))
+        assert issubclass(effect, CameraEffect)
+        return replace(self, camera_effects=(*self.camera_effects, effect))
 
     def divided(self, segments: int) -> Model:
         """The model with its string in so many segments."""

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.effect import HELD, arguments, taken
+from stringcast.stages.model.slots import HELD, PER, SLOTS, Law, arguments, taken
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from stringcast.stages.model.effect import StringEffect
+# How far arguments go in a fast cast of a soft string, by unit; stretch has none.
+REACH = {"1": 0.01, "1/s": 10.0, "1/m": 40.0, "1/(m s)": 1000.0, "rad": 1.0, "rad/s": 10.0}
 
 
 def line(axes: Axes, x: np.ndarray, y: np.ndarray, across: str, up: str) -> None:
@@ -24,19 +25,59 @@ def line(axes: Axes, x: np.ndarray, y: np.ndarray, across: str, up: str) -> None
     axes.set_ylabel(up)
 
 
-def loop(axes: Axes, effect: type[StringEffect], values: Mapping[str, float], farthest: float, lapse: float) -> None:
-    """Draw what a hinge or a grasp with a memory holds, bent there and back to +-farthest [1/m] or [rad] within a lapse
-    [s] a quarter."""
-    bent = farthest * np.interp(np.linspace(0.0, 5.0, 501), np.arange(6), [0.0, 1.0, 0.0, -1.0, 0.0, 1.0])
-    laws, state, moments = effect.laws(), 0.0, []
+def law(
+    axes: Axes, laws: Mapping[str, Law], values: Mapping[str, float], by_unit: Mapping[str, float], of_a_point: bool
+) -> None:
+    """Draw the first of an effect's laws, over the first argument of its slot that it takes.
+
+    values: of parameters and what is derived of them; a parameter of the paper's that is not given is one. by_unit:
+    values by their units. of_a_point: they are per mass point, not of the material.
+    """
+    if not {held for held, _, _ in HELD.values()}.isdisjoint(laws):
+        loop(axes, laws, values, by_unit)
+        return
+    slot, drawn = next(iter(laws.items()))
+    known = SLOTS[slot].arguments
+    taken_here = [name for name in arguments(drawn) if name in known]
+    across, length = taken_here[0], "length" in known
+    reach = 1.0 if length else REACH[known[across]]
+    x = np.linspace(0.0 if length else -reach, reach, 401)
+    fixed = dict.fromkeys(arguments(drawn), 1.0) | {name: 0.0 for name in taken_here if name != "length"}
+    up = drawn(**{**fixed, **taken(drawn, values), across: x})
+    belongs = SLOTS[PER[slot][0]] if slot in PER else SLOTS[slot]
+    label = f"{across} / length" if length else f"{across} / ({known[across]})"
+    unit = "of a mass point" if of_a_point else f"/ ({belongs.unit})"
+    adds = belongs.adds.removesuffix(" over mass per length")  # which the unit says
+    line(axes, x, up * x if slot in PER else up, label, f"{adds} {unit}")
+
+
+def loop(axes: Axes, laws: Mapping[str, Law], values: Mapping[str, float], by_unit: Mapping[str, float]) -> None:
+    """Draw what a hinge or a grasp with a memory holds, bent there and back, slowly or as fast as it forgets.
+
+    As far as three times the parameter that is in the unit of its bending, else to 1; in four times the one in seconds.
+    """
     held, moment, bends = next(each for each in HELD.values() if each[0] in laws)
-    own = {slot: {name: values[name] for name in arguments(laws[slot]) if name in values} for slot in laws}
+    unit = SLOTS[held].unit
+    bent = 3 * by_unit.get(unit, 1 / 3) * np.interp(np.linspace(0.0, 5.0, 501), np.arange(6), [0, 1, 0, -1, 0, 1])
+    state, moments, lapse = 0.0, [], by_unit.get("s", 1.0) / 100
     for change in np.diff(bent, prepend=0.0):
-        known = {"held": state, "change": change, "dt": lapse / 100}
-        state = laws[held](**taken(laws[held], known), **own[held])
-        moments.append(laws[moment](state, **own[moment]))
-    across = {"curvature": "curvature / (1/m)", "angle": "angle at the grasp / rad"}[bends]
-    line(axes, bent, np.array(moments), across, "moment / (m3/s2)")
+        known = {**values, "held": state, "change": change, "dt": lapse}
+        state = laws[held](**taken(laws[held], known))
+        moments.append(laws[moment](**taken(laws[moment], {**values, "held": state})))
+    line(axes, bent, np.array(moments), f"{bends} / ({unit})", "moment / (m3/s2)")
+
+
+def swing(axes: Axes, joints: Law, values: Sequence[float]) -> None:
+    """Draw what joints do while a swing there and back of all of them is reported. values: of the law's parameters, one
+    for each joint or one for all."""
+    t = np.linspace(0.0, 1.0, 201)
+    reported = 0.2 * np.sin(2 * np.pi * t)
+    real = joints(t, np.tile(reported[None, :, None], len(values)), *(np.full((1, 1, 1), value) for value in values))[0]
+    axes.plot(t, reported, linestyle="--", label="reported")
+    axes.plot(t, real, label=[f"q{joint}" for joint in range(1, len(values) + 1)] if len(values) > 1 else "real")
+    axes.set_xlabel("time / s")
+    axes.set_ylabel("angle / rad")
+    axes.legend()
 
 
 def grid(axes: Axes, seen: Callable[..., np.ndarray], **values: float) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stringcast.stages.model.effect import HELD, PER
+from stringcast.stages.model.slots import HELD, PER
 
 if TYPE_CHECKING:
     from stringcast.stages.model.string import String

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stringcast.stages.model import kernel
-from stringcast.stages.model.effect import HELD, Law, StringEffect, arguments, placed, taken
+from stringcast.stages.model.effect import StringEffect, placed
 from stringcast.stages.model.effects.air_drag import AirDrag
 from stringcast.stages.model.effects.axial_damper import AxialDamper
 from stringcast.stages.model.effects.axial_spring import AxialSpring
@@ -31,6 +31,7 @@ from stringcast.stages.model.integrator import Integrator, SemiImplicitEuler
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.precision import Double, Precision
 from stringcast.stages.model.sampling import asked, between, sampled, stayed, unpacked
+from stringcast.stages.model.slots import HELD, Law, arguments, taken
 from stringcast.stages.model.stability import steps_per_tick
 from stringcast.stages.model.state import State
 from stringcast.stages.model.statics import curvatures, grasp_angle, grasp_set, softness

@@ -13,11 +13,12 @@ from matplotlib.figure import Figure
 from stringcast.data.artifacts import JOINTS
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.effect import SLOTS, StringEffect, arguments
+from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.slots import SLOTS, arguments
 from stringcast.stages.model.stability import steps_per_tick
 from stringcast.stages.model.string import BASE, String
 

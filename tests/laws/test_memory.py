@@ -9,12 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stringcast.data.artifacts import JOINTS
-from stringcast.stages.model.effect import HELD, StringEffect, arguments, taken
+from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.equilibrium import hanging
 from stringcast.stages.model.hand import HandMotion, joint_motion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.library import library, named
+from stringcast.stages.model.slots import HELD, arguments, taken
 from stringcast.stages.model.stability import turning_back
 from stringcast.stages.model.state import State
 from stringcast.stages.model.string import simulate

@@ -1,19 +1,19 @@
 """Air resistance, F_c of Table 1."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import brakes, nothing_at_zero, odd, turns
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    brakes,
+    line,
+    nothing_at_zero,
+    odd,
+    turns,
+)
 
 
 class AirDrag(StringEffect):
@@ -33,12 +33,12 @@ class AirDrag(StringEffect):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"air resists with ({values['linear_drag']:.3g} + {values['quadratic_drag']:.3g} |v|) v"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """Over speed."""
         speed = np.linspace(0.0, 20.0, 101)
         force = -cls.load(speed, 0.0, values["linear_drag"], values["quadratic_drag"])[0]

@@ -1,19 +1,19 @@
 """Air that resists motion across the string more than along it."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import brakes, nothing_at_zero, odd, turns
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import (
+    Axes,
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    brakes,
+    line,
+    nothing_at_zero,
+    odd,
+    turns,
+)
 
 
 class AnisotropicDrag(StringEffect):
@@ -30,12 +30,12 @@ class AnisotropicDrag(StringEffect):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"air resists motion across the string {1 + values['excess']:.2f} times as much as along it"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """Over the angle between velocity and string."""
         angle = np.linspace(0.0, np.pi, 181)
         fx, fy = cls.load(1.0, 0.0, np.cos(angle), np.sin(angle), 1.0, 0.0, values["excess"])

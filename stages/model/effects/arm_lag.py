@@ -1,20 +1,9 @@
 """Joints that lag behind their command."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from stringcast.stages.model.effect import HandEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import follows, odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import HandEffect, Parameter, Quantity, Values, follows, odd
 
 
 class ArmLag(HandEffect):
@@ -29,18 +18,9 @@ class ArmLag(HandEffect):
     symmetries = (odd("joints", "angles"), follows("joints", "angles"), odd("grasp", "pose"), follows("grasp", "pose"))
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"the joints lag {1e3 * values['time_constant']:.1f} ms behind what the arm reports"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """The response to a ramp."""
-        t = np.linspace(0.0, 0.5, 101)
-        ramp = np.clip((t - 0.1) / 0.2, 0.0, 1.0)
-        real = cls.joints(t, ramp[None, :, None], values["time_constant"])[0, :, 0]
-        axes.plot(t, ramp, linestyle="--")
-        line(axes, t, real, "time / s", "angle / rad")
 
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, time_constant: Quantity) -> np.ndarray:

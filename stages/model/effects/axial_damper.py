@@ -1,19 +1,6 @@
 """Damping along the string, F_d of Table 1."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero, odd, resists
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd, resists
 
 
 class AxialDamper(StringEffect):
@@ -31,21 +18,9 @@ class AxialDamper(StringEffect):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"stretching is damped by {values['axial_damping']:.3g} N s/(m kg)"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """Over the rate."""
-        rate = np.linspace(-10.0, 10.0, 2)
-        line(
-            axes,
-            rate,
-            cls.tension(rate, values["axial_damping"]),
-            "rate of stretch / (1/s)",
-            "tension / damping of a mass point",
-        )
 
     @staticmethod
     def tension(rate: Quantity, axial_damping: Quantity) -> Quantity:

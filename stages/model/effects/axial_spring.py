@@ -1,19 +1,6 @@
 """Elastic force along the string, F_s of Table 1."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero, odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd
 
 
 class AxialSpring(StringEffect):
@@ -30,21 +17,9 @@ class AxialSpring(StringEffect):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"the string stretches with a stiffness of {values['axial_stiffness']:.3g} N/(m kg)"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """Over the stretch."""
-        stretch = np.linspace(-0.01, 0.01, 2)
-        line(
-            axes,
-            stretch,
-            cls.tension(stretch, values["axial_stiffness"]),
-            "stretch",
-            "tension / stiffness of a mass point",
-        )
 
     @staticmethod
     def tension(stretch: Quantity, axial_stiffness: Quantity) -> Quantity:

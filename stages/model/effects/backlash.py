@@ -1,18 +1,8 @@
 """Play in the joints at reversals."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import HandEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.symmetry import follows, odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import HandEffect, Parameter, Quantity, Values, follows, odd
 
 
 class Backlash(HandEffect):
@@ -29,21 +19,10 @@ class Backlash(HandEffect):
     symmetries = (odd("joints", "angles"), follows("joints", "angles"))
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         gaps = ", ".join(f"{np.degrees(gap):.2f}" for gap in values.values())
         return f"joints have play at their reversals: q1, q2 and q3 of {gaps} degrees"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """What each joint does over what is reported, there and back."""
-        t = np.linspace(0.0, 2.0, 401)
-        angle = 0.2 * np.sin(np.pi * t)
-        gaps = (np.full((1, 1, 1), gap) for gap in values.values())
-        axes.plot(angle, cls.joints(t, np.tile(angle[None, :, None], 3), *gaps)[0], label=["q1", "q2", "q3"])
-        axes.set_xlabel("reported / rad")
-        axes.set_ylabel("angle / rad")
-        axes.legend()
 
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, gap_1: Quantity, gap_2: Quantity, gap_3: Quantity) -> np.ndarray:

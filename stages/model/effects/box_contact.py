@@ -1,20 +1,9 @@
 """An obstacle that the string touches: an upright box."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero, odd
 from stringcast.stages.model.effects.contact import Contact
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero, odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 HARD = 2.5e3  # [1/s^2]
 
@@ -50,18 +39,18 @@ class BoxContact(StringEffect):
     bound = staticmethod(Contact.bound)  # no curvature of the potential is above that behind a side, k
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         size = f"{values['width']:.3f} m wide and {values['height']:.3f} m high"
         return f"the string touches a box {size} at ({values['centre_x']:.3f}, {values['centre_y']:.3f}) m"
 
     @staticmethod
-    def plausible(values: Mapping[str, float]) -> bool:
+    def plausible(values: Values) -> bool:
         """What stands in the way is hard: softer than this, 5 m/s go 10 cm deep, and it is a field of force."""
         return values["stiffness"] >= HARD
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """The push at rest along a level line through the centre."""
         place = np.linspace(-0.7, 0.7, 281) * values["width"]
         given = {"friction": 0.0, "loss": 0.0} | cls.derived(values["width"], values["height"])

@@ -1,21 +1,8 @@
 """A picture whose origin is elsewhere."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import CameraEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import grid
-from stringcast.stages.model.symmetry import follows
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, follows
 
 
 class CameraOffset(CameraEffect):
@@ -31,16 +18,11 @@ class CameraOffset(CameraEffect):
     symmetries = (follows("seen", "points"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         across = f"{1e3 * abs(values['x']):.1f} mm to the {'right' if values['x'] > 0 else 'left'}"
         up = f"{1e3 * abs(values['y']):.1f} mm {'up' if values['y'] > 0 else 'down'}"
         return f"the picture's origin is off: everything is seen {across} and {up}"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A square grid as it is seen."""
-        grid(axes, cls.seen, **values)
 
     @staticmethod
     def seen(

@@ -1,21 +1,8 @@
 """A camera that is rolled."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import CameraEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import grid
-from stringcast.stages.model.symmetry import turns_about_centre
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, turns_about_centre
 
 
 class CameraRotation(CameraEffect):
@@ -27,15 +14,10 @@ class CameraRotation(CameraEffect):
     symmetries = (turns_about_centre("seen"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         way = "counter-clockwise" if values["angle"] > 0 else "clockwise"
         return f"the camera is rolled: what it sees is turned {np.degrees(abs(values['angle'])):.2f} degrees {way}"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A square grid as it is seen."""
-        grid(axes, cls.seen, **values)
 
     @staticmethod
     def seen(

@@ -1,18 +1,8 @@
 """A string that begins elsewhere than the grasp is said to be."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line
 
 
 class Clamp(StringEffect):
@@ -34,7 +24,7 @@ class Clamp(StringEffect):
     reference = "Geometry; strips of silicone measured on film hide 9 to 10 mm in their clamp (L4DC set)"
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         way = "before" if values["hidden"] > 0 else "beyond"
         hidden, along, across = (1e3 * values[name] for name in ("hidden", "along", "across"))
@@ -44,7 +34,7 @@ class Clamp(StringEffect):
         )
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """The stated grasp, and the string from where it begins."""
         axes.plot(0.0, 0.0, "+", markersize=12)
         along, across = cls.grasp_offset(**values)

@@ -1,19 +1,8 @@
 """A floor or a wall that the string touches."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero
 
 HARD = 2.5e3  # [1/s^2]
 
@@ -41,18 +30,18 @@ class Contact(StringEffect):
     symmetries = (nothing_at_zero("load", "stiffness"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         turned = np.degrees(values["tilt"])
         return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees"
 
     @staticmethod
-    def plausible(values: Mapping[str, float]) -> bool:
+    def plausible(values: Values) -> bool:
         """What stands in the way is hard: softer than this, 5 m/s go 10 cm deep, and it is a field of force."""
         return values["stiffness"] >= HARD
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """The push at rest over the place along the normal."""
         place = values["height"] + np.linspace(-0.01, 0.01, 101)
         push = cls.load(0.0, place, 0.0, 0.0, 0.0, values["stiffness"], values["height"], 0.0, 0.0, 0.0, 1.0)[1]

@@ -1,19 +1,8 @@
 """Trials made by a simulation whose mass points are all alike."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero
 
 
 class EqualPoints(StringEffect):
@@ -29,12 +18,12 @@ class EqualPoints(StringEffect):
     of_string = False
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"the trials are as if made of about {1 + 0.5 / max(values['excess'], 1e-9):.0f} equal mass points"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """The excess of a chain over its number of points, and the one found."""
         points = np.arange(9, 101)
         line(axes, points, 0.5 / (points - 1), "equal mass points", "excess at the tip / length")

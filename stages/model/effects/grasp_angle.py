@@ -1,19 +1,8 @@
 """A string that leaves the gripper at an angle."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import HandEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import carried
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, HandEffect, Parameter, Quantity, Values, carried, line
 
 
 class GraspAngle(HandEffect):
@@ -25,13 +14,13 @@ class GraspAngle(HandEffect):
     symmetries = (carried("grasp", "pose"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         side = "left" if values["angle"] > 0 else "right"
         return f"the string leaves the gripper {np.degrees(abs(values['angle'])):.1f} degrees to the {side}"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """The last link and the beginning of the string."""
         axes.plot([-1.0, 0.0], [0.0, 0.0], linestyle="--")
         way = np.linspace(0.0, 1.0, 2)

@@ -1,19 +1,6 @@
 """Damping moment between hand and string, F_phc of Table 1."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero, odd, resists
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd, resists
 
 
 class GraspDamper(StringEffect):
@@ -31,21 +18,9 @@ class GraspDamper(StringEffect):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"turning in the grasp is damped by {values['grasp_damping']:.3g} N m s/(rad kg)"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """Over the rate."""
-        rate = np.linspace(-10.0, 10.0, 2)
-        line(
-            axes,
-            rate,
-            cls.grasp_moment(rate, values["grasp_damping"]),
-            "turning at the grasp / (rad/s)",
-            "moment / damping of a mass point",
-        )
 
     @staticmethod
     def grasp_moment(rate: Quantity, grasp_damping: Quantity) -> Quantity:

@@ -1,19 +1,8 @@
 """A string that sticks in the gripper and turns there: play with a memory."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import loop
-from stringcast.stages.model.symmetry import odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
 
 
 class GraspPlay(StringEffect):
@@ -34,15 +23,10 @@ class GraspPlay(StringEffect):
     symmetries = (odd("grasp_held", "held", "change"), odd("grasp_held_moment", "held"))
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         share = 100 * values["cap"] / (9.81 * 0.1**2 / 2)
         return f"the string turns in the gripper, beyond {share:.1f} % of the moment that holds 100 mm of it out level"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A loop, out to three times the angle at which it slips."""
-        loop(axes, cls, values, 3 * values["slip"], 1.0)
 
     @staticmethod
     def grasp_held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:

@@ -1,19 +1,8 @@
 """A string that slides through the gripper during the motion."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import HandEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import carried
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, HandEffect, Parameter, Quantity, Values, carried, line
 
 
 class GraspSlip(HandEffect):
@@ -33,14 +22,14 @@ class GraspSlip(HandEffect):
     symmetries = (carried("grasp", "pose"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         way = "out of" if values["speed"] > 0 else "into"
         speed, until = 1e3 * abs(values["speed"]), values["onset"] + values["duration"]
         return f"the string slides {way} the gripper at {speed:.1f} mm/s from {values['onset']:.2f} to {until:.2f} s"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """How far it has slid, over time."""
         t = np.linspace(0.0, 2.0, 201)
         still = np.zeros((1, len(t), 3))

@@ -1,19 +1,6 @@
 """Elastic moment between hand and string, F_ph of Table 1."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero, odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero, odd
 
 
 class GraspSpring(StringEffect):
@@ -30,21 +17,9 @@ class GraspSpring(StringEffect):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"the grasp holds the string's direction with {values['grasp_stiffness']:.3g} N m/(rad kg)"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """Over the angle."""
-        angle = np.linspace(-1.0, 1.0, 2)
-        line(
-            axes,
-            angle,
-            cls.grasp_moment(angle, values["grasp_stiffness"]),
-            "angle at the grasp / rad",
-            "moment / stiffness of a mass point",
-        )
 
     @staticmethod
     def grasp_moment(angle: Quantity, grasp_stiffness: Quantity) -> Quantity:

@@ -1,17 +1,8 @@
 """Gravity, F_g of Table 1."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.picture import line
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Quantity, StringEffect, Values, line
 
 
 class Gravity(StringEffect):
@@ -21,12 +12,12 @@ class Gravity(StringEffect):
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_g"
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return "gravity pulls straight down"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """Over the direction."""
         line(axes, np.array([0.0, 1.0]), np.array(cls.acceleration()), "x, y", "acceleration / (m/s2)")
 

@@ -1,18 +1,8 @@
 """Gravity that is not straight down in the arm's frame: the base is not level."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.symmetry import nothing_at_zero
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, nothing_at_zero
 
 
 class GravityDirection(StringEffect):
@@ -24,13 +14,13 @@ class GravityDirection(StringEffect):
     symmetries = (nothing_at_zero("acceleration", "sine", "versine"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         side = "right" if values["tilt"] > 0 else "left"
         return f"gravity leans {np.degrees(abs(values['tilt'])):.1f} degrees to the {side}: the base is not level"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """An arrow beside the vertical."""
         axes.quiver([0, 0], [0, 0], [0, np.sin(values["tilt"])], [-1, -np.cos(values["tilt"])], scale=2)
         axes.set_xlabel("x")

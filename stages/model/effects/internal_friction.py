@@ -1,19 +1,16 @@
 """Dry friction in bending: hysteresis that does not depend on how fast it bends."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import even, never_negative, nothing_at_zero
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import (
+    Parameter,
+    Quantity,
+    StringEffect,
+    Values,
+    even,
+    never_negative,
+    nothing_at_zero,
+)
 
 
 class InternalFriction(StringEffect):
@@ -29,17 +26,10 @@ class InternalFriction(StringEffect):
     symmetries = (even("hinge_drag", "rate"), nothing_at_zero("hinge_drag", "friction"), never_negative("hinge_drag"))
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         share = 100 * values["friction"] / (9.81 * 0.1**2 / 2)
         return f"bending has dry friction: {share:.1f} % of the moment that holds 100 mm of it out level"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """Over the rate of curvature."""
-        rate = np.linspace(-1000.0, 1000.0, 401)
-        moment = rate * cls.hinge_drag(rate, values["friction"])
-        line(axes, rate, moment, "rate of curvature / (1/(m s))", "moment / (m3/s2)")
 
     @staticmethod
     def hinge_drag(rate: Quantity, friction: Quantity) -> Quantity:

@@ -1,21 +1,8 @@
 """Radial distortion that is not corrected."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import CameraEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import grid
-from stringcast.stages.model.symmetry import turns_about_centre
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, turns_about_centre
 
 
 class LensDistortion(CameraEffect):
@@ -30,16 +17,11 @@ class LensDistortion(CameraEffect):
     symmetries = (turns_about_centre("seen"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         kind = "pincushion" if values["radial"] > 0 else "barrel"
         share = 100 * abs(values["radial"])
         return f"the lens distorts ({kind}): points at the image's edge are seen {share:.1f} % off their distance"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A square grid as it is seen."""
-        grid(axes, cls.seen, **values)
 
     @staticmethod
     def seen(

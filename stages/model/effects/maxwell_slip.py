@@ -1,19 +1,8 @@
 """Strands that stick to one another until they slip: bending hysteresis with memory."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import loop
-from stringcast.stages.model.symmetry import odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
 
 
 class MaxwellSlip(StringEffect):
@@ -35,15 +24,10 @@ class MaxwellSlip(StringEffect):
     symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         share = 100 * values["cap"] / (9.81 * 0.1**2 / 2)
         return f"bending sticks and slips, with {share:.1f} % of the moment that holds 100 mm of it out level"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A loop, out to three times the curvature at which it slips."""
-        loop(axes, cls, values, 3 * values["slip"], 1.0)
 
     @staticmethod
     def held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:

@@ -1,19 +1,8 @@
 """Bending that stiffens or softens with curvature."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import even, nothing_at_zero
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, even, line, nothing_at_zero
 
 
 class NonlinearBending(StringEffect):
@@ -29,14 +18,14 @@ class NonlinearBending(StringEffect):
     symmetries = (even("hinge_stiffness", "curvature"), nothing_at_zero("hinge_stiffness", "curvature"))
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         kind = "stiffens" if values["hardening"] > 0 else "softens"
         share = 100 * NonlinearBending.hinge_stiffness(20.0, 1.0, values["hardening"])
         return f"bending {kind} with curvature: the moment at a radius of 50 mm is {share:+.0f} % off the linear one"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """Over the curvature, in units of the stiffness."""
         curvature = np.linspace(-40.0, 40.0, 201)
         moment = curvature * (1 + cls.hinge_stiffness(curvature, 1.0, values["hardening"]))

@@ -1,21 +1,8 @@
 """Metres per pixel that are off."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import CameraEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import grid
-from stringcast.stages.model.symmetry import odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quantity, Values, odd
 
 
 class PixelScale(CameraEffect):
@@ -27,15 +14,10 @@ class PixelScale(CameraEffect):
     symmetries = (odd("seen", "points"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         size = "large" if values["excess"] > 0 else "small"
         return f"the camera's scale is off: everything is reported {100 * abs(values['excess']):.2f} % too {size}"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A square grid as it is seen."""
-        grid(axes, cls.seen, **values)
 
     @staticmethod
     def seen(

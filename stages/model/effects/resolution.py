@@ -1,20 +1,8 @@
 """Too few mass points for this string."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import ModelChange
-from stringcast.stages.model.picture import line
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from stringcast.stages.model.model import Model
+from stringcast.stages.model.effect import Axes, ModelChange, Values, line
 
 
 class Resolution(ModelChange):
@@ -27,17 +15,17 @@ class Resolution(ModelChange):
     reference = "Order of convergence of the lumped chain, tests/convergence"
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return "the model has too few mass points for this string"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """How an error of first order goes down with the mass points."""
         points = np.array([10, 19, 37, 73])
         line(axes, points, 9 / (points - 1), "mass points", "error / error at 10")
 
-    @classmethod
-    def join(cls, model: Model) -> Model:
-        """The model with segments half as long."""
-        return replace(model, string=replace(model.string, points=2 * model.string.points - 1))
+    @staticmethod
+    def points(points: int) -> int:
+        """Segments half as long."""
+        return 2 * points - 1

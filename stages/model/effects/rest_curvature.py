@@ -1,19 +1,8 @@
 """A set: the string rests curved."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, odd
 
 
 class RestCurvature(StringEffect):
@@ -29,7 +18,7 @@ class RestCurvature(StringEffect):
     symmetries = (odd("rest_curvature", "curvature", "slope"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         side = "left" if values["curvature"] > 0 else "right"
         radius = 1e3 / max(abs(values["curvature"]), 1e-9)
@@ -37,7 +26,7 @@ class RestCurvature(StringEffect):
         return f"the string has a set: it rests curved to the {side} with a radius of {radius:.0f} mm{along}"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """The shape of 0.3 m of it at rest."""
         s = np.linspace(0.0, 0.3, 101)
         turned = (values["curvature"] + values["slope"] * (s - s[-1]) / 2) * s

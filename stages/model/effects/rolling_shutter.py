@@ -1,21 +1,8 @@
 """Rows that are exposed one after another."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import CameraEffect, Quantity
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import unmoved
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Axes, Camera, CameraEffect, Parameter, Quantity, Values, line, unmoved
 
 
 class RollingShutter(CameraEffect):
@@ -32,13 +19,13 @@ class RollingShutter(CameraEffect):
     symmetries = (unmoved("seen", "points", "velocity"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         order = "top to bottom" if values["readout"] > 0 else "bottom to top"
         return f"the shutter rolls: rows are exposed from {order} within {1e3 * abs(values['readout']):.2f} ms"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """When a row is exposed."""
         row = np.linspace(0.0, 1.0, 2)
         late = values["readout"] * (row - values["stamped"])

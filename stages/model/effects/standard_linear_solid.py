@@ -1,17 +1,6 @@
 """A string that yields: part of its stiffness relaxes."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import loop
-from stringcast.stages.model.symmetry import odd
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
 
 
 class StandardLinearSolid(StringEffect):
@@ -33,14 +22,9 @@ class StandardLinearSolid(StringEffect):
     symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"bending relaxes: {values['stiffness']:.2g} m4/s2 of its stiffness within {values['relaxation']:.2g} s"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
-        """A loop in which it relaxes between the ends."""
-        loop(axes, cls, values, 1.0, values["relaxation"])
 
     @staticmethod
     def held(held: Quantity, change: Quantity, dt: Quantity, relaxation: Quantity) -> Quantity:

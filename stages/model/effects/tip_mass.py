@@ -1,19 +1,8 @@
 """Extra mass at the tip: a knot, a weight."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.symmetry import nothing_at_zero
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero
 
 
 class TipMass(StringEffect):
@@ -25,12 +14,12 @@ class TipMass(StringEffect):
     symmetries = (nothing_at_zero("tip_mass", "ratio"),)
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         return f"a mass of {100 * values['ratio']:.1f} % of the string's sits at the tip"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """The mass beyond a place, which a hanging string carries there."""
         s = np.linspace(0.0, 1.0, 101)
         line(axes, s, 1 - s + cls.tip_mass(1.0, values["ratio"]), "arc length / length", "mass beyond / string's")

@@ -1,17 +1,8 @@
 """Steady air flow through the workspace."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from stringcast.stages.model.effect import Quantity, StringEffect
-from stringcast.stages.model.parameter import Parameter
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values
 
 
 class Wind(StringEffect):
@@ -25,14 +16,14 @@ class Wind(StringEffect):
     reference = "Galilean invariance of air resistance"
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
+    def words(values: Values) -> str:
         """What is so."""
         speed = np.hypot(values["along_x"], values["along_y"])
         towards = np.degrees(np.arctan2(values["along_y"], values["along_x"]))
         return f"air flows through the workspace at {speed:.2f} m/s, towards {towards:.0f} degrees from the right"
 
     @classmethod
-    def plot(cls, axes: Axes, values: Mapping[str, float]) -> None:
+    def plot(cls, axes: Axes, values: Values) -> None:
         """An arrow in the direction of the flow."""
         reach = 1.3 * max(np.hypot(values["along_x"], values["along_y"]), 0.01)
         axes.quiver(0, 0, values["along_x"], values["along_y"], angles="xy", scale_units="xy", scale=1)
