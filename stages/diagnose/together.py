@@ -11,8 +11,8 @@ from numba import get_num_threads
 from stringcast.stages.estimate.forward import Case
 from stringcast.stages.model.hand import HandMotion, rested
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import simulate
 
 BEGINNING = 0.05  # [s] of simulated time that a batch costs before its first step
 APART = 1.15  # times what steps cost where each candidate has a hand of its own

@@ -13,8 +13,8 @@ from stringcast.data.schema import DataError
 from stringcast.stages.estimate.initial import initial_state, kinematics
 from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.simulate import StringMotion
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import StringMotion
 
 CHUNK = 256  # candidates simulated at once: keeps memory in hand, whatever their number
 

@@ -15,8 +15,9 @@ from functools import cache, partial
 import numpy as np
 
 from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.stability import LEVEL, MOST_STEPS, steps_per_tick
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.string import String
 
 SEGMENTS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112)  # each twice the one before the last
 HALF = 4  # levels of steps that halve it, nearly: 1.2^4 = 2.07

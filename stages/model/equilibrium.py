@@ -13,8 +13,6 @@ Where forces depend on the place, for the string leans on something, see `leanin
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stringcast.stages.model.effect import placed
@@ -30,9 +28,7 @@ from stringcast.stages.model.statics import (
     plain,
     sloped,
 )
-
-if TYPE_CHECKING:
-    from stringcast.stages.model.string import String
+from stringcast.stages.model.string import String
 
 CLOSE = 1e-3  # of the moment of the weight: what is left of a balance that is nearly found
 

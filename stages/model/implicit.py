@@ -31,16 +31,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from textwrap import indent
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stringcast.stages.model import turn
-from stringcast.stages.model.integrator import Integrator
-from stringcast.stages.model.stability import slopes, turning_back
-
-if TYPE_CHECKING:
-    from stringcast.stages.model.string import String
+from stringcast.stages.model.integrator import Integrator, Slopes
 
 AHEAD = 10.0  # [1/m] by which a hinge may bend in a step
 
@@ -193,13 +188,10 @@ class ImplicitLeapfrog(Integrator):
         c = damping.sum(axis=0) + 2.0 * drag
         return 4.0 / np.maximum(c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0)), 1e-300)
 
-    def constants(self, string: String, material: np.ndarray, dt: float) -> Mapping[str, np.ndarray]:
+    def constants(self, masses: np.ndarray, segment: np.ndarray, slopes: Slopes, dt: float) -> Mapping[str, np.ndarray]:
         """Masses and averaged slopes: dt/2 of the damping and dt^2/4 of the stiffness, by which a change acts."""
-        _, (stiffness, damping) = slopes(string, material)
-        stiffness += turning_back(string, material)
+        stiffness, damping = slopes()
         axial, bending, grasp = (0.5 * dt * damping + 0.25 * dt**2 * stiffness)[..., None]
-        segment = string.segments(material)[:, None]
-        hinges = np.repeat(bending / segment, string.points - 2, axis=1)
-        masses, _ = string.masses(material)
+        hinges = np.repeat(bending / segment[:, None], masses.shape[1] - 2, axis=1)
         bend = np.concatenate([grasp, hinges], axis=1)
-        return {"MASS": masses, "AXIAL": axial / segment, "BEND": bend, "STEADY": bend}
+        return {"MASS": masses, "AXIAL": axial / segment[:, None], "BEND": bend, "STEADY": bend}

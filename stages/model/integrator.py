@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stringcast.stages.model import turn
 
-if TYPE_CHECKING:
-    from stringcast.stages.model.string import String
+Slopes = Callable[
+    [], tuple[np.ndarray, np.ndarray]
+]  # stiffness and damping, axial, in bending and at the grasp, (3, C)
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,11 @@ class Integrator:
         """
         return []
 
-    def constants(self, string: String, material: np.ndarray, dt: float) -> Mapping[str, np.ndarray]:
-        """What to fill own rows with before the first step [s] of dt, (C, 1 to n) each. material: (C, P)."""
+    def constants(self, masses: np.ndarray, segment: np.ndarray, slopes: Slopes, dt: float) -> Mapping[str, np.ndarray]:
+        """What to fill own rows with before the first step of dt [s], (C, 1 to n) each.
+
+        masses: (C, n) over mass per length [m]. segment: (C,) rest length [m]. slopes: finds what may be averaged.
+        """
         return {}
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,9 +29,7 @@ from stringcast.stages.model.statics import (
     sloped,
     weight,
 )
-
-if TYPE_CHECKING:
-    from stringcast.stages.model.string import String
+from stringcast.stages.model.string import String
 
 SHORTER = 12  # times that a step is shortened at most
 RISE = 0.5  # of the energy's slope where the step begins: so steeply it may rise where it ends

@@ -19,8 +19,9 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect, ModelChange, StringEffect
 from stringcast.stages.model.hand import Act, HandMotion, JointMotion
 from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.simulate import StringMotion, simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import String, StringMotion, simulate
+from stringcast.stages.model.string import String
 
 MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
 

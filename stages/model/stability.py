@@ -9,14 +9,11 @@ the chain's axial, bending and grasp operators, whose sum bounds that of all tog
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stringcast.stages.model.slots import HELD, PER
-
-if TYPE_CHECKING:
-    from stringcast.stages.model.string import String
+from stringcast.stages.model.string import String
 
 SAFETY = 0.9
 FASTEST = 30.0  # [m/s] speed up to which air resistance is covered
@@ -82,6 +79,13 @@ def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray
     steepest = [[np.abs(rise).max(axis=1) for rise in both] for both in sampled]
     gentlest = [[np.maximum(rise.min(axis=1), 0.0) for rise in both] for both in sampled]
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
+
+
+def averaged(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness and damping that an implicit step may average, (3, C) each, as `slopes`: what rises everywhere, and
+    what hinges and the grasp hold where they turn back."""
+    _, (stiffness, damping) = slopes(string, material)
+    return stiffness + turning_back(string, material), damping
 
 
 def turning_back(string: String, material: np.ndarray) -> np.ndarray:

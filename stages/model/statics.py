@@ -7,14 +7,11 @@ and hangs from a pose (C, 3) of the grasp. Forces are over the nominal mass per 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stringcast.stages.model.stability import load, slot_sum, vector_sum
-
-if TYPE_CHECKING:
-    from stringcast.stages.model.string import String
+from stringcast.stages.model.string import String
 
 GRAVITY = 9.81
 ITERATIONS = 200

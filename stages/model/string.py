@@ -1,4 +1,4 @@
-"""The string: its mass points, its effects, and `simulate`, which moves many candidates at once.
+"""The string: its mass points and its effects; `stages.model.simulate` moves it.
 
 Parameters are given in the paper's view: per unit mass of one mass point (Table 1), at
 `reference_points` mass points. Inside, they are properties of the material (bending
@@ -8,14 +8,13 @@ the number of points; at `points == reference_points` the two are Eq. 1 exactly.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from stringcast.stages.model import kernel
 from stringcast.stages.model.effect import StringEffect, placed
 from stringcast.stages.model.effects.air_drag import AirDrag
 from stringcast.stages.model.effects.axial_damper import AxialDamper
@@ -25,16 +24,10 @@ from stringcast.stages.model.effects.grasp_spring import GraspSpring
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
-from stringcast.stages.model.equilibrium import hanging, stretched
-from stringcast.stages.model.hand import HandMotion, rested
 from stringcast.stages.model.integrator import Integrator, SemiImplicitEuler
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.precision import Double, Precision
-from stringcast.stages.model.sampling import asked, between, sampled, stayed, unpacked
 from stringcast.stages.model.slots import HELD, Law, arguments, taken
-from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.state import State
-from stringcast.stages.model.statics import curvatures, grasp_angle, grasp_set, softness
 
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -276,257 +269,3 @@ def _value(placed: Placed, material: np.ndarray, given: Mapping[str, np.ndarray]
     law, names, places = placed
     parameters = {name: material[:, place, None] for name, place in places.items()}
     return law(**{name: given[name] for name in names if name in given}, **parameters)
-
-
-@dataclass(frozen=True)
-class StringMotion:
-    """Simulated strings at `arc_lengths` from the stated grasp. points: (C, F, n, 2) [m], NaN where a run was rejected;
-    finite: (C,) bool."""
-
-    points: np.ndarray
-    finite: np.ndarray
-
-    @property
-    def tip(self) -> np.ndarray:
-        """(C, F, 2) [m]."""
-        return self.points[:, :, -1]
-
-
-def simulate(
-    string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
-) -> StringMotion:
-    """Move candidates along the hand's motion, from static equilibrium or from the state at its first tick.
-
-    hand: one motion for all candidates, or one each. values: (C, P) parameters in the order
-    of `string.parameters`. times: (F,), or (C, F) of their own, when the string is wanted [s];
-    before the hand's first tick nothing moves, after the last the hand rests. initial: how the string lies and
-    moves at the first tick, whatever the time it names; in equilibrium without it. A candidate that does not stay
-    finite, or whose stable step is impractically small, is rejected.
-
-    Results do not depend on the number of threads nor on which candidates run together.
-    """
-    material = string.material(np.atleast_2d(values))
-    position = (times - hand.start) / hand.tick
-    last = asked(position)
-    poses, rates = _lasting(hand, int(last.max()) + 1)
-    steps, possible = steps_per_tick(*string.at_work(material), hand.tick)
-    parts = []
-    for level in np.unique(steps[possible]):
-        chosen = np.flatnonzero(possible & (steps == level))
-        own = (each if len(each) == 1 else each[chosen] for each in (poses, rates))
-        pose, rate = _begun(string, material[chosen], *own)
-        begins = None if initial is None else initial.of(chosen)
-        ticks = _run(string, material[chosen], pose, rate, hand, int(level), begins)
-        asked_for, end = (position, last) if times.ndim == 1 else (position[chosen], last[chosen])
-        points = _as_stated(string, material[chosen], sampled(ticks, asked_for, end))
-        parts.append((chosen, points, stayed(ticks, end)))
-    return _gathered(parts, (len(material), times.shape[-1], string.points, 2))
-
-
-def _gathered(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape: tuple[int, ...]) -> StringMotion:
-    """All candidates, from those that share a step: which they are, their points, and who stayed alive."""
-    if len(parts) == 1 and len(parts[0][0]) == shape[0]:
-        _, points, finite = parts[0]
-    else:
-        points, finite = np.full(shape, np.nan), np.zeros(shape[0], dtype=bool)
-        for chosen, some, alive in parts:
-            points[chosen], finite[chosen] = some, alive
-    with np.errstate(invalid="ignore", over="ignore"):  # a sum is not finite where a number is not
-        finite = finite & np.isfinite(points.sum(axis=(1, 2, 3)))
-    points[~finite] = np.nan
-    return StringMotion(points, finite)
-
-
-def _begun(string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of where the free string begins, and their rates, from those of the stated grasp, (1 or C, K, 3) each."""
-    for along, across in string.added("grasp_offset", material, {}):
-        if np.any(along) or np.any(across):
-            cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
-            x, y = along * cos - across * sin, along * sin + across * cos
-            pose = pose + np.stack([x, y, 0 * x], axis=-1)
-            rate = rate + rate[..., 2:] * np.stack([-y, x, 0 * x], axis=-1)
-    return pose, rate
-
-
-def _as_stated(string: String, material: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points at the stated arc lengths, from those of the mass points of strings that begin elsewhere, (C, F, n, 2)."""
-    longer = string.longer(material)[:, None]
-    if np.all(longer == 1):
-        return points
-    last = string.points - 1
-    return between(points, np.minimum((np.arange(string.points) + (longer - 1) * last) / longer, last))
-
-
-def _lasting(hand: HandMotion, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The hand's first so many ticks, with rest added at its end where there are fewer."""
-    return rested(hand.pose[:, :count], hand.rate[:, :count], max(count - hand.pose.shape[1], 0))
-
-
-def _run(
-    string: String,
-    material: np.ndarray,
-    pose: np.ndarray,
-    rate: np.ndarray,
-    hand: HandMotion,
-    steps: int,
-    initial: State | None,
-) -> np.ndarray:
-    """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2), of no meaning once one is lost."""
-    width, number = string.precision.width, string.precision.number
-    count, blocks = len(material), -(-len(material) // width)
-    index = np.minimum(np.arange(blocks * width), count - 1)
-    parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1), dtype=number)
-    own = pose if len(pose) == 1 else pose[index]
-    start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
-    angles, lengths, velocity, hung = (part[index] for part in start)
-    constants = string.integrator.constants(*string.at_work(material[index]), hand.tick / steps)
-    further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung)}
-    positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further)
-    shared = len(pose) == 1
-    cubic = string.precision.hand(_cubic(own, rate if shared else rate[index], hand.tick))
-    if shared:
-        cubic = np.repeat(cubic, width, axis=2)  # as wide as the lanes, so that the kernel loads vectors
-    cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
-    out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
-    out[:, 0] = positions.reshape(blocks, width, -1, 2).transpose(0, 3, 2, 1)
-    alive = np.ones((blocks, width), dtype=bool)
-    run = partial(
-        kernel.kernel_for(string.effects, string.rows, string.integrator, string.precision),
-        **{"P": parameters.reshape(blocks, -1), "per_block": 0 if shared else 1, "start": hand.start},
-        **{"points": string.points, "length": string.segment},
-    )
-    if initial is not None and string.integrator.behind:
-        _set_back(string, run, buffers, cubic, hand.tick / steps, steps, out[:, :2].copy())
-    run(buffers, H=cubic, steps=np.full(blocks, steps), tick=hand.tick, out=out, alive=alive)
-    return unpacked(out, count)
-
-
-def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Angles and lengths of the segments in equilibrium, velocities of the points: none, and angles. As `_moving`."""
-    angles, lengths = hanging(*string.at_work(material), pose[:, 0])
-    return angles, lengths, np.zeros((len(material), string.points, 2)), angles
-
-
-def _moving(
-    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, initial: State
-) -> tuple[np.ndarray, ...]:
-    """Angles [rad] and lengths [m] of the segments, (C, n - 1) each, velocities of the points (C, n, 2) [m/s], and
-    the angles at which its hinges would hold nothing: where it would hang at rest, if they hold anything.
-
-    Each candidate is stretched as it would be if it hung there at rest: let go without strain, a string would ring.
-    """
-    shape = (len(material), string.points - 1)
-    middles = string.middles()
-    if np.any(hidden := (string.longer(material) - 1) * string.length):
-        initial = initial.led_on(hidden + softness(string, material), pose[:, 0, 2], rate[:, 0, 2])
-        middles = string.segments(material)[:, None] * (np.arange(shape[1]) + 0.5) - hidden[:, None]
-    angles, turns = (np.broadcast_to(each, shape) for each in initial.segments(middles))
-    lengths = stretched(string, material, pose[:, 0], angles)
-    across = np.stack([-np.sin(angles), np.cos(angles)], axis=-1)
-    relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
-    hand = np.broadcast_to(rate[:, :1, :2], (len(material), 1, 2))
-    velocity = np.concatenate([hand, hand + relative], axis=1)
-    hung = hanging(*string.at_work(material), pose[:, 0])[0] if any(map(string.holds, HELD)) else angles
-    return angles, lengths, velocity, hung
-
-
-def _set_back(
-    string: String,
-    run: Callable[..., None],
-    buffers: np.ndarray,
-    cubic: np.ndarray,
-    dt: float,
-    steps: int,
-    out: np.ndarray,
-) -> None:
-    """Velocities to the time at which the integrator keeps them, in place, by a step tried on a copy.
-
-    With a the steps by which they are behind the positions, v(-a dt) = v(0) - a (v(dt) - v(0)).
-    """
-    width, blocks = string.precision.width, len(buffers)
-    first = (cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)).astype(cubic.dtype)
-    after, alive = buffers.copy(), np.ones((blocks, width), dtype=bool)
-    run(after, H=first, steps=np.ones(blocks, dtype=int), tick=dt, out=out, alive=alive)
-    kinds = kernel.kinds(string.integrator, string.precision, string.effects)
-    rows = [kinds["VX"], kinds["VY"]]
-    now, then = (each.reshape(blocks, -1, len(kinds), width) for each in (buffers, after))
-    now[:, :, rows] -= string.integrator.behind * (then[:, :, rows] - now[:, :, rows])
-
-
-def _buffers(
-    string: String,
-    material: np.ndarray,
-    pose: np.ndarray,
-    angles: np.ndarray,
-    lengths: np.ndarray,
-    velocity: np.ndarray,
-    constants: Mapping[str, np.ndarray],
-) -> tuple[np.ndarray, np.ndarray]:
-    """The initial state: positions (C, n, 2) [m], and the kernel's rows filled with it.
-
-    velocity: of the points, (C, n, 2) [m/s]. constants: further rows, of the integrator and of
-    hinges with a memory, (C, 1 to n) each.
-    """
-    width = string.precision.width
-    blocks = len(material) // width
-    vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    positions = np.cumsum(np.concatenate([np.zeros((len(material), 1, 2)), vectors], axis=1), axis=1)
-    positions = positions + (pose[:, None, :2])
-    masses, cells = string.masses(material)
-    rows = {
-        **string.precision.start(positions, vectors, angles, pose[:, 2]),
-        "INERTIA": 1.0 / masses,
-        "WEIGHT": cells / masses,
-        "VX": velocity[..., 0],
-        "VY": velocity[..., 1],
-        "SET": grasp_set(string, material),
-        **_hidden(string, material),
-    }
-    buffers = kernel.rows(blocks, string.points, string.integrator, string.precision, string.effects)
-    kinds = kernel.kinds(string.integrator, string.precision, string.effects)
-    for name, data in {**rows, **constants}.items():
-        lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
-        buffers[:, : data.shape[1], kinds[name]] = lanes
-    return positions, buffers.reshape(blocks, -1)
-
-
-def _hidden(string: String, material: np.ndarray) -> dict[str, np.ndarray]:
-    """The kernel's rows for strings that begin elsewhere than stated, (C, 1) each."""
-    if not any("hidden_length" in e.laws() for e in string.effects):
-        return {}
-    rows = (string.longer(material), 1 / string.segments(material))
-    return {name: row[:, None] for name, row in zip(kernel.HIDDEN, rows, strict=True)}
-
-
-def _memory(
-    string: String, material: np.ndarray, theta: np.ndarray, angles: np.ndarray, hung: np.ndarray
-) -> dict[str, np.ndarray]:
-    """The kernel's rows for what has a memory: what hinges are bent to, and what they then hold, (C, n - 1) each; the
-    grasp's comes first.
-
-    theta: (1 or C,) of the hand [rad]. angles: (C, n - 1) of the segments [rad]; hung: those at which nothing is held,
-    from which the string was pulled slowly.
-    """
-    count = max(string.holds(slot) for slot in HELD)
-    if not count:
-        return {}
-    bent, before = (
-        {"grasp_moment": grasp_angle(string, material, theta, each), "moment": curvatures(string, material, each)}
-        for each in (angles, hung)
-    )
-    places = {"grasp_moment": slice(0, 1), "moment": slice(1, None)}
-    rows = np.zeros((1 + count, *angles.shape))
-    for slot, place in places.items():
-        rows[0, :, place] = bent[slot]
-        for row, held in zip(rows[1:], string.held(slot, material, bent[slot] - before[slot]), strict=False):
-            row[:, place] = held
-    return dict(zip(("CURVED", *(f"HELD{i}" for i in range(count))), rows, strict=True))
-
-
-def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:
-    """Coefficients of the cubic in each tick: (K - 1, 12, B), for x, y, theta each a0..a3."""
-    p0, p1 = pose[:, :-1], pose[:, 1:]
-    v0, v1 = rate[:, :-1] * tick, rate[:, 1:] * tick
-    coefficients = np.stack([p0, v0, 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1], axis=-1)
-    batch, count = coefficients.shape[:2]
-    return np.ascontiguousarray(coefficients.reshape(batch, count, 12).transpose(1, 2, 0))

@@ -1,6 +1,7 @@
 """Who may know whom: data nobody, stages data, hardware the model; the shell alone knows Hydra."""
 
 import ast
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -37,3 +38,28 @@ def test_hardware_knows_nothing_of_the_stages_but_model_and_roles():
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("stringcast.stages"):
                 assert node.module.split(".")[2] in ("model", "roles"), f"{file}: {node.module}"
+
+
+def test_no_module_knows_one_that_knows_it():
+    """Imports for types and those inside functions count: what cannot be read alone cannot be understood alone."""
+    files = {file: name(file) for room in ALLOWED for file in (ROOT / room).rglob("*.py")}
+    modules = set(files.values())
+    known = {name: modules_in(file, modules) - {name} for file, name in files.items()}
+    assert sum(map(len, known.values())) > 1000
+    assert known["stringcast.stages.model.effects.wind"] == {"stringcast.stages.model.effect"}
+    try:
+        TopologicalSorter(known).prepare()
+    except CycleError as error:
+        pytest.fail(" knows ".join(reversed(error.args[1])))
+
+
+def name(file: Path) -> str:
+    """A module's name."""
+    return ".".join(("stringcast", *file.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__")
+
+
+def modules_in(file: Path, modules: set[str]) -> set[str]:
+    """Those of our modules that a file imports, wherever in it; `from package import module` is of the module."""
+    nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ImportFrom)]
+    names = [(node.module or "", f"{node.module}.{alias.name}") for node in nodes for alias in node.names]
+    return {full if full in modules else module for module, full in names} & modules

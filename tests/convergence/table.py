@@ -15,8 +15,9 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.string import String
 
 CANDIDATES = 64  # simulated side by side when time is taken
 

@@ -9,7 +9,8 @@ from stringcast.stages.generate.curves import plain_cast
 from stringcast.stages.model.accuracy import ToleranceError, accurate, remaining
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import String
 
 STRING_A = {
     "axial_stiffness": 6e5,

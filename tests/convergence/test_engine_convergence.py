@@ -8,7 +8,8 @@ import pytest
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import ExplicitEuler, RungeKutta4, SemiImplicitEuler
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import String
 
 NAMED = {
     "axial_stiffness": 2e4,

@@ -15,7 +15,8 @@ from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4
 from stringcast.stages.model.library import library
 from stringcast.stages.model.precision import Single
-from stringcast.stages.model.string import BASE, String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import BASE, String
 from tests.convergence.table import HAND as CAST
 from tests.convergence.table import loaded
 

@@ -12,8 +12,9 @@ from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import BASE, String, simulate
+from stringcast.stages.model.string import BASE, String
 
 T = np.arange(0, 0.6, 0.005)
 POSE = np.stack([0.2 * np.sin(9 * T) ** 2, 0.2 * np.sin(5 * T) ** 2, -1.0 + 1.5 * np.sin(7 * T) ** 2], axis=-1)

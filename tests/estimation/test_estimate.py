@@ -13,7 +13,8 @@ from stringcast.stages.estimate.matching import Matching, match, targets
 from stringcast.stages.extract.score import rasterise, score_map
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import String
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)

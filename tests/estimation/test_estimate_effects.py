@@ -16,7 +16,8 @@ from stringcast.stages.generate import Box, generate
 from stringcast.stages.model.hand import hand_motion, hand_motion_from_grasp, joint_motion
 from stringcast.stages.model.library import VARIABLE, library, named
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import String
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)

@@ -18,8 +18,9 @@ from stringcast.stages.estimate.settle import MODES, settled, slopes
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.string import String
 
 LENGTH = 0.3
 STRING = String(LENGTH, points=15, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4)

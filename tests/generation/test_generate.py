@@ -11,7 +11,8 @@ from stringcast.stages.generate import Box, MotionNotFoundError, generate
 from stringcast.stages.generate.curves import Curves, first_curves, next_curves
 from stringcast.stages.model.hand import hand_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import String
 
 STRING = String(0.3)
 SETTINGS = {

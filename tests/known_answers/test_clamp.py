@@ -8,8 +8,9 @@ from stringcast.stages.model.effects.clamp import Clamp
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.library import library
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import BASE, String, simulate
+from stringcast.stages.model.string import BASE, String
 
 LENGTH = 0.1
 STRIP = {

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.string import String
 from tests.speed import fused, scalar
 from tests.speed.trial import TIMES, hand
 

@@ -5,8 +5,9 @@ import numpy as np
 from stringcast.stages.model.effects.grasp_play import GraspPlay
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import BASE, String, simulate
+from stringcast.stages.model.string import BASE, String
 
 LENGTH = 0.3
 WEIGHT = 9.81 * LENGTH**2 / 2  # [m3/s2] the moment that holds it level

@@ -8,7 +8,8 @@ from stringcast.stages.model.equilibrium import hanging
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import SemiImplicitEuler
-from stringcast.stages.model.string import BASE, String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import BASE, String
 
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
 STIFF = {

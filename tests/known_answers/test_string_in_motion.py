@@ -7,7 +7,8 @@ from scipy.special import jn_zeros
 from stringcast.stages.model.hand import HandMotion, hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import ExplicitEuler, Integrator, RungeKutta4
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import String
 
 QUIET = {
     "axial_stiffness": 9e5,

@@ -11,8 +11,9 @@ from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.precision import Double, Single
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.string import String
 
 FINE = String(0.3, points=15, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4)
 SOFT = {

@@ -15,10 +15,10 @@ from stringcast.stages.model.hand import HandMotion, joint_motion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.library import library, named
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.slots import HELD, arguments, taken
 from stringcast.stages.model.stability import turning_back
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import simulate
 
 CAP, SLIP = 0.05, 0.04  # [m3/s2], [1/m]: of a cable
 KNOWN = {

@@ -9,7 +9,8 @@ from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import SemiImplicitEuler
-from stringcast.stages.model.string import BASE, String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import BASE, String
 
 T = np.arange(0, 0.4, 0.005)
 POSE = np.stack([0.1 * np.sin(9 * T) ** 2, 0.1 * np.sin(5 * T) ** 2, 0.3 + 1.5 * np.sin(7 * T) ** 2], axis=-1)

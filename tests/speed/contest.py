@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from stringcast.stages.model.string import simulate
+from stringcast.stages.model.simulate import simulate
 from tests.speed.mujoco_chain import Chain
 from tests.speed.pyelastica_rod import Rods
 from tests.speed.trial import TIMES, cord_string, engine_tip, hand, limit, tip_error

@@ -10,8 +10,9 @@ import numpy as np
 
 from stringcast.stages.model import kernel
 from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.string import String
 
 
 @dataclass(frozen=True)

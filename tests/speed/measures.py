@@ -23,8 +23,8 @@ from stringcast.stages.model import kernel
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import simulate
 from tests.speed import fused, limits, scalar
 from tests.speed.engine import point_steps, step_loop
 from tests.speed.stopwatch import in_turns

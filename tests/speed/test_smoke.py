@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from stringcast.stages.model.string import simulate
+from stringcast.stages.model.simulate import simulate
 from tests.speed import measures
 from tests.speed.__main__ import printed
 from tests.speed.engine import step_loop

@@ -17,7 +17,8 @@ import yaml
 
 from stringcast.stages.model.hand import HandMotion, hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.simulate import simulate
+from stringcast.stages.model.string import String
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMES = np.arange(301) * 0.005  # [s]: a trial of 1.5 s, a frame every 5 ms
