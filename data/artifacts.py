@@ -381,6 +381,45 @@ class Estimate:
         return dict(zip(self.parameters["name"], self.parameters["value"], strict=True))
 
 
+PREDICTED = Table(
+    "predicted",
+    "every measured point of a trial that nothing was fitted to, and where the model has it",
+    (
+        _TRIAL,
+        _TIME,
+        Column("s", "m", "arc length from the grasp"),
+        Column("x", "m", "measured position"),
+        Column("y", "m", "measured position"),
+        Column("predicted_x", "m", "position in the model"),
+        Column("predicted_y", "m", "position in the model"),
+    ),
+)
+SCORE = Table(
+    "score",
+    "one row: how far the model is off in a trial that nothing was fitted to",
+    (
+        _TRIAL,
+        Column("free", "1", "values of this trial alone: of the state in which it begins, or of where it rests", "int"),
+        Column("rms", "m", "centre-line residual, root mean square"),
+        Column("tip", "m", "the same of the measured point nearest the tip"),
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a fitted model foretells of a trial that nothing was fitted to: what `predict` makes."""
+
+    predicted: pd.DataFrame
+    score: pd.DataFrame
+
+    TABLES: ClassVar[dict[str, Table]] = {"predicted": PREDICTED, "score": SCORE}
+
+    def tables(self) -> dict[str, Table]:
+        """TABLES."""
+        return dict(self.TABLES)
+
+
 # --- diagnosis --------------------------------------------------------------------------
 RESIDUALS = Table(
     "residuals",

@@ -32,6 +32,7 @@ FROM_TRIALS = (
     "known",
     "seed",
     "memory",
+    "own",
     "estimate",
     "generate",
     "execute",

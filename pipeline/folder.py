@@ -14,6 +14,7 @@ FOLDERS = {
     "execute": "trial",
     "extract": "points",
     "estimate": "estimate",
+    "predict": "prediction",
     "align": "alignment",
     "diagnose": "diagnosis",
     "propose": "motion",

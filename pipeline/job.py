@@ -35,8 +35,7 @@ def main(config: DictConfig) -> float | None:
         place = HydraConfig.get().runtime.output_dir
         console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True, markup=False)
         sys.exit(INTERRUPTED)
-    last = result.iterations[-1].done.get("estimate") if result.iterations else None
-    return None if last is None else float(last.fit["after"].iloc[0])
+    return None if result.estimate is None else float(result.estimate.fit["after"].iloc[0])
 
 
 def run(config: DictConfig, console: Console) -> Result:

@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from stringcast.data.alignment import Alignment
-from stringcast.data.artifacts import Diagnosis, Estimate, Motion, Observation, Points, Trial
+from stringcast.data.artifacts import Diagnosis, Estimate, Motion, Observation, Points, Prediction, Trial
 from stringcast.pipeline.steps import Past, step_seed
 from stringcast.pipeline.world import World
+from stringcast.stages.estimate.predict import predict
 from stringcast.stages.estimate.untouched import untouched
 from stringcast.stages.extract import aligned_footage
 from stringcast.stages.progress import Progress
@@ -46,6 +47,12 @@ def _estimate(world: World, past: Past, seed: int, progress: Progress) -> Estima
     )
 
 
+def _predict(world: World, past: Past, seed: int, progress: Progress) -> Prediction:
+    assert past.estimate is not None
+    (observation,) = _explicable(world, past)
+    return predict(world.model, past.estimate, observation, world.config["own"])
+
+
 def _explicable(world: World, past: Past) -> list[Observation]:
     """What was seen of each trial until its string touched an obstacle."""
     return [untouched(observation, world.obstacles) for observation in past.observations]
@@ -72,6 +79,7 @@ MAKERS: Mapping[str, Callable[[World, Past, int, Progress], Any]] = {
     "execute": _execute,
     "extract": _extract,
     "estimate": _estimate,
+    "predict": _predict,
     "align": _align,
     "diagnose": _diagnose,
     "propose": _propose,

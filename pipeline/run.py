@@ -16,11 +16,11 @@ from typing import Any, Protocol
 
 from stringcast.data import dataset
 from stringcast.data.alignment import Alignment
-from stringcast.data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Motion, Observation, Points
+from stringcast.data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Estimate, Motion, Observation, Points
 from stringcast.data.schema import DataError
 from stringcast.pipeline.steps import Past
 from stringcast.pipeline.targets import REHEARSALS
-from stringcast.pipeline.world import World
+from stringcast.pipeline.world import ALL, World
 from stringcast.stages.align.undo import in_arms_frame
 from stringcast.stages.check.check import refuse
 from stringcast.stages.check.measured import Measured
@@ -79,6 +79,11 @@ class Result:
         return self.iterations[-1].done.get("align")
 
     @property
+    def estimate(self) -> Estimate | None:
+        """The last one, if there is any."""
+        return next((i.done["estimate"] for i in reversed(self.iterations) if "estimate" in i.done), None)
+
+    @property
     def hit(self) -> bool:
         """Whether the real tip reached the target."""
         return any(i.hit for i in self.iterations)
@@ -117,25 +122,51 @@ def cast(world: World, folder: Path, desk: Desk, before: Sequence[Iteration] = (
 
 
 def estimate_again(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
-    """Estimation alone, from stored trials: each in turn, beginning with the one before it.
+    """Estimation alone, from stored trials: each in turn, beginning with the one before it, or from all at once.
 
-    Points are made from a trial's frames where it has no points, or where `steps` asks for it.
+    Points are made from a trial's frames where it has no points, or where `steps` asks for it. Trials that dataset.yaml
+    holds out are not estimated from: what the last estimate foretells of each comes after.
     """
     data = _usable(world, trials)
+    aside = set(_held_out(data))
+    fitted = [stored for name, stored in data.trials.items() if name not in aside]
+    if not fitted:
+        raise DataError(f"trials={trials}: dataset.yaml holds out every trial. Leave some to estimate from.")
     iterations: list[Iteration] = []
     observations: list[Observation] = []
-    for number, stored in enumerate(data.trials.values(), start=1):
-        last = iterations[-1].done["estimate"] if iterations else None
+    last: Estimate | None = None
+    for number, stored in enumerate(fitted, start=1):
         past = Past(number, {}, None, last, tuple(observations), data.films.get(stored.trial), _hashes(data))
         done, observation = _read_again(world, stored, past, desk)
         observations.append(observation)
-        past = replace(past, done=done, observations=tuple(observations[-world.config["memory"] :]))
-        iterations.append(Iteration(number, done | {"estimate": desk.step("estimate", past)}))
+        if number == len(fitted) or world.config["memory"] != ALL:
+            last = desk.step("estimate", replace(past, done=done, observations=_remembered(world, observations)))
+            done = done | {"estimate": last}
+        iterations.append(Iteration(number, done))
         _told(iterations[-1])
-    rates = [float(i.done["estimate"].fit["after"].iloc[0]) for i in iterations]
-    sentence = f"Estimated from {len(iterations)} trial(s) of {trials.name}; the matching rate E is {rates[-1]:.3f}."
-    left = f" Left out: {_reasons(data.rejected)}." if data.rejected else ""
-    return Result(folder, tuple(iterations), sentence + left)
+    for number, name in enumerate(sorted(aside & data.trials.keys()), start=len(fitted) + 1):
+        past = Past(number, {}, None, last, (), data.films.get(name), _hashes(data))
+        done, observation = _read_again(world, data.trials[name], past, desk)
+        made = desk.step("predict", replace(past, done=done, observations=(observation,)))
+        iterations.append(Iteration(number, done | {"predict": made}))
+    return Result(folder, tuple(iterations), _estimated(iterations, data))
+
+
+def _estimated(iterations: Sequence[Iteration], data: dataset.Dataset) -> str:
+    """What estimation from stored trials came to, in a sentence or three."""
+    estimates = [i.done["estimate"] for i in iterations if "estimate" in i.done]
+    foretold = [i.done["predict"].score.iloc[0] for i in iterations if "predict" in i.done]
+    count, rate = len(iterations) - len(foretold), float(estimates[-1].fit["after"].iloc[0])
+    words = [f"Estimated from {count} trial(s) of {data.folder.name}; the matching rate E is {rate:.3f}."]
+    words += [f"Held out, the tip of {s['trial']} is {1e3 * s['tip']:.1f} mm off (rms)." for s in foretold]
+    words += [f"Left out: {_reasons(data.rejected)}."] if data.rejected else []
+    return " ".join(words)
+
+
+def _remembered(world: World, observations: Sequence[Observation]) -> tuple[Observation, ...]:
+    """Those of the trials that an estimation looks at: the last ones, or all."""
+    memory = world.config["memory"]
+    return tuple(observations if memory == ALL else observations[-memory:])
 
 
 def diagnose(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
@@ -273,7 +304,7 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
             current.done,
             before[-1].done.get("generate") if before else None,
             estimates[-1] if estimates else None,
-            tuple(i.observation for i in seen[-world.config["memory"] :]),
+            _remembered(world, [i.observation for i in seen]),
         )
         current.done[name] = desk.step(name, past)
     if "estimate" in current.done:
@@ -289,7 +320,9 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
 
 
 def _told(iteration: Iteration) -> None:
-    """Note how an estimation went."""
+    """Note how an estimation went, if there was one."""
+    if "estimate" not in iteration.done:
+        return
     fit = iteration.done["estimate"].fit.iloc[0]
     rate, off = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
     words = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
@@ -327,6 +360,9 @@ def in_numbers(result: Result) -> dict[str, Any]:
         fit = i.done["estimate"].fit.iloc[0] if "estimate" in i.done else {}
         row = {"number": i.number, "E_before": fit.get("before"), "E_after": fit.get("after")}
         row |= {"rms_m": fit.get("rms_after"), "tip_rms_m": fit.get("tip_after")}
+        if "predict" in i.done:
+            score = i.done["predict"].score.iloc[0]
+            row |= {"held_out": score["trial"], "rms_m": score["rms"], "tip_rms_m": score["tip"]}
         if i.verdict is not None:
             row |= {"hit": i.hit, "miss_m": i.verdict.distance, "t_closest": i.verdict.t}
             row |= {"touched": i.verdict.touched}

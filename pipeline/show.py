@@ -45,8 +45,7 @@ def summary(result: Result) -> Group:
         table.add_column(heading, justify="right")
     for iteration in result.iterations:
         table.add_row(*_row(iteration))
-    last = result.iterations[-1].done.get("estimate")
-    words = "" if last is None else str(last.fit["sentence"].iloc[0])
+    words = "" if result.estimate is None else str(result.estimate.fit["sentence"].iloc[0])
     colour = "green" if result.hit else "yellow"
     ended, _, more = result.sentence.partition(". ")
     title = f"[bold {colour}]{escape(ended)}"
@@ -100,6 +99,8 @@ def _row(iteration: Iteration) -> list[str]:
         cells += ["", ""]
     else:
         cells += ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
+    if "predict" in iteration.done:
+        return [*cells, "", "held out", f"{iteration.done['predict'].score['rms'].iloc[0] * 1e3:.1f}"]
     if estimate is None:
         return [*cells, "", "", ""]
     fit = estimate.fit.iloc[0]

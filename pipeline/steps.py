@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from stringcast.data.alignment import Alignment
-from stringcast.data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Points, Trial
+from stringcast.data.artifacts import Diagnosis, Estimate, Film, Motion, Observation, Points, Prediction, Trial
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,7 @@ STEPS: dict[str, Step] = {
     "execute": Step(Trial, ("arm", "camera", "hardware", "execute", "seed"), this=("generate",)),
     "extract": Step(Points, ("arm", "camera", "effects", "known", "extract"), this=("execute",)),
     "estimate": Step(Estimate, (*MODEL, "obstacles", "estimate", "memory", "seed"), last=("estimate",), observes=True),
+    "predict": Step(Prediction, (*MODEL, "obstacles", "own"), last=("estimate", "predict"), observes=True),
     "align": Step(Alignment, (*MODEL, "align"), this=("execute",)),
     "diagnose": Step(Diagnosis, (*MODEL, "obstacles", "diagnose", "seed"), observes=True),
     "propose": Step(Motion, (), last=("diagnose",)),

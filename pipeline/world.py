@@ -62,6 +62,7 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     string = _accurate(_string(config["string"], where("string")), arm, config, where("string"))
     camera = build(Camera, config["camera"], "camera", where("camera"))
     model = with_effects(Model(string, arm, camera), config["effects"], where("effects"))
+    _of_the_library(config.get("own", []), where("own"))
     known, measured = _known(config["known"], model, where("known"))
     model = replace(model, known=known, measured=measured)
     if "generate" in config["steps"]:
@@ -81,14 +82,16 @@ CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", 
 STUDIES = (["study"], ["extraction_study"], ["hit_study"])
 AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"], ["align"])
 LEFT = ("frames", "report")
+ALL = "all"  # of the trials, which `memory` may be
 DECIDE = ["diagnose", "execute", "extract", "diagnose"]
 
 
 def _check_run(config: Mapping[str, Any], where: Where) -> None:
     """The few settings of the run itself."""
-    for name in ("manipulations", "memory"):
-        if type(config[name]) is not int or config[name] < 1:
-            raise UserError(f"{name} = {config[name]!r} ({where(name)}): it must be a whole number from 1. Change it.")
+    for name, other in (("manipulations", ""), ("memory", f", or {ALL}")):
+        if (type(config[name]) is not int or config[name] < 1) and not (other and config[name] == ALL):
+            must = f"it must be a whole number from 1{other}"
+            raise UserError(f"{name} = {config[name]!r} ({where(name)}): {must}. Change it.")
     if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
     if not isinstance(config["leave"], list) or not set(config["leave"]) <= set(LEFT):
@@ -109,6 +112,16 @@ def with_effects(model: Model, names: Any, where: str) -> Model:
         return model.with_effects(*named([str(name) for name in names]))
     except ValueError as error:
         raise UserError(f"effects ({where}): {error}") from error
+
+
+def _of_the_library(own: Any, where: str) -> None:
+    """Refuse what is no list of effects; they need not be at work."""
+    if not isinstance(own, list):
+        raise UserError(f"own = {own!r} ({where}): it must be a list, such as [rest_curvature]. Change it.")
+    try:
+        named([str(name) for name in own])
+    except ValueError as error:
+        raise UserError(f"own ({where}): {error}") from error
 
 
 def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:

@@ -1,0 +1,74 @@
+"""How far a model is off in a trial that nothing was fitted to.
+
+Of the trial itself are only the state in which it begins, corrected as in a fit (`settle`), and the values of effects
+that differ from one recording to another, such as a set: they are read from the frames in which the string rests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction
+from stringcast.data.later import Later
+from stringcast.stages.estimate.forward import Case, case
+from stringcast.stages.estimate.settle import MODES, settled
+from stringcast.stages.model.model import Model
+
+optimize = Later("scipy.optimize")
+
+RESTING = 0.005  # of the string's length: a hand that takes the tip no further rests; a marker's noise, 2 to 4 mm
+STEP = 1e-4  # of a parameter's chi, for the differences
+
+
+def predict(model: Model, estimate: Estimate, observation: Observation, own: Collection[str]) -> Prediction:
+    """Where the estimated string is in a trial, which begins as this trial does. own: effects whose values are those of
+    the trial, where the string rests before the hand moves; else they are as estimated."""
+    ready = settled(case(model, observation), model.values(estimate.values()))
+    values, free = model.values(estimate.values()), 0 if ready.initial is None else 2 * MODES
+    places = np.array([i for i, name in enumerate(model.names) if name.partition(".")[0] in own], dtype=int)
+    still = resting(ready)
+    if len(places) and still is not None:
+        values, free = _read(still, values, places), free + len(places)
+    _, motion = next(ready.simulate(values[None]))
+    found = ready.at_measured(motion)[0]
+    squares, tip = np.sum((found - ready.points) ** 2, axis=-1), ready.s == ready.s.max()
+    score = {"trial": ready.name, "free": free, "rms": np.sqrt(squares.mean()), "tip": np.sqrt(squares[tip].mean())}
+    rows = {"trial": ready.name, "t": ready.times[ready.frame], "s": ready.s}
+    for name, where in (("", ready.points), ("predicted_", found)):
+        rows |= {f"{name}x": where[:, 0], f"{name}y": where[:, 1]}
+    return Prediction(PREDICTED.check(pd.DataFrame(rows)), SCORE.check(pd.DataFrame([score])))
+
+
+def resting(ready: Case) -> Case | None:
+    """The frames in which a string rests before the hand moves; None where there are none, or it begins moving."""
+    if ready.initial is not None:
+        return None
+    hand, length = ready.motion.really(ready.model.arm, ()), ready.model.string.length
+    away = np.abs(hand.pose[0] - hand.pose[0, 0])
+    moves = np.hypot(away[:, 0], away[:, 1]) + length * away[:, 2] > RESTING * length
+    last = hand.start + hand.tick * (np.argmax(moves) - 1) if moves.any() else hand.end
+    frames = int(np.searchsorted(ready.times, last, side="right"))
+    kept = ready.frame < frames
+    parts = {name: getattr(ready, name)[kept] for name in ("frame", "s", "points", "sigma")}
+    return replace(ready, times=ready.times[:frames], **parts) if frames else None
+
+
+def _read(still: Case, values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values (P,) of which some, at these places, suit a string at rest best."""
+    parameters = [still.model.parameters[place] for place in places]
+
+    def placed(chi: np.ndarray) -> np.ndarray:
+        changed = values.copy()
+        changed[places] = [float(p.value(c)) for p, c in zip(parameters, chi, strict=True)]
+        return changed
+
+    def off(chi: np.ndarray) -> np.ndarray:
+        _, motion = next(still.simulate(placed(chi)[None]))
+        return np.nan_to_num(((still.at_measured(motion)[0] - still.points) / still.sigma[:, None]).ravel(), nan=1e6)
+
+    start = [np.clip(p.chi(values[place]), STEP, 1 - STEP) for p, place in zip(parameters, places, strict=True)]
+    return placed(optimize.least_squares(off, start, bounds=(0, 1), diff_step=STEP).x)
