@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from stringcast.data.errors import ExpectedError, remedy_for
 from stringcast.pipeline import log
 from stringcast.pipeline.commands import NAMES, command
-from stringcast.pipeline.complaint import INTERRUPTED, complain, refusal
+from stringcast.pipeline.complaint import complain, interrupted, refusal
 from stringcast.pipeline.settings import refuse_twice
 from stringcast.pipeline.sweep.begun import ended as sweep_ended
 
@@ -50,8 +50,8 @@ def asked(name: str, arguments: list[str]) -> int:
     except ExpectedError as error:
         complain(error, Console(stderr=True))
         return UNANSWERED
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    except KeyboardInterrupt as error:
+        return interrupted(error)
 
 
 def called() -> None:
@@ -73,14 +73,15 @@ def called() -> None:
         sys.exit(sweep_ended())
     except ExpectedError as error:
         sys.exit(f"Error: {error}")
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         sweep_ended()
-        sys.exit(INTERRUPTED)
+        sys.exit(interrupted(error))
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"Error: {refusal(error)}")
     except OSError as error:
-        remedy = f"{remedy_for(error)} with hydra.run.dir."
-        sys.exit(f"Error: {error.filename}: cannot be written ({error.strerror}). {remedy}")
+        what = error.filename or "the folder of this run or sweep"
+        remedy = f"{remedy_for(error)} with hydra.run.dir or hydra.sweep.dir."
+        sys.exit(f"Error: {what}: cannot be written ({error.strerror}). {remedy}")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import signal
 
 from hydra.core.global_hydra import GlobalHydra
 from rich.console import Console
@@ -12,12 +13,15 @@ from rich.markup import escape
 from stringcast.data.errors import printable
 from stringcast.pipeline.settings import composed, flat
 
-INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
-
 
 def complain(error: Exception, console: Console) -> None:
     """One clear message."""
     console.print(f"[bold red]Error:[/] {escape(printable(str(error)))}", highlight=False, soft_wrap=True)
+
+
+def interrupted(by: KeyboardInterrupt) -> int:
+    """Exit status after a signal, as shells have it: 130 after Ctrl-C, 143 after SIGTERM, which asks an arm to stop."""
+    return 128 + int(by.args[0] if by.args else signal.SIGINT)
 
 
 def refusal(error: BaseException) -> str:

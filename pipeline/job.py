@@ -12,7 +12,7 @@ from rich.console import Console
 
 from stringcast.data.errors import ExpectedError
 from stringcast.pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
-from stringcast.pipeline.complaint import INTERRUPTED, complain
+from stringcast.pipeline.complaint import complain, interrupted
 from stringcast.pipeline.keep import forget
 from stringcast.pipeline.perform import perform
 from stringcast.pipeline.run import Result
@@ -31,10 +31,10 @@ def main(config: DictConfig) -> float | None:
         complain(error, console)
         forget(Path(HydraConfig.get().runtime.output_dir))
         sys.exit(1)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         place = HydraConfig.get().runtime.output_dir
         console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True, markup=False)
-        sys.exit(INTERRUPTED)
+        sys.exit(interrupted(error))
     return None if result.estimate is None else float(result.estimate.fit["after"].iloc[0])
 
 

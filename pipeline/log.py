@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from stringcast.pipeline.folder import LOG
@@ -26,7 +26,7 @@ def shown() -> None:
 @contextmanager
 def kept(folder: Path) -> Iterator[None]:
     """Meanwhile, lines are added to the log of a run. folder: the run's."""
-    handler = logging.FileHandler(folder / LOG, encoding="utf-8", delay=True)
+    handler = _Kept(folder / LOG, encoding="utf-8", delay=True)
     _heard(handler)
     try:
         yield
@@ -36,6 +36,21 @@ def kept(folder: Path) -> Iterator[None]:
     finally:
         OURS.removeHandler(handler)
         handler.close()
+
+
+class _Kept(logging.FileHandler):
+    """A log on a disk that may be full: it loses lines rather than stop a run, or hide what did."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with suppress(OSError):
+            super().emit(record)
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 (its name in logging)
+        pass
+
+    def close(self) -> None:
+        with suppress(OSError):
+            super().close()
 
 
 def _heard(handler: logging.Handler) -> None:

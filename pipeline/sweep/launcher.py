@@ -85,8 +85,11 @@ class LedgerLauncher:
         if self.launched is None:
             return 0
         folder, finish = self.launched
-        jobs = finish(folder)
-        Console(stderr=True).print(summary(jobs, folder), soft_wrap=True, highlight=False, markup=False)
+        ledger = Ledger(folder)
+        with ledger.finishing():
+            jobs = finish(folder)
+        said = summary(jobs, folder, ledger.elsewhere(jobs))
+        Console(stderr=True).print(said, soft_wrap=True, highlight=False, markup=False)
         return int(any(job.state != DONE for job in jobs))
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -23,6 +24,7 @@ from typing import Any, BinaryIO
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
 
+LOOK = 0.1  # [s] between looks at a lock that is waited for; making table and page takes about 1 s
 PENDING, RUNNING, DONE, FAILED = "pending", "running", "done", "failed"
 LOST = "Its worker ended without a word: killed, out of memory, or out of time. Its log may say more."
 
@@ -84,14 +86,20 @@ class Ledger:
     @contextmanager
     def claimed(self, key: str) -> Iterator[BinaryIO | None]:
         """The job's log, ours alone until it is closed here and in every process that inherited it; None if taken."""
-        path = self._file(key).with_suffix(".log")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            log = path.open("ab")
-        except OSError as error:
-            raise DataError(f"{path}: cannot be written ({error.strerror}). Choose another hydra.sweep.dir.") from error
-        with log:
+        with _opened(path := self._file(key).with_suffix(".log")) as log:
             yield log if _locked(log, path) else None
+
+    @contextmanager
+    def finishing(self) -> Iterator[None]:
+        """Alone with what is made of the whole ledger; waits for others, so that the last one has seen it last."""
+        with _opened(path := self.folder / "ledger" / "finishing.lock") as file:
+            while not _locked(file, path):
+                time.sleep(LOOK)
+            yield
+
+    def elsewhere(self, jobs: Sequence[Job]) -> int:
+        """How many of these jobs are called running, and are: somebody else is at them."""
+        return sum(job.state == RUNNING and self._taken(job.key) for job in jobs)
 
     def waiting(self, keys: Sequence[str], states: Sequence[str]) -> list[str]:
         """The jobs that are to be run: those that never ended, or ended in one of `states`; entered as pending."""
@@ -105,6 +113,10 @@ class Ledger:
     def place(self, key: str) -> Path:
         """The folder of a job's run."""
         return self.folder / key
+
+    def _taken(self, key: str) -> bool:
+        with self.claimed(key) as log:
+            return log is None
 
     def _put(self, key: str, states: Sequence[str], state: str, error: str = "") -> bool:
         """Put a job that nobody is at from one of `states` into `state`; whether it is in `state` now.
@@ -122,6 +134,15 @@ class Ledger:
 
     def _file(self, key: str) -> Path:
         return self.folder / "ledger" / f"{key}.json"
+
+
+def _opened(path: Path) -> BinaryIO:
+    """A file to be locked; raises DataError where it cannot be made."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("ab")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror}). Choose another hydra.sweep.dir.") from error
 
 
 def _locked(file: BinaryIO, path: Path) -> bool:

@@ -27,12 +27,14 @@ def left(seconds: float, waiting: int, of: int) -> str:
     return f"({waiting} left, about {ahead})" if waiting else ""
 
 
-def summary(jobs: Sequence[Job], folder: Path) -> str:
-    """How many ended how, and what to do about the others."""
+def summary(jobs: Sequence[Job], folder: Path, elsewhere: int) -> str:
+    """How many ended how, and what to do about the others. elsewhere: how many another process is at."""
     count = Counter(job.state for job in jobs)
-    left = len(jobs) - count[DONE] - count[FAILED]
+    left = len(jobs) - count[DONE] - count[FAILED] - elsewhere
     said = [f"{count[DONE]} of {len(jobs)} job(s) of the sweep are done."]
     again = f"the same command with hydra.sweep.dir={folder}"
+    if elsewhere:
+        said.append(f"{elsewhere} are run by another process, which completes the table when it ends; or {again} does.")
     if left:
         said.append(f"{left} did not end: give {again} to go on.")
     if count[FAILED]:

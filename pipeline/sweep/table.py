@@ -51,10 +51,19 @@ def sweep_table(ledger: Ledger, jobs: Sequence[Job]) -> tuple[Table, pd.DataFram
 
 
 def factors(jobs: Sequence[Job]) -> dict[str, list[Any]]:
-    """Settings that were given to any of the jobs, by name, with the value of each job: numbers, or else text."""
+    """Settings that were given to any of the jobs, by column, with the value of each job: numbers, or else text.
+
+    A column has the setting's name, unless an outcome has it: `manipulations` are asked for, and made.
+    """
     given = [dict(override.lstrip("+~").split("=", 1) for override in job.overrides if "=" in override) for job in jobs]
     names = dict.fromkeys(name for one in given for name in one)
-    return {name: _alike([_value(job, name, one) for job, one in zip(jobs, given, strict=True)]) for name in names}
+    taken = {column.name for column in SWEEP.columns}
+    return {
+        f"setting.{name}" if name in taken else name: _alike(
+            [_value(job, name, one) for job, one in zip(jobs, given, strict=True)]
+        )
+        for name in names
+    }
 
 
 def _value(job: Job, name: str, given: Mapping[str, str]) -> Any:

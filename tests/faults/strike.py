@@ -117,7 +117,7 @@ def look_at_what_is_left(folder, whole):
     left = contents(folder) if folder.exists() else {}
     left.pop("failed.txt", None)
     steps = {name: digest for name, digest in left.items() if name.startswith("iterations")}
-    assert steps.items() <= whole.items()
+    assert steps.items() <= whole.items(), steps.items() - whole.items()
     for place in {name.rsplit("/", 1)[0] for name in steps if name.endswith(".parquet")}:
         assert {n for n in steps if n.startswith(place)} == {n for n in whole if n.startswith(place)}
     if "run.json" in left:

@@ -23,20 +23,21 @@ from stringcast.pipeline.perform import perform
 from stringcast.pipeline.world import world
 
 ROOT = Path(__file__).resolve().parents[2]
+TINY = ("+experiment=quick", "camera.width=16", "camera.height=16", "camera.px_per_m=8", "camera.origin_px=[6,10]")
 CALLS = []  # what was made, in order
 
 
 @cache
 def composed(*overrides):
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("config", ["+experiment=quick", *overrides])
+        config = compose("config", [*overrides])
     return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
 
 
 def toy_world(casts=2, pause=0.0, estimate_by=None, **changed):
     """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead of the toy estimation. changed:
     settings, whole blocks."""
-    whole = composed(f"manipulations={casts}")
+    whole = composed(*TINY, f"manipulations={casts}")
     stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
     stages = {name: slow(stage, pause) for name, stage in stages.items()}
     return replace(whole, config={**whole.config, **changed}, stages=stages)
@@ -75,7 +76,7 @@ def execute(motion, arm, camera):
     tables["arm"] = rows(Trial.TABLES["arm"], t=[0.0, 0.1], q1=x)
     tables["frames"] = rows(Trial.TABLES["frames"], t=[0.0, 0.1], file=["images/0.png", "images/1.png"])
     tables["link"] = rows(Trial.TABLES["link"], 1, valid=[True])
-    return Trial(**tables, images=[np.full((2, 3), int(255 * x) ^ i, np.uint8) for i in range(2)])
+    return Trial(**tables, images=[np.full((16, 16), int(255 * x) ^ i, np.uint8) for i in range(2)])
 
 
 def extract(footage, camera, *, progress):

@@ -1,6 +1,7 @@
 """The page of a sweep: means and intervals as worked out by hand, every factor and failure shown, nothing from elsewhere."""
 
 import re
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -103,6 +104,13 @@ def test_one_setting_one_seed_and_no_casts():
     page = sweep_report(record(table, ("experiment", BETA)))
     assert "With one seed nobody can say" in page
     assert "hit rate" not in page.split("<section", 1)[1]
+
+
+def test_what_all_jobs_found_alike_is_drawn_without_a_warning():
+    """Where the mean of equal values differs from them by rounding, too: no axis of powers of ten has such ends."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sweep_report(record(swept().assign(**{STIFFNESS[0]: 1e-3})))
 
 
 def reached():

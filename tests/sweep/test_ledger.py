@@ -8,17 +8,21 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from stringcast.data.schema import DataError
 from stringcast.pipeline.sweep.attempt import Attempt, complaint, ended
+from stringcast.pipeline.sweep.finish import finish
+from stringcast.pipeline.sweep.launcher import LedgerLauncher
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, LOST, PENDING, RUNNING, Job, Ledger
 
 STAND_IN = '''
-"""What a job does, by its seed: 2 fails, 3 is killed, 4 waits for ever; the others leave a file."""
+"""What a job does, by its seed: 2 fails, 3 is killed, 4 waits to be told; the others leave a file."""
 import os, pathlib, re, sys, time
 given = dict(a.lstrip("+").split("=", 1) for a in sys.argv[1:])
 place = pathlib.Path(re.fullmatch("'(.*)'", given["hydra.run.dir"])[1])
@@ -30,8 +34,8 @@ if given["seed"] == "2" and not (place.parents[0] / "mended").exists():
     sys.exit(1)
 if given["seed"] == "3":
     os.kill(os.getpid(), 9)
-if given["seed"] == "4":
-    time.sleep(60)
+while given["seed"] == "4" and not (place.parents[0] / "told").exists():
+    time.sleep(0.01)
 (place / "out").write_text(os.environ["NUMBA_NUM_THREADS"])
 '''
 
@@ -47,7 +51,7 @@ def stand_in(tmp_path):
 def entered(folder, *seeds):
     """A ledger of a job for each seed, and their keys."""
     ledger = Ledger(folder)
-    jobs = [Job(seed, (f"seed={seed}",), {"seed": seed}) for seed in seeds]
+    jobs = [Job(seed, (f"seed={seed}",), {"seed": seed, "name": "stand_in"}) for seed in seeds]
     for job in jobs:
         ledger.add(job)
     return ledger, [job.key for job in jobs]
@@ -168,11 +172,21 @@ def test_a_worker_that_was_lost_is_a_failure(tmp_path, stand_in):
     ledger, (key,) = entered(tmp_path / "sweep", 0)
     with ledger.claimed(key) as log:
         assert log is not None
-        ledger.write(Job(0, ("seed=0",), {"seed": 0}, state=RUNNING, attempts=1))
+        ledger.write(replace(ledger.read(key), state=RUNNING, attempts=1))
         ledger.settle([key])
         assert states(ledger) == {0: RUNNING}
     ledger.settle([key])
     assert (ledger.read(key).state, ledger.read(key).error) == (FAILED, LOST)
+
+
+def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(tmp_path, stand_in):
+    ledger = Ledger(tmp_path)
+    for many in (1, 2):
+        ledger.add(Job(many, (f"manipulations={many}",), {"manipulations": many, "name": "x", "seed": 0}))
+    finish(tmp_path)
+    table = pd.read_parquet(tmp_path / "sweep.parquet")
+    assert list(table["setting.manipulations"]) == [1, 2]
+    assert table["manipulations"].isna().all()  # none was made
 
 
 def test_two_sweeps_in_one_folder_run_each_job_once(tmp_path, stand_in):
@@ -191,6 +205,38 @@ def every(folder, keys, command):
     """What a sweep does: all that waits."""
     for key in Ledger(folder).waiting(keys, ()):
         attempt(folder, key, command)
+
+
+def whole_sweep(folder, keys, command, said):
+    """All that waits, then table and page, and how the command would end. said: a file for its words."""
+    every(folder, keys, command)
+    sweep = LedgerLauncher("", "", retry=False, ahead=0)
+    sweep.launched = folder, finish
+    with said.open("w") as sys.stderr:
+        os._exit(sweep.ended())
+
+
+def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_table(tmp_path, stand_in):
+    """The first is at a job when the second comes, which ends before it."""
+    ledger, keys = entered(tmp_path / "sweep", 4, 5, 6)
+    first, second = (
+        get_context("fork").Process(target=whole_sweep, args=(ledger.folder, order, stand_in, tmp_path / name))
+        for name, order in (("first", keys), ("second", keys[::-1]))
+    )
+    first.start()
+    until(lambda: begun(ledger, keys[0]))
+    second.start()
+    second.join()
+    assert second.exitcode == 1
+    said = (tmp_path / "second").read_text()
+    assert "2 of 3 job(s) of the sweep are done.\n1 are run by another process, which completes the table" in said
+    assert "did not end" not in said
+    (ledger.folder / "told").touch()
+    first.join()
+    assert first.exitcode == 0
+    assert (tmp_path / "first").read_text().startswith("3 of 3 job(s) of the sweep are done.")
+    assert [begun(ledger, key) for key in keys] == [1, 1, 1]
+    assert list(pd.read_parquet(ledger.folder / "sweep.parquet")["state"]) == [DONE] * 3
 
 
 def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(tmp_path, stand_in):

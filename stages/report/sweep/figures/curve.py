@@ -12,6 +12,8 @@ from stringcast.stages.report.sweep.figures.levels import marked
 from stringcast.stages.report.sweep.outcomes import Outcome, response
 from stringcast.stages.report.words import significant
 
+ALIKE = 1e-9  # relative; a geometric mean of equal values is off by 1e-15, which no axis can show
+
 
 def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
     """None where nothing is known of it. jobs: those that ended."""
@@ -29,6 +31,9 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
     joined = "-" if pd.api.types.is_numeric_dtype(jobs[factor]) else "none"  # between words there is nothing
     axes.plot(x, means["mean"], "o", ls=joined, ms=4.5, color=LIGHT["after"])
     axes.vlines(x, means["low"], means["high"], color=LIGHT["after"], lw=4, alpha=0.35)
+    low, high = axes.dataLim.intervaly
+    if outcome.axis == "log" and high < low * (1 + ALIKE):
+        axes.set_ylim(low / 2, high * 2)
     axes.set_yscale(outcome.axis)
     if outcome.axis == "log":
         axes.yaxis.set_major_formatter(powers())

@@ -1,0 +1,212 @@
+"""The command as a user gives it, with toy stages and all else real, each time in a child of this process: it begins at
+once. With disk.c preloaded, `python -m tests.faults.forked FOLDER run:N sweep:N` strikes the N-th operation that
+writes, or without :N each in turn, looks at what is left, goes on, compares, and prints what it struck.
+"""
+
+import errno
+import itertools
+import json
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import traceback
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+
+from stringcast.pipeline import __main__ as shell
+from stringcast.pipeline import job
+from stringcast.pipeline.sweep.attempt import Attempt
+from stringcast.pipeline.sweep.begun import BegunLater
+from stringcast.pipeline.sweep.ledger import DONE, Ledger
+from tests.faults.strike import look_at_what_is_left
+from tests.faults.toy import ROOT, STAGES, TINY, contents
+
+ERRORS = (  # number of the error, and whether it lasts until the command is given again
+    (errno.ENOSPC, True),
+    (errno.EROFS, True),
+    (errno.EACCES, True),
+    (errno.ENOSPC, False),
+)
+REMEDY = re.compile(r"cannot be (written|locked) \((No space left|Read-only file|Permission denied).*\)\. "
+                    r"(Free space on the disk, or choose|Choose)")  # fmt: skip
+CHANCE = ["attempts", "seconds", "host"]  # of a job: no two sweeps have them alike
+
+
+class Run:
+    """One cast."""
+
+    arguments = (*TINY, "manipulations=1")
+
+    def again(self, folder):
+        """The command that makes it, or goes on with it."""
+        return (*self.arguments, f"hydra.run.dir={folder}")
+
+    def look(self, folder, whole):
+        """Nothing that is left is half done."""
+        look_at_what_is_left(folder, whole)
+
+    def made(self, folder):
+        """All that it leaves, in a form that is the same each time."""
+        return contents(folder)
+
+
+class Sweep:
+    """Two jobs of one cast each, from which nothing is estimated."""
+
+    arguments = (
+        "--multirun",
+        *TINY,
+        "manipulations=1",
+        "steps=[generate,execute,extract]",
+        "leave=[frames]",
+        "seed=0,1",
+    )
+
+    def again(self, folder):
+        """The command that makes it, or goes on with it."""
+        return (*self.arguments, f"hydra.sweep.dir={folder}", "hydra.launcher.retry=true")
+
+    def look(self, folder, whole):
+        """Every job's entry can be read, every run is whole as far as it has come, a table is whole."""
+        for entry in Ledger(folder).jobs():
+            theirs = {name[13:]: digest for name, digest in whole["runs"].items() if name.startswith(entry.key)}
+            look_at_what_is_left(folder / entry.key, theirs)
+            assert entry.state != DONE or contents(folder / entry.key) == theirs
+        if (folder / "sweep.parquet").exists():
+            assert len(pd.read_parquet(folder / "sweep.parquet")) == 2
+
+    def made(self, folder):
+        """Runs, and the table less chance."""
+        runs = {name: digest for name, digest in contents(folder).items() if name.count("/") and "ledger" not in name}
+        table = pd.read_parquet(folder / "sweep.parquet").drop(columns=CHANCE)
+        assert (folder / "report.html").read_text().endswith("</html>")
+        return {"runs": runs, "table": table.to_json()}
+
+
+def toy_world(*given):
+    return replace(REAL(*given), stages=STAGES)
+
+
+def process(attempt, entry, log, threads):
+    """A job's process, for `Attempt._process`."""
+    place = f"hydra.run.dir={attempt.folder / attempt.key}"
+    return ended(start([*entry.overrides, "hydra.mode=RUN", place], log.fileno()))
+
+
+def start(arguments, to):
+    """A child that gives the command; what it says goes to the file of this number."""
+    child = os.fork()
+    if child:
+        return child
+    code = 99
+    try:
+        os.dup2(to, 1)
+        os.dup2(to, 2)
+        code = status(arguments)
+    except BaseException:
+        os.write(2, traceback.format_exc().encode())
+    finally:
+        os._exit(code)
+
+
+def status(arguments):
+    """Exit status of the command, given in this process; says what it would."""
+    GlobalHydra.instance().clear()
+    HydraConfig.instance().cfg = None
+    BegunLater.sweep = None
+    sys.argv = ["pipeline", *arguments]
+    try:
+        shell.called()
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            os.write(2, f"{end.code}\n".encode())
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    return 0
+
+
+def ended(child):
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def command(arguments, beside):
+    """Exit status and words of the command. beside: a file for the words."""
+    with beside.open("wb") as file:
+        code = ended(start(arguments, file.fileno()))
+    return code, beside.read_text()
+
+
+def strike(kind, folder, n, whole):
+    """The operation that was struck; None where there are fewer than n."""
+    number, lasts = ERRORS[n % len(ERRORS)]
+    count = folder.with_suffix(".count")
+    count.write_bytes(bytes(4096))
+    fault = {"BELOW": folder, "AT": n, "ERROR": number, "LASTS": "1" * lasts, "COUNT": count}
+    os.environ |= {f"FAULT_{name}": str(value) for name, value in fault.items()}
+    code, said = command(kind.again(folder), folder.with_suffix(".said"))
+    for name in fault:
+        del os.environ[f"FAULT_{name}"]
+    (many,) = struct.unpack_from("q", count.read_bytes())
+    if many <= n:
+        return None
+    struck = count.read_bytes()[8:].partition(b"\0")[0].decode()
+    where = f"{n}, {errno.errorcode[number]}, {struck}: {said}"
+    assert code in (0, 1), where
+    assert "Traceback" not in said, where
+    assert "Error executing" not in said, where
+    assert code == 0 or (REMEDY.search(said) and str(folder) in said), where
+    kind.look(folder, whole)
+    assert command(kind.again(folder), folder.with_suffix(".said"))[0] == 0, where
+    assert kind.made(folder) == whole, where
+    litter = [path for pattern in (".*.part", ".*.replaced") for path in folder.rglob(pattern)]
+    assert not litter, where
+    shutil.rmtree(folder)
+    return struck
+
+
+def main(place, *asked):
+    """Strike. place: a folder. asked: `run:N`, `sweep:N`; without N each operation in turn."""
+    struck, whole = {}, {}
+    for name, _, number in (word.partition(":") for word in asked):
+        kind, folder = KINDS[name], place / name
+        if name not in whole:
+            assert status(kind.again(folder / "whole")) == 0  # here, so that children find loaded what it loads
+            whole[name] = kind.made(folder / "whole")
+        for n in [int(number)] if number else itertools.count():
+            operation = strike(kind, folder / str(n), n, whole[name])
+            if operation is None:
+                break
+            struck.setdefault(name, []).append(operation)
+    print(json.dumps(struck))
+
+
+def struck_by(place, *asked):
+    """What `main` struck in a process with disk.c preloaded, {name: [operation]}; fails with its words."""
+    if sys.platform != "linux" or shutil.which("cc") is None:
+        pytest.skip("needs Linux and a C compiler (cc)")
+    library, source = place / "disk.so", Path(__file__).with_name("disk.c")
+    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
+    around = os.environ | {"LD_PRELOAD": str(library), "NUMBA_THREADING_LAYER": "workqueue"}  # which bears a fork
+    command = [sys.executable, "-m", "tests.faults.forked", place, *asked]
+    ran = subprocess.run(command, cwd=ROOT, env=around, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    return json.loads(ran.stdout)
+
+
+KINDS = {"run": Run(), "sweep": Sweep()}
+
+if __name__ == "__main__":
+    REAL, job.world = job.world, toy_world
+    shell.main.__wrapped__.__module__ = "__main__"  # as Hydra finds it when it is run
+    Attempt._process = process
+    import_module("stringcast.pipeline.report")  # so that no child has to
+    import_module("stringcast.pipeline.sweep.finish")
+    main(Path(sys.argv[1]), *sys.argv[2:])
