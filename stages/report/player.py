@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 
-from stringcast.stages.report.picture import data_uri
+from stringcast.stages.report.picture import data_uri, webp
 from stringcast.stages.report.record import Cast, Record
-from stringcast.stages.report.scene import View, corners
+from stringcast.stages.report.scene import View, corners, spread_levels
 
 FRAMES = 240  # at most in one page, shared among its casts
 FEWEST = 24  # of one cast
@@ -56,19 +55,16 @@ def choose(cast: Cast, most: int) -> list[int]:
 
 def _small(image: np.ndarray, black_white: tuple[float, float], scale: float) -> str:
     """A frame with its levels spread, never larger than it was filmed: the player enlarges it."""
-    low, high = black_white
-    clear = np.clip((image.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-    if scale < 1:
-        clear = cv2.resize(clear, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    clear = spread_levels(image, black_white, min(scale, 1.0))
     for quality in QUALITIES:
-        data = cv2.imencode(".webp", clear, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
+        data = webp(clear, quality)
         if len(data) <= LARGEST:
             break
-    return data_uri("webp", data.tobytes())
+    return data_uri("webp", data)
 
 
 def _pixels(record: Record, world: np.ndarray, part: View, scale: float) -> list[list[float]]:
     """Pixels of the small picture (corner of the first at 0); empty where the simulation did not stay finite."""
     if not np.isfinite(world).all():
         return []
-    return np.round((record.camera.pixels(world) - (part.left, part.top) + 0.5) * scale, 1).tolist()
+    return np.round(part.pixels(record.camera, world, scale), 1).tolist()

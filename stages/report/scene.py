@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.stages.generate import Box
+from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.picture import MM, ON_FRAMES
 from stringcast.stages.report.record import Cast, Record
 
@@ -33,10 +34,21 @@ class View:
         part = image[self.top : self.bottom, self.left : self.right]
         return part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
 
+    def pixels(self, camera: Camera, world: np.ndarray, scale: float) -> np.ndarray:
+        """Pixels (..., 2) of world points in this part made `scale` times as large, the corner of the first at 0."""
+        return (camera.pixels(world) - (self.left, self.top) + 0.5) * scale
+
     @property
     def size(self) -> np.ndarray:
         """Width and height [px]."""
         return np.array([self.right - self.left, self.bottom - self.top])
+
+
+def spread_levels(image: np.ndarray, black_white: tuple[float, float], scale: float) -> np.ndarray:
+    """An image (height, width) with its levels spread, `scale` times as large, uint8."""
+    low, high = black_white
+    clear = np.clip((image.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    return cv2.resize(clear, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def view(record: Record, world: np.ndarray, margin: float = 0.05) -> View:

@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from stringcast.data.artifacts import JOINTS, Estimate, Motion, Points, Trial
 from stringcast.stages.generate import Box
@@ -21,8 +23,13 @@ from stringcast.stages.judge import LONGEST_GAP, Verdict
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report import Cast, Record, report
-from stringcast.stages.report.figures.residual import residuals
-from stringcast.stages.report.picture import THEME
+from stringcast.stages.report.figures.joints import joints
+from stringcast.stages.report.figures.matching import matching
+from stringcast.stages.report.figures.parameters import history
+from stringcast.stages.report.figures.paths import path, paths
+from stringcast.stages.report.figures.progress import progress
+from stringcast.stages.report.figures.residual import residual, residuals
+from stringcast.stages.report.picture import STYLE, THEME
 from stringcast.stages.report.player import FEWEST, FRAMES, animation, choose
 from stringcast.stages.report.scene import draw, frame_figure, whole_view
 
@@ -218,6 +225,26 @@ def test_every_colour_of_a_figure_has_a_dark_side(page):
             left = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", drawn))
             assert left <= {"#ffffff"}, f"{image['alt']}: {left} does not follow the theme"
     assert len({light for light, _ in THEME.values()}) == len(THEME)
+
+
+def test_no_label_is_cut_off(record, monkeypatch):
+    """Margins are given, not measured: here they are."""
+    figures, drawn = [], FigureCanvasSVG.print_svg
+    monkeypatch.setattr(
+        FigureCanvasSVG, "print_svg", lambda canvas, *a, **k: (figures.append(canvas.figure), drawn(canvas, *a, **k))
+    )
+    cast, other = record.casts
+    many = replace(record, casts=(cast, replace(other, verdict=replace(other.verdict, distance=1.2345))) * 4)
+    with style.context(STYLE):
+        shown = paths(many), progress(many), path(record, cast), joints(cast), residual(record, cast)
+        shown += matching(cast.estimate, cast), history(STRING.parameters[0], record.estimates)
+    assert len(figures) == len(shown)
+    for figure in tuple(figures):  # to measure one prints it again
+        inside, whole = figure.get_tightbbox(), figure.get_size_inches()
+        assert (inside.min >= -0.01).all(), figure.axes[0].get_ylabel()
+        assert (inside.max <= whole + 0.01).all(), figure.axes[0].get_ylabel()
+        legends = [legend.get_window_extent() for legend in figure.legends]
+        assert not any(legend.overlaps(axes.get_window_extent()) for legend in legends for axes in figure.axes)
 
 
 def test_the_same_record_gives_the_same_page(record):

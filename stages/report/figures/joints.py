@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS
-from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.record import Cast
 
 COLOURS = (LIGHT["after"], LIGHT["before"], LIGHT["measured"])
@@ -17,7 +16,7 @@ def joints(cast: Cast) -> Picture | None:
     commanded, measured = cast.motion.commands, cast.trial.arm
     if measured.empty:
         return None
-    figure = Figure(figsize=(5.4, 3.7))
+    figure = framed(5.4, 3.7, left=0.85)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     behind = []
     for joint, colour in zip(JOINTS, COLOURS, strict=True):
@@ -30,5 +29,5 @@ def joints(cast: Cast) -> Picture | None:
     top.plot([], [], color=LIGHT["ink"], lw=0.9, ls=(0, (3, 2)), label="commanded")
     top.set_ylabel("angle [°]")
     bottom.set(xlabel="time [ms]", ylabel="measured −\ncommanded [°]")
-    figure.legend(*top.get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    figure.legend(*top.get_legend_handles_labels(), loc="upper left", ncols=4)
     return vector(figure, f"Joint angles, commanded and measured; largest differences {', '.join(behind)}.")

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from stringcast.data.artifacts import Estimate
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.report.picture import LIGHT, Picture, powers, vector
+from stringcast.stages.report.picture import LIGHT, Picture, framed, powers, vector
 from stringcast.stages.report.words import significant
 
 
@@ -19,7 +18,7 @@ def history(parameter: Parameter, estimates: Sequence[Estimate]) -> Picture:
     """From the start value (0) on. Bars: 95 % intervals. Hollow: this data does not determine it."""
     tables = [estimate.parameters.set_index("name") for estimate in estimates]
     rows = pd.DataFrame([table.loc[parameter.name] for table in tables]).reset_index(drop=True)
-    figure = Figure(figsize=(2.5, 1.55))
+    figure = framed(2.5, 1.55, left=0.5, top=0.16)
     axes = figure.subplots()
     lowest, highest = rows["minimum"].min(), rows["maximum"].max()
     axes.axhspan(lowest, highest, color=LIGHT["axis"], alpha=0.16, lw=0)
@@ -32,6 +31,8 @@ def history(parameter: Parameter, estimates: Sequence[Estimate]) -> Picture:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(powers())
         axes.yaxis.set_minor_locator(NullLocator())
+    else:
+        axes.ticklabel_format(axis="y", scilimits=(-2, 4))
     axes.set_xticks(range(len(rows) + 1))
     axes.set_xlim(-0.3, len(rows) + 0.3)
     axes.set_xlabel("estimation", fontsize=8)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from stringcast.stages.generate import Box
-from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.record import Cast, Record
 from stringcast.stages.report.words import mm
 
@@ -48,7 +48,7 @@ def paths(record: Record) -> Picture | None:
 
 def _plane(record: Record) -> tuple[Figure, Axes]:
     """Target and obstacles, to scale."""
-    figure = Figure(figsize=SIZE)
+    figure = framed(*SIZE)
     axes = figure.subplots()
     axes.margins(0.08)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
@@ -66,7 +66,8 @@ def _box(box: Box, **style: object) -> Rectangle:
 def _legend(figure: Figure, axes: Axes) -> None:
     """Above the axes, every label once."""
     once = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.legend(once.values(), once.keys(), loc="outside upper left", ncols=4)
+    figure.legend(once.values(), once.keys(), loc="upper left", ncols=6)
+    figure.subplots_adjust(top=1 - (0.1 + 0.18 * np.ceil(len(once) / 6)) / SIZE[1])  # [inches]
 
 
 def _row(cast: Cast) -> int:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.record import Record
 from stringcast.stages.report.words import mm
 
@@ -15,13 +14,13 @@ def progress(record: Record) -> Picture | None:
     """The closest approach of each cast (filled: a hit), and E before and after its estimation."""
     if len(record.casts) < 2:
         return None
-    figure = Figure(figsize=(5.4, 4.9))
+    figure = framed(5.4, 4.9)
     top, bottom = figure.subplots(2, 1, sharex=True)
     _distances(top, record)
     _rates(bottom, record)
     bottom.set_xticks(range(1, len(record.casts) + 1))
     bottom.set_xlim(0.6, len(record.casts) + 0.4)
-    figure.legend(loc="outside upper left", ncols=4)
+    figure.legend(loc="upper left", ncols=4)
     closest = ", ".join(mm(cast.verdict.distance) for cast in record.casts)
     return vector(figure, f"Closest approach of the tip to the target's centre, cast by cast: {closest}.")
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from stringcast.stages.report.figures.timeline import mark_movement
-from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.record import Cast, Record
 from stringcast.stages.report.words import mm
 
@@ -20,14 +19,14 @@ def residual(record: Record, cast: Cast) -> Picture | None:
     if not cast.measured:
         return None
     before, after = (residuals(record, cast, simulated) for simulated in (cast.before, cast.after))
-    figure = Figure(figsize=(5.4, 3.7))
+    figure = framed(5.4, 3.7)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     _map((top, bottom), record, cast, after)
     for name, table in (("before", before), ("after", after)):
         bottom.plot(cast.t * MM, _rms(table, cast) * MM, color=LIGHT[name], label=f"{name} estimation")
     mark_movement(bottom, cast)
     bottom.set(xlabel="time [ms]", ylabel="RMS [mm]", ylim=(0, None))
-    figure.legend(*bottom.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    figure.legend(*bottom.get_legend_handles_labels(), loc="upper left", ncols=3)
     whole = [mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1) for table in (before, after)]
     return vector(
         figure, f"Distance of the simulated from the measured string: RMS {whole[0]} before, {whole[1]} after."
@@ -56,7 +55,7 @@ def _map(panels: tuple[Axes, Axes], record: Record, cast: Cast, table: pd.DataFr
     total, count = (np.histogram2d(*places, (edges, moments), weights=w)[0] for w in (table["away"], None))
     with np.errstate(invalid="ignore"):
         cells = total / count
-    drawn = axes.pcolormesh(moments * MM, edges * MM, cells * MM, cmap="viridis", vmin=0, rasterized=True)
+    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap="viridis", vmin=0)
     axes.grid(visible=False)
     axes.set_ylabel("arc length [mm]")
     assert axes.figure is not None
