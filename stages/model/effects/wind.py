@@ -4,6 +4,17 @@ import numpy as np
 
 from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values
 
+WAYS = (
+    "to the right",
+    "up to the right",
+    "up",
+    "up to the left",
+    "to the left",
+    "down to the left",
+    "down",
+    "down to the right",
+)
+
 
 class Wind(StringEffect):
     """The air moves: whatever resists motion through it feels the velocity relative to the wind."""
@@ -19,8 +30,8 @@ class Wind(StringEffect):
     def words(values: Values) -> str:
         """What is so."""
         speed = np.hypot(values["along_x"], values["along_y"])
-        towards = np.degrees(np.arctan2(values["along_y"], values["along_x"]))
-        return f"air flows through the workspace at {speed:.2f} m/s, towards {towards:.0f} degrees from the right"
+        eighth = round(np.arctan2(values["along_y"], values["along_x"]) / (np.pi / 4)) % 8
+        return f"air flows through the workspace at {speed:.2f} m/s, {WAYS[eighth]}"
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
