@@ -45,7 +45,7 @@ import numpy as np
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.integrator import Integrator
 from stringcast.stages.model.precision import Precision
-from stringcast.stages.model.slots import HELD, PER, arguments
+from stringcast.stages.model.slots import HELD, HIDDEN, PER, arguments
 
 BEYOND = 2  # points after the tip that nothing is written to, for what looks further than the string goes
 
@@ -74,7 +74,6 @@ EXPRESSIONS = {
     "flow": {"x": "atx", "y": "aty", "t": "t"},
     "rest_curvature": {"s": "s_hinge<<longer>>", "length": "(number(n) - 1.0) * length<<longer>>"},
 }
-HIDDEN = ("LONGER", "OVER")  # rows of strings that begin elsewhere: length over that stated, and one over a segment's
 
 Run = Callable[..., None]
 Slots = Mapping[str, Sequence[type[StringEffect]]]
@@ -86,8 +85,8 @@ def kernel_for(
 ) -> Run:
     """The compiled step loop for these effects.
 
-    names: qualified names of the parameters, and of what effects derive from them, in the order of their rows. Returns
-    `run(buffers, P, H, ...)`, see the generated text, for all blocks, on as many threads as Numba is set to use.
+    names: of the rows of parameters, as `String.rows`. Returns `run(buffers, P, H, ...)`, see the generated text, for
+    all blocks, on as many threads as Numba is set to use.
     """
     some = loaded(source(effects, names, integrator, precision)).run
 
@@ -123,7 +122,7 @@ def source(
     def at(slot: str, argument: str) -> str:
         return _sum(slots, slot, names, {PER[slot][1]: argument})
 
-    hidden = any("hidden_length" in e.laws() for e in effects)
+    longer, over = (f"P[np.uintp({names.index(row)}) * W + j]" if row in names else "" for row in HIDDEN)
     heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
@@ -143,7 +142,7 @@ def source(
         "load": _vector(slots, "load", names, "load"),
         "acceleration": _vector(slots, "acceleration", names, "fall"),
         "weight": "B[WEIGHT + p]" if heavy else "1.0",
-        "over": "over = B[OVER + j]" if hidden else "",
+        "over": f"over = {over}" if over else "",
         "apart": "\n".join(precision.segment),
         "kink": precision.kink,
         "place": "\n".join(precision.place),
@@ -162,7 +161,7 @@ def source(
         "W": str(width),
         **{name: _fill(text, pieces) for name, text in PIECES.items()},
     }
-    text = _fill(TEMPLATE, fill).replace("<<longer>>", " * B[LONGER + j]" if hidden else "")
+    text = _fill(TEMPLATE, fill).replace("<<longer>>", f" * {longer}" if longer else "")
     return precision.text(text)
 
 
@@ -186,12 +185,10 @@ def _memory(slots: Slots, slot: str, names: Sequence[str], passes: int) -> Itera
 
 
 def kinds(integrator: Integrator, precision: Precision, effects: Sequence[type[StringEffect]]) -> dict[str, int]:
-    """Which of a point's rows is which, by name; the last are how long a string really is, and what its hinge was bent
-    to and each effect holds."""
-    hidden = HIDDEN if any("hidden_length" in e.laws() for e in effects) else ()
+    """Which of a point's rows is which, by name; the last are what its hinge was bent to and each effect holds."""
     holding = max(sum(slot in e.laws() for e in effects) for slot, _, _ in HELD.values())
     memory = ("CURVED", *(f"HELD{i}" for i in range(holding))) if holding else ()
-    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows, *hidden, *memory))}
+    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows, *memory))}
 
 
 def rows(

@@ -223,7 +223,6 @@ def _buffers(
         "VX": velocity[..., 0],
         "VY": velocity[..., 1],
         "SET": grasp_set(string, material),
-        **_hidden(string, material),
     }
     buffers = kernel.rows(blocks, string.points, string.integrator, string.precision, string.effects)
     kinds = kernel.kinds(string.integrator, string.precision, string.effects)
@@ -231,14 +230,6 @@ def _buffers(
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
         buffers[:, : data.shape[1], kinds[name]] = lanes
     return positions, buffers.reshape(blocks, -1)
-
-
-def _hidden(string: String, material: np.ndarray) -> dict[str, np.ndarray]:
-    """The kernel's rows for strings that begin elsewhere than stated, (C, 1) each."""
-    if not any("hidden_length" in e.laws() for e in string.effects):
-        return {}
-    rows = (string.longer(material), 1 / string.segments(material))
-    return {name: row[:, None] for name, row in zip(kernel.HIDDEN, rows, strict=True)}
 
 
 def _memory(

@@ -55,6 +55,9 @@ SLOTS: dict[str, Slot] = {
 # Slots whose value times one of its arguments belongs to another slot: which, and the argument.
 PER = {"hinge_stiffness": ("moment", "curvature"), "hinge_drag": ("moment", "rate")}
 
+# Rows of parameters of strings that begin elsewhere than stated: length over that stated, and one over a segment's.
+HIDDEN = ("longer", "per_segment")
+
 # What is held, by the slot that its moment belongs to: the slots of the state and of its moment, and what it follows.
 HELD = {
     "moment": ("held", "held_moment", "curvature"),

@@ -27,7 +27,7 @@ from stringcast.stages.model.effects.hinge_spring import HingeSpring
 from stringcast.stages.model.integrator import Integrator, SemiImplicitEuler
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.precision import Double, Precision
-from stringcast.stages.model.slots import HELD, Law, arguments, taken
+from stringcast.stages.model.slots import HELD, HIDDEN, Law, arguments, taken
 
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -88,9 +88,9 @@ class String:
 
     @cached_property
     def rows(self) -> tuple[str, ...]:
-        """Names of what `material` gives: the parameters, then what effects derive from them."""
+        """Names of what `material` gives: the parameters, what effects derive from them, where the string begins."""
         derived = (f"{e.name}.{d}" for e in self.effects for d in e.derived(**{p.name: p.start for p in e.parameters}))
-        return (*self.names, *derived)
+        return (*self.names, *derived, *(HIDDEN if self._hides else ()))
 
     def at_work(self, material: np.ndarray) -> tuple[String, np.ndarray]:
         """The string without effects that are absent in every candidate, whose laws add nothing, and its material.
@@ -145,10 +145,15 @@ class String:
     def longer(self, material: np.ndarray) -> np.ndarray:
         """Length of the free string over that stated, (...). material: (..., P)."""
         total = np.ones(material.shape[:-1])
-        for effect in self.effects:
-            if law := effect.laws().get("hidden_length"):
-                total = total + law(**taken(law, self.own(effect, material))) / self.length
+        for effect in self._hides:
+            law = effect.laws()["hidden_length"]
+            total = total + law(**taken(law, self.own(effect, material))) / self.length
         return total
+
+    @cached_property
+    def _hides(self) -> tuple[type[StringEffect], ...]:
+        """Effects by which the free string begins elsewhere than stated."""
+        return tuple(e for e in self.effects if "hidden_length" in e.laws())
 
     def segments(self, material: np.ndarray) -> np.ndarray:
         """Rest length of a segment as it really is, (...) [m]. material: (..., P)."""
@@ -171,8 +176,10 @@ class String:
         reference = self.length / (self.reference_points - 1)
         material = values * reference ** np.array([p.per_length for p in self.parameters], dtype=float)
         material = self._in_series(self._in_series(material, "stiffness"), "damping")
-        derived = [column for e in self.effects for column in e.derived(**self.own(e, material)).values()]
-        return np.concatenate([material, *(column[..., None] for column in derived)], axis=-1)
+        columns = [column for e in self.effects for column in e.derived(**self.own(e, material)).values()]
+        if self._hides:
+            columns += [self.longer(material), 1 / self.segments(material)]
+        return np.concatenate([material, *(column[..., None] for column in columns)], axis=-1)
 
     def own(self, effect: type[StringEffect], material: np.ndarray) -> dict[str, np.ndarray]:
         """An effect's own parameters, (...) each, by name. material: (..., P)."""
