@@ -18,6 +18,7 @@ import subprocess
 import sys
 import venv
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
@@ -60,16 +61,16 @@ def setup() -> None:
         install("--require-hashes", "-r", LOCK, made_of=[LOCK])
     if not installed(*PACKAGE):
         install("--no-deps", "--no-build-isolation", "--editable", ROOT, made_of=PACKAGE)
-        show_types()
+    show_types()
 
 
 def show_types() -> None:
     """Lay the package out as folders for mypy, which does not follow the import hook of an editable package."""
-    if not TYPES.exists():
-        TYPES.mkdir(parents=True)
-        (TYPES / "__init__.py").symlink_to(ROOT / "pipeline" / "api" / "__init__.py")
-        for room in ("data", "hardware", "pipeline", "stages"):
-            (TYPES / room).symlink_to(ROOT / room, target_is_directory=True)
+    TYPES.mkdir(parents=True, exist_ok=True)
+    rooms = [ROOT / room for room in ("data", "hardware", "pipeline", "stages")]
+    for place in (*rooms, *(ROOT / "pipeline" / "api").glob("*.py")):
+        with suppress(FileExistsError):
+            (TYPES / place.name).symlink_to(place, target_is_directory=place.is_dir())
 
 
 def mark(*files: Path) -> Path:

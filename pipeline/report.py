@@ -21,7 +21,7 @@ def write(world: World, result: Result) -> None:
         write_text(result.folder / "report.html", diagnosis_report(_found(world, result.diagnosis)))
         return
     if result.alignment is not None:
-        facts = (world.config["name"], result.sentence, result.alignment, world.config, _made_by(world))
+        facts = (world.config["name"], result.sentence, result.alignment, world.config, made_by(world))
         write_text(result.folder / "report.html", alignment_report(AlignmentRecord(*facts)))
         return
     estimates = [i.done.get("estimate") for i in result.iterations]
@@ -35,16 +35,17 @@ def write(world: World, result: Result) -> None:
         tuple(_casts(world, result)),
         tuple(e for e in estimates if e is not None),
         world.config,
-        _made_by(world),
+        made_by(world),
     )
     write_text(result.folder / "report.html", report(record))
 
 
 def _found(world: World, diagnosis: Diagnosis) -> DiagnosisRecord:
-    return DiagnosisRecord(world.config["name"], diagnosis, world.model, library(), world.config, _made_by(world))
+    return DiagnosisRecord(world.config["name"], diagnosis, world.model, library(), world.config, made_by(world))
 
 
-def _made_by(world: World) -> dict[str, Any]:
+def made_by(world: World) -> dict[str, Any]:
+    """What a page says it was made with."""
     return {"seed": world.seed, "code": code(), "packages": versions(PACKAGES)}
 
 

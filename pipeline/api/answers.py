@@ -1,0 +1,178 @@
+"""What trials tell: a diagnosis, or an estimation alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from stringcast.data import dataset
+from stringcast.data.artifacts import Diagnosis, Estimate
+from stringcast.data.store import write_text
+from stringcast.known import KnownString, prepared
+from stringcast.measured import Trials
+from stringcast.pipeline.report import made_by
+from stringcast.pipeline.show import bars
+from stringcast.pipeline.world import World
+from stringcast.stages.check.check import refuse
+from stringcast.stages.check.measured import Measured
+from stringcast.stages.model.library import library
+from stringcast.stages.progress import Progress
+from stringcast.stages.report.diagnosis import DiagnosisRecord, diagnosis_report
+
+MM = 1e3
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What the simulation gets wrong, and why. made: every table of the diagnosis. world: what it was asked with."""
+
+    made: Diagnosis
+    world: World
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """diagnosis.json, see data/README.md."""
+        return dict(json.loads(self.made.finding["diagnosis"].iloc[0]))
+
+    @property
+    def verdict(self) -> str:
+        """none, effect, ambiguous, unknown or insufficient."""
+        return self.made.verdict
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        return self.made.sentence
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """A row for each parameter of each cause: probability, value, low, high, unit."""
+        return self.made.causes
+
+    @property
+    def gain(self) -> pd.DataFrame:
+        """Base and extended model on each trial, fitted without it: residuals [m] and log-likelihood."""
+        return self.made.held_out
+
+    @property
+    def extended(self) -> KnownString:
+        """The model with the causes, for all that comes after."""
+        return KnownString(yaml.safe_load(self.made.finding["extended"].iloc[0]) or {})
+
+    def plot(self) -> Figure:
+        """The residual of base and extended model on each trial left out, and what noise alone leaves."""
+        table = self.gain
+        figure = Figure(figsize=(5.4, 1.4 + 0.3 * len(table)), layout="constrained")
+        axes = figure.subplots()
+        for model in ("base", "extended"):
+            axes.plot(table[f"rms_{model}"] * MM, table["trial"], "o", label=f"{model} model")
+        axes.plot(table["noise_floor"] * MM, table["trial"], "|", markersize=14, color="0.2", label="noise floor")
+        axes.set(xlabel="residual on the trial left out, RMS / mm", xlim=(0, None), title=self.verdict)
+        axes.legend()
+        return figure
+
+    def report(self, page: str | Path) -> Path:
+        """Write the page with all the evidence; one file that needs no network. Returns its path."""
+        here = self.world
+        record = DiagnosisRecord("diagnosis", self.made, here.model, library(), here.config, made_by(here))
+        write_text(Path(page), diagnosis_report(record))
+        return Path(page)
+
+    def __repr__(self) -> str:
+        """The verdict in words."""
+        return f"Diagnosed({self.verdict}: {self.sentence})"
+
+    def _repr_html_(self) -> str:
+        shown = self.causes[["effect", "probability", "parameter", "value", "low", "high", "unit"]]
+        return f"<p><b>{escape(self.verdict)}</b>. {escape(self.sentence)}</p>{shown.to_html(index=False)}"
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """String parameters found from trials. made: every table of the estimation. world: what it was asked with."""
+
+    made: Estimate
+    world: World
+
+    @property
+    def sentence(self) -> str:
+        """What the trials determine and what they do not."""
+        return str(self.made.fit["sentence"].iloc[0])
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """A row for each parameter: value, 95 % interval, range, unit, meaning."""
+        return self.made.parameters
+
+    @property
+    def rms(self) -> float:
+        """Of the distance between measured and simulated points, in sample [m]."""
+        return float(self.made.fit["rms_after"].iloc[0])
+
+    @property
+    def string(self) -> KnownString:
+        """The string with these parameters, for all that comes after."""
+        settings = {"string": self.world.config["string"], "effects": list(self.world.config["effects"])}
+        return KnownString(settings | {"known": self.made.values()})
+
+    def __repr__(self) -> str:
+        """How near, and what is determined."""
+        return f"Estimated({len(self.parameters)} parameters, {self.rms * MM:.2f} mm rms. {self.sentence})"
+
+    def _repr_html_(self) -> str:
+        shown = self.parameters[["name", "value", "low", "high", "unit", "meaning"]]
+        return f"<p>{self.rms * MM:.2f} mm rms. {escape(self.sentence)}</p>{shown.to_html(index=False)}"
+
+
+def diagnose(trials: Trials, *settings: str) -> Diagnosed:
+    """What does the simulation get wrong in these trials, and why? Takes a minute or more, and shows how far it is.
+
+    settings: words as on the command line, such as "string.points=15". Raises StringcastError for data that cannot be
+    used.
+    """
+    here, data = _ready(trials, settings)
+    with progress_bar("diagnose") as progress:
+        observations = list(data.trials.values())
+        held_out = [name for name, about in data.about.get("trials", {}).items() if about.get("role") == "held_out"]
+        given = (here.model, observations, data.rejected, tuple(held_out), here.obstacles)
+        return Diagnosed(here.stages["diagnose"](*given, seed=here.seed, progress=progress), here)
+
+
+def estimate(trials: Trials, *settings: str, string: KnownString | None = None) -> Estimated:
+    """String parameters of least squares from all trials together, with 95 % intervals.
+
+    settings: words as on the command line, such as "effects=[tip_mass]" or "estimate=random_search". string: what is
+    known before. Raises StringcastError for data that cannot be used.
+    """
+    by = () if any(word.startswith("estimate=") for word in settings) else ("estimate=least_squares",)
+    here, data = _ready(trials, (*by, *settings), string)
+    with progress_bar("estimate") as progress:
+        given = (here.model, list(data.trials.values()), None)
+        made = here.stages["estimate"](*given, seed=here.seed, manipulation=1, progress=progress)
+        return Estimated(made, here)
+
+
+def _ready(
+    trials: Trials, settings: tuple[str, ...], string: KnownString | None = None
+) -> tuple[World, dataset.Dataset]:
+    """All that is asked with, and the trials that fit this string."""
+    here = prepared(settings, string, trials=str(trials.folder), steps=["diagnose"])
+    refuse(Measured(trials.data, here.arm, here.camera, here.string.length))
+    return here, dataset.fits(trials.data, here.string.length)
+
+
+@contextmanager
+def progress_bar(name: str) -> Iterator[Progress]:
+    """A bar, as a run shows it."""
+    with bars(Console(stderr=True)) as bar, bar(name) as progress:
+        yield progress

@@ -1,0 +1,66 @@
+"""What is known of a string: the model that a diagnosis or an estimation made, for all that comes after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from stringcast.data.store import write_text
+from stringcast.pipeline.brought import EXTENDED, extended_model, with_brought_settings
+from stringcast.pipeline.complaint import refusal
+from stringcast.pipeline.settings import UserError, composed, flat, names_given
+from stringcast.pipeline.world import World, world
+
+
+@dataclass(frozen=True)
+class KnownString:
+    """Settings `string`, `effects` and `known`, as an extended.yaml holds them; none is what conf/ says."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> KnownString:
+        """From the folder of a diagnosis or an alignment, or an extended.yaml. Raises StringcastError."""
+        return cls(extended_model(Path(folder)))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write extended.yaml, which `extended=<folder>` takes. Returns its path."""
+        path = Path(folder) / EXTENDED
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, yaml.safe_dump(dict(self.settings), sort_keys=False))
+        return path
+
+    @property
+    def effects(self) -> list[str]:
+        """Names of what is modelled beyond the paper."""
+        return list(self.settings.get("effects", []))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What is known of each parameter, by name: a number, or a value with its interval."""
+        return dict(self.settings.get("known", {}))
+
+    def __repr__(self) -> str:
+        """The effects, and how many parameters are known."""
+        return f"KnownString(effects={self.effects}, {len(self.parameters)} parameters known)"
+
+
+def prepared(settings: Sequence[str], string: KnownString | None, **given: Any) -> World:
+    """All that a call works with. settings: words as on the command line, which stand above all. string: what is known
+    of it. given: further settings by name."""
+    try:
+        asked, words = OmegaConf.create(composed(settings) | given), names_given(settings)
+    except HydraException as error:
+        raise UserError(refusal(error)) from error
+    whole = asked.copy()
+    for block, value in ({} if string is None else string.settings).items():
+        OmegaConf.update(whole, block, value, merge=True)
+    for name in sorted(words & set(flat(OmegaConf.to_container(asked)))):
+        OmegaConf.update(whole, name, OmegaConf.select(asked, name))
+    return world(with_brought_settings(whole, words), lambda block: f"conf/{block} or this call")

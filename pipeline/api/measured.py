@@ -1,0 +1,101 @@
+"""Measured trials, from a folder or from tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import pandas as pd
+import yaml
+
+from stringcast.data import dataset
+from stringcast.data.about import FORMAT, NAME
+from stringcast.data.schema import DataError
+
+
+@dataclass(frozen=True)
+class Trials:
+    """A dataset in the format of data/README.md. data: as read. home: keeps a folder that was made for tables."""
+
+    data: dataset.Dataset
+    home: TemporaryDirectory[str] | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies."""
+        return self.data.folder
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row for each trial: frames, points, seconds seen; for one that cannot be used, why."""
+        rows = [
+            {"trial": name, "frames": seen.read["t"].nunique(), "points": len(seen.read)}
+            | {"seconds": float(seen.read["t"].max() - seen.read["t"].min()), "rejected": ""}
+            for name, seen in self.data.trials.items()
+        ]
+        left = [{"trial": name, "rejected": reason} for name, reason in self.data.rejected.items()]
+        return pd.DataFrame([*rows, *left], columns=["trial", "frames", "points", "seconds", "rejected"])
+
+    def __len__(self) -> int:
+        """How many can be used."""
+        return len(self.data.trials)
+
+    def __repr__(self) -> str:
+        """Where, and how many."""
+        return (
+            f"Trials({len(self)} of {self.folder}{f', {len(self.data.rejected)} rejected' * bool(self.data.rejected)})"
+        )
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{self.table.to_html(index=False, na_rep='')}"
+
+
+def read(folder: str | Path) -> Trials:
+    """Trials of a folder: a run of ours, or anybody's in the format of data/README.md.
+
+    Raises StringcastError where there is none that can be used.
+    """
+    found = Trials(dataset.read(Path(folder)))
+    if not found:
+        reasons = "; ".join(f"{name}: {why}" for name, why in found.data.rejected.items()) or "it holds no trial"
+        raise DataError(f"{folder}: no trial can be used ({reasons}). Look at the files it names.")
+    return found
+
+
+def trials(
+    points: pd.DataFrame,
+    *,
+    length: float,
+    grasp: pd.DataFrame | None = None,
+    arm: pd.DataFrame | None = None,
+    links: Sequence[float] = (),
+    sigma: float | None = None,
+    initial: Literal["rest", "moving"] = "rest",
+) -> Trials:
+    """Trials from tables; each may lack the column `trial` where there is one trial only.
+
+    points: t [s], s [m] arc length from the grasp, x, y [m], optional sigma [m]. length: of the string [m]. One of
+    grasp: t, x, y [m], theta [rad], and arm: t, q1, q2, q3 [rad], with links: their lengths [m]. sigma: noise of a
+    coordinate [m]. initial: how the string begins. Raises StringcastError.
+    """
+    if (grasp is None) == (arm is None):
+        raise DataError("trials(): give either grasp= (poses of the grasp) or arm= (joint angles), and not both.")
+    home = TemporaryDirectory(prefix="stringcast-")
+    for name, table in {"points": points, "grasp": grasp, "arm": arm}.items():
+        if table is not None:
+            named = table if "trial" in table else table.assign(trial="t00")
+            named.to_parquet(Path(home.name) / f"{name}.parquet", index=False)
+    known: dict[str, Any] = {
+        "format": FORMAT,
+        "name": "trials",
+        "string": {"length": float(length)},
+        "initial": initial,
+    }
+    known |= {"arm": {"links": list(map(float, links))}} if links else {}
+    known |= {"noise": {"point_sigma": float(sigma)}} if sigma is not None else {}
+    (Path(home.name) / NAME).write_text(yaml.safe_dump(known), encoding="utf-8")
+    return Trials(read(home.name).data, home)
