@@ -22,6 +22,7 @@ from stringcast.data.errors import ExpectedError, remedy_for
 from stringcast.pipeline import log
 from stringcast.pipeline.commands import NAMES, command
 from stringcast.pipeline.complaint import complain, interrupted, refusal
+from stringcast.pipeline.mistakes import refuse_mistakes
 from stringcast.pipeline.settings import refuse_twice
 from stringcast.pipeline.sweep.begun import ended as sweep_ended
 
@@ -64,6 +65,7 @@ def called() -> None:
     try:
         if words and words[0] in NAMES:
             sys.exit(asked(words[0], words[1:]))
+        refuse_mistakes(words)
         overrides = [word for word in words if "=" in word and not word.startswith("-")]
         refuse_twice(overrides)
         if {"-h", "--help"} & {*words}:

@@ -1,0 +1,55 @@
+"""What people type when they mean something else is answered by one line, with the command to paste."""
+
+import re
+
+import pytest
+
+from stringcast.pipeline.commands import NAMES
+from stringcast.pipeline.mistakes import refuse_mistakes
+from stringcast.pipeline.settings import UserError
+from tests.pipeline.test_readme_commands import CALLS, PLACEHOLDER
+
+MEANT = {
+    "stringB": "+experiment=stringB",
+    "experiment=stringB seed=3": "+experiment=stringB seed=3",
+    "--experiment stringB seed=3": "+experiment=stringB seed=3",
+    "--experiment=stringB": "+experiment=stringB",
+    "+experiment=stringb": "+experiment=stringB",
+    "+experiment=diganose trials=data/sample": "+experiment=diagnose trials=data/sample",
+    "chek data/sample": "check data/sample",
+    "Verify outputs": "verify outputs",
+    "diagnose trials=data/sample": "+experiment=diagnose trials=data/sample",
+    "+experiment=diagnose data/sample": "+experiment=diagnose trials=data/sample",
+    "+experiment=diagnose": "+experiment=diagnose trials=data/sample",
+    "target=at_400_70": "target=at_400_700",
+    "estimate=leastsquares": "estimate=least_squares",
+    "target.x=400 target.y=0.7": "target.x=0.4 target.y=0.7",
+    "string.length=300": "string.length=0.3",
+}
+
+
+@pytest.mark.parametrize(("typed", "meant"), MEANT.items(), ids=MEANT)
+def test_a_mistake_is_answered_by_what_was_meant(typed, meant):
+    with pytest.raises(UserError, match=f"Try: \\S*python\\S* -m pipeline {re.escape(meant)}$") as refused:
+        refuse_mistakes(typed.split())
+    assert "\n" not in str(refused.value)
+
+
+def test_what_nothing_is_like_says_what_there_is():
+    with pytest.raises(UserError, match=r"neither a command .*check.* nor a setting"):
+        refuse_mistakes(["xyzzy"])
+    with pytest.raises(UserError, match="specimen=7: there is no such option; there are A, B, C, D, long"):
+        refuse_mistakes(["specimen=7"])
+
+
+@pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
+def test_what_pages_show_is_no_mistake(given):
+    if given.partition(" ")[0] not in NAMES:
+        refuse_mistakes([word.strip("'\"") for word in PLACEHOLDER.sub("place", given).split()])
+
+
+@pytest.mark.parametrize(
+    "word", ["target.x=0.4", "seed=1,2", "estimate=random_search,cma_es", "obstacles=none", "-v", "name=stringB"]
+)
+def test_what_is_right_is_left_alone(word):
+    refuse_mistakes([word])
