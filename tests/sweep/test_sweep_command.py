@@ -1,29 +1,27 @@
 """A sweep as a user gives it, with the real pipeline on a small measured trial: the same numbers whoever runs the
-jobs, only what is missing run again, failures kept. Measured: a job takes 4 to 5 s of a core, most of it to start."""
+jobs, only what is missing run again, failures kept. Jobs leave no page of their own: it would be most of their time.
+"""
 
 import importlib.util
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from conftest import pipeline
 
 from stringcast.data import store
 
-ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"joblib": "joblib", "ray": "ray", "slurm": "submitit"}
 HERE = {"joblib": "workers=2", "ray": "address=null", "slurm": "cluster=local"}
 
 
-def sweep(folder, trials, *overrides, betas="0.9,0.99"):
-    asked = ["+experiment=estimate", f"trials={trials}", "estimate.candidates=32", f"estimate.beta={betas}"]
-    command = [sys.executable, "-m", "pipeline", "--multirun", *asked, f"hydra.sweep.dir={folder}", *overrides]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False)
+def sweep(folder, trials, threads, *overrides, betas="0.9,0.99"):
+    asked = ["+experiment=estimate", f"trials={trials}", "estimate.candidates=32", f"estimate.beta={betas}", "leave=[]"]
+    how = [f"hydra.sweep.dir={folder}", f"hydra.launcher.threads={threads}"]
+    return pipeline("--multirun", *asked, *how, *overrides)
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +46,9 @@ def trials(tmp_path_factory, arm):
 
 @pytest.fixture(scope="module")
 def swept(trials, tmp_path_factory):
-    """A sweep of three jobs on two threads, one of which is refused: (its folder, how the command ended)."""
+    """A sweep of three jobs on one thread, one of which is refused: (its folder, how the command ended)."""
     folder = tmp_path_factory.mktemp("sweep")
-    return folder, sweep(folder, trials, "hydra.launcher.threads=2", betas="0.9,1.5,0.99")
+    return folder, sweep(folder, trials, 1, betas="0.9,1.5,0.99")
 
 
 def numbers(folder):
@@ -95,7 +93,7 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(sw
     before = numbers(folder)
     table = folder / "sweep.parquet"
     table.write_bytes(table.read_bytes()[:100] + b"damaged" + table.read_bytes()[107:-30])
-    grown = sweep(folder, trials, "hydra.launcher.retry=true", betas="0.90,0.99,1.5")
+    grown = sweep(folder, trials, 1, "hydra.launcher.retry=true", betas="0.90,0.99,1.5")
     assert grown.returncode == 1
     assert attempts(folder) == {0.9: ("done", 1), 0.99: ("done", 1), 1.5: ("failed", 2)}
     assert numbers(folder) == before
@@ -105,11 +103,11 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(sw
 @pytest.mark.long
 @pytest.mark.parametrize("launcher", PACKAGES)
 def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(launcher, swept, trials, tmp_path):
+    """Here they have two threads each, there one."""
     if importlib.util.find_spec(PACKAGES[launcher]) is None:
         pytest.skip(f"needs {PACKAGES[launcher]}")
-    """Here they have one thread each, there two."""
     alone, _ = swept
-    said = sweep(tmp_path, trials, f"hydra/launcher={launcher}", f"hydra.launcher.{HERE[launcher]}")
+    said = sweep(tmp_path, trials, 2, f"hydra/launcher={launcher}", f"hydra.launcher.{HERE[launcher]}")
     assert said.returncode == 0, said.stderr
     assert len(numbers(tmp_path)) == 2
     assert numbers(tmp_path) == numbers(alone)
