@@ -128,7 +128,7 @@ def estimate_again(world: World, folder: Path, trials: Path, desk: Desk) -> Resu
     holds out are not estimated from: what the last estimate foretells of each comes after.
     """
     data = _usable(world, trials)
-    aside = set(_held_out(data))
+    aside = set(held_out(data))
     fitted = [stored for name, stored in data.trials.items() if name not in aside]
     if not fitted:
         raise DataError(f"trials={trials}: dataset.yaml holds out every trial. Leave some to estimate from.")
@@ -183,7 +183,7 @@ def diagnose(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
         done, observation = _read_again(world, stored, past, desk)
         observations.append(observation)
         iterations.append(Iteration(number, done))
-    past = replace(past, observations=tuple(observations), rejected=data.rejected, held_out=_held_out(data))
+    past = replace(past, observations=tuple(observations), rejected=data.rejected, held_out=held_out(data))
     motions = world.config["manipulations"] if "execute" in world.config["steps"] else 0
     past = _diagnosed(past, iterations[-1], desk)
     while len(iterations) < len(observations) + motions and past.diagnosis is not None and past.diagnosis.motion:
@@ -262,7 +262,7 @@ def _hashes(data: dataset.Dataset) -> dict[str, str]:
     return {(data.folder / name).as_posix(): digest for name, digest in data.hashes.items()}
 
 
-def _held_out(data: dataset.Dataset) -> tuple[str, ...]:
+def held_out(data: dataset.Dataset) -> tuple[str, ...]:
     """Trials that dataset.yaml sets aside."""
     return tuple(name for name, about in data.about.get("trials", {}).items() if about.get("role") == "held_out")
 

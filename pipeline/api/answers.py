@@ -21,6 +21,7 @@ from stringcast.data.store import write_text
 from stringcast.known import KnownString, prepared
 from stringcast.measured import Trials
 from stringcast.pipeline.report import made_by
+from stringcast.pipeline.run import held_out
 from stringcast.pipeline.show import bars
 from stringcast.pipeline.world import World
 from stringcast.stages.check.check import refuse
@@ -142,14 +143,12 @@ def diagnose(trials: Trials, *settings: str) -> Diagnosed:
     """
     here, data = _ready(trials, settings)
     with progress_bar("diagnose") as progress:
-        observations = list(data.trials.values())
-        held_out = [name for name, about in data.about.get("trials", {}).items() if about.get("role") == "held_out"]
-        given = (here.model, observations, data.rejected, tuple(held_out), here.obstacles)
+        given = (here.model, list(data.trials.values()), data.rejected, held_out(data), here.obstacles)
         return Diagnosed(here.stages["diagnose"](*given, seed=here.seed, progress=progress), here)
 
 
 def estimate(trials: Trials, *settings: str, string: KnownString | None = None) -> Estimated:
-    """String parameters of least squares from all trials together, with 95 % intervals.
+    """String parameters of least squares from all trials together but those held out, with 95 % intervals.
 
     settings: words as on the command line, such as "effects=[tip_mass]" or "estimate=random_search". string: what is
     known before. Raises StringcastError for data that cannot be used.
@@ -157,7 +156,8 @@ def estimate(trials: Trials, *settings: str, string: KnownString | None = None) 
     by = () if any(word.startswith("estimate=") for word in settings) else ("estimate=least_squares",)
     here, data = _ready(trials, (*by, *settings), string)
     with progress_bar("estimate") as progress:
-        given = (here.model, list(data.trials.values()), None)
+        seen = [trial for name, trial in data.trials.items() if name not in held_out(data)]
+        given = (here.model, seen, None)
         made = here.stages["estimate"](*given, seed=here.seed, manipulation=1, progress=progress)
         return Estimated(made, here)
 
