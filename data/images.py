@@ -143,12 +143,29 @@ class Held(Images):
         return self._held(index)
 
 
+class Fresh(Images):
+    """Images that were written a moment ago: each is given from memory the first time, and then read from its file."""
+
+    def __init__(self, files: Images, images: Sequence[np.ndarray]) -> None:
+        """files: where they were written. images: what was."""
+        self._files, self._kept = files, dict(enumerate(images))
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self._files)
+
+    def read(self, index: int) -> np.ndarray:
+        """One image."""
+        image = self._kept.pop(index, None)
+        return self._files.read(index) if image is None else image
+
+
 def png(image: np.ndarray) -> bytes:
     """An image as PNG, without loss, packed fast rather than small: of a sensor's noise nothing repeats."""
     fast = (
         *(cv2.IMWRITE_PNG_COMPRESSION, 1),
-        *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
-        *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB),
+        *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
+        *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP),
     )
     good, content = cv2.imencode(".png", image, fast)
     assert good, f"an image of shape {image.shape} and type {image.dtype} cannot be a PNG"

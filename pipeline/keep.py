@@ -12,7 +12,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 from stringcast.data import dataset, disk, store
 from stringcast.data.artifacts import Diagnosis, Points, Trial
 from stringcast.data.errors import remedy_for
+from stringcast.data.images import Fresh
 from stringcast.data.schema import DataError
 from stringcast.pipeline.brought import EXTENDED, FROM_DATASETS
 from stringcast.pipeline.folder import ENDED, FAILED, LOCK, LOG, place_of
@@ -56,8 +57,9 @@ class Keeper:
         if place.is_dir() and self._stays(found, name, past.number):
             return found.artifact
         disk.remove(self.folder / ENDED)
-        self._make(name, past, place)
-        return store.load(STEPS[name].kind, place)
+        made = self._make(name, past, place)
+        stored: Any = store.load(STEPS[name].kind, place)
+        return replace(stored, images=Fresh(stored.images, made.images)) if isinstance(made, Trial) else stored
 
     def publish(self, iterations: list[Iteration]) -> None:
         """Keep the run a dataset that others can read. One that holds these trials already stays: no reader of a
@@ -77,14 +79,15 @@ class Keeper:
         self.say(words)
         return stays
 
-    def _make(self, name: str, past: Past, place: Path) -> None:
-        """Make and store a step; its footers also say when, and how long it took."""
+    def _make(self, name: str, past: Past, place: Path) -> Any:
+        """Make and store a step, and return it; its footers also say when, and how long it took."""
         with self.bar(f"{past.number}. {name}") as progress:
             at, begun = datetime.now(UTC), time.monotonic()
             made = make(name, self.world, past, progress)
             took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
             store.save(made, place, made_now(self.world.config, self.folder, name, past) | took)
             log.info("%s made in %.1f s", place_of(past.number, name), took["made"]["seconds"])
+            return made
 
 
 @contextmanager

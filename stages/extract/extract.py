@@ -181,19 +181,23 @@ def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorte
 def _tables(t: np.ndarray, readings: list[Reading | str], s: np.ndarray) -> Points:
     """Everything read, as tables."""
     good = [(i, r) for i, r in enumerate(readings) if isinstance(r, Reading)]
-    rows = [
-        pd.DataFrame({"t": t[i], "s": s, "x": r.points[:, 0], "y": r.points[:, 1], "sigma": r.sigma, "valid": True})
-        for i, r in good
-    ]
-    masks = pd.DataFrame(
-        {"frame": [i for i, _ in good], "t": [t[i] for i, _ in good], "png": [r.mask for _, r in good]}
-    )
+    frames = [i for i, _ in good]
+    masks = pd.DataFrame({"frame": frames, "t": t[frames], "png": [r.mask for _, r in good]})
     return Points(
-        POINTS.check(pd.concat(rows, ignore_index=True)) if rows else POINTS.empty(),
+        POINTS.check(_points(t[frames], s, [r for _, r in good])) if good else POINTS.empty(),
         READINGS.check(pd.DataFrame([_row(i, t[i], r) for i, r in enumerate(readings)]))
         if readings
         else READINGS.empty(),
         MASKS.check(masks) if good else MASKS.empty(),
+    )
+
+
+def _points(t: np.ndarray, s: np.ndarray, read: list[Reading]) -> pd.DataFrame:
+    """Rows of POINTS, frame by frame. t: (F,) of the frames that were read [s], s: (K,) [m]."""
+    x, y = np.concatenate([r.points for r in read]).T
+    sigma = np.concatenate([r.sigma for r in read])
+    return pd.DataFrame(
+        {"t": np.repeat(t, len(s)), "s": np.tile(s, len(t)), "x": x, "y": y, "sigma": sigma, "valid": True}
     )
 
 

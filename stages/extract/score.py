@@ -12,11 +12,16 @@ def score_map(mask: np.ndarray, dilations: int, step_px: int) -> np.ndarray:
     Each dilation grows the string by `step_px` in the eight directions (a square element of
     2 step_px + 1), so that the score falls with the chessboard distance.
     """
-    if not mask.any():
-        return np.zeros(mask.shape, np.uint8)
-    distance = cv2.distanceTransform((mask == 0).astype(np.uint8), cv2.DIST_C, 3)
+    scores = np.zeros(mask.shape, np.uint8)
+    left, top, width, height = cv2.boundingRect(mask)
+    if not width:
+        return scores
+    reach = dilations * step_px  # beyond which all is 0
+    near = np.s_[max(top - reach, 0) : top + height + reach, max(left - reach, 0) : left + width + reach]
+    distance = cv2.distanceTransform((mask[near] == 0).astype(np.uint8), cv2.DIST_C, 3)
     steps = np.ceil(distance / step_px - 1e-6)
-    return np.maximum(dilations - steps, 0).astype(np.uint8)
+    scores[near] = np.maximum(dilations - steps, 0)
+    return scores
 
 
 def rasterise(points_px: np.ndarray, shape: tuple[int, int], width_px: float) -> np.ndarray:

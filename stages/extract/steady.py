@@ -16,11 +16,13 @@ import numpy as np
 from stringcast.stages.spread import spread
 
 SAMPLES = 120  # frames whose median stands for the film
-PYRAMID = (8, 8, 3, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
+PYRAMID = (8, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
+STEPS = 2  # of Gauss and Newton in each
 DARKEST = 1e-3  # gain of a black frame
 MOVES = 3.0  # sigmas from which a pixel shows something that moves
 TREMBLE = 0.1  # [px] RMS shift below which a camera stands still
 FLICKER = 0.01  # RMS relative brightness below which a lamp burns steadily
+CLEARLY = 0.7  # of both, below which the first look is enough: it errs by 0.05 px, and so finds the more, not the less
 SURE = 0.05  # [px] one sigma of a shift, above which there is too little texture to know it
 PARTS = 5  # across and down: what one of them alone says, such as a wide string that swings there, is not believed
 
@@ -32,12 +34,13 @@ def samples(count: int) -> list[int]:
 
 def steadied(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
     """The film without flicker and tremble, itself where it has none; and one sigma of where it looks then [px]."""
-    several = [_pyramid(images[i]) for i in samples(len(images))]
-    template = {by: np.median([one[by] for one in several], axis=0) for by in set(PYRAMID)}
-    found = np.array([_against(_pyramid(image), template) for image in images])
-    gain, shift = found[:, 0] / np.median(found[:, 0]), found[:, 1:] - np.median(found[:, 1:], axis=0)
-    shift = shift if np.sqrt(np.mean(shift**2)) > TREMBLE else np.zeros_like(shift)
-    gain = gain if np.sqrt(np.mean((gain - 1) ** 2)) > FLICKER else np.ones_like(gain)
+    coarse, fine = PYRAMID
+    found, _ = _against(images, coarse, np.tile([1.0, 0.0, 0.0], (len(images), 1)))
+    gain, shift = _beyond(found, CLEARLY)
+    if shift.any() or (gain != 1).any():
+        found, sigma = _against(images, fine, found)
+        found[sigma >= SURE, 1:] = 0.0
+        gain, shift = _beyond(found, 1.0)
     if not shift.any() and (gain == 1).all():
         return images, 0.0
     middle = np.sqrt(np.pi / 2 / len(shift))  # of a median, in sigmas of its values
@@ -62,22 +65,33 @@ class Steadied(Sequence[np.ndarray]):
         return _moved(image, -self.shift[index]) if self.shift[index].any() else image
 
 
-def _pyramid(image: np.ndarray) -> dict[int, np.ndarray]:
-    """The image so many times smaller, float32."""
-    return {by: _smaller(image.astype(np.float32), by) for by in set(PYRAMID)}
+def _beyond(found: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Gains (F,) and shifts (F, 2) [px] about their medians; 1 and 0 where they are within a share of what counts."""
+    gain, shift = found[:, 0] / np.median(found[:, 0]), found[:, 1:] - np.median(found[:, 1:], axis=0)
+    shift = shift if np.sqrt(np.mean(shift**2)) > share * TREMBLE else np.zeros_like(shift)
+    gain = gain if np.sqrt(np.mean((gain - 1) ** 2)) > share * FLICKER else np.ones_like(gain)
+    return gain, shift
 
 
 def _smaller(image: np.ndarray, by: int) -> np.ndarray:
-    small = cv2.resize(image, None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA)
+    """The image so many times smaller, float32."""
+    small = cv2.resize(image.astype(np.float32), None, fx=1 / by, fy=1 / by, interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(small, (0, 0), 1.0)
 
 
-def _against(image: dict[int, np.ndarray], template: dict[int, np.ndarray]) -> np.ndarray:
-    """Gain and shift (d_u, d_v) [px] of an image against the template, (3,); no shift where it is not sure."""
-    found = np.array([1.0, 0.0, 0.0])
-    for by in PYRAMID:
-        found, sigma = _closer(image[by], template[by], found, by)
-    return found if sigma < SURE else np.array([found[0], 0.0, 0.0])
+def _against(images: Sequence[np.ndarray], by: int, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gain and shift (d_u, d_v) [px] of each image against the median of some, all so many times smaller, (F, 3), and
+    one sigma of the shift (F,) [px]. start: (F, 3) from where."""
+    template = np.median([_smaller(images[i], by) for i in samples(len(images))], axis=0)
+    looked = [_closest(_smaller(image, by), template, one, by) for image, one in zip(images, start, strict=True)]
+    return np.array([found for found, _ in looked]), np.array([sigma for _, sigma in looked])
+
+
+def _closest(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int) -> tuple[np.ndarray, float]:
+    """Gain and shift from where they were found to be, (3,), and one sigma of the shift [px]."""
+    for _ in range(STEPS):
+        found, sigma = _closer(image, template, found, by)
+    return found, sigma
 
 
 def _closer(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int) -> tuple[np.ndarray, float]:

@@ -12,7 +12,7 @@ import pytest
 
 from stringcast.data import disk, store
 from stringcast.data.artifacts import Points, Trial
-from stringcast.data.images import Held, Images
+from stringcast.data.images import Fresh, Held, Images
 from stringcast.data.schema import DataError
 
 AWKWARD = [0.1, -0.0, np.inf, -np.inf, np.nan, 5e-324, 1 / 3, np.nextafter(1.0, 2.0)]
@@ -144,6 +144,19 @@ def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
     for index in (0, 1, 0, 1, 2, 1, 0):
         assert held[index] is pictures[index]
     assert read == [0, 0, 1, 2, 0]
+
+
+def test_images_just_written_are_given_from_memory_once_and_then_read():
+    class Files(Images):
+        def __len__(self):
+            return 3
+
+        def read(self, index):
+            return np.full((2, 2), 10 + index)
+
+    fresh = Fresh(Files(), [np.full((2, 2), i) for i in range(3)])
+    assert [int(image[0, 0]) for image in fresh] == [0, 1, 2]
+    assert [int(image[0, 0]) for image in fresh[1:]] == [11, 12]
 
 
 def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
