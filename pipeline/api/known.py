@@ -11,11 +11,14 @@ import yaml
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from stringcast.data.store import write_text
+from stringcast.data import dataset
+from stringcast.data.artifacts import PARAMETERS
+from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.brought import EXTENDED, extended_model, with_brought_settings
 from stringcast.pipeline.complaint import refusal
 from stringcast.pipeline.settings import UserError, composed, flat, names_given
 from stringcast.pipeline.world import World, world
+from stringcast.stages.export.mjcf import mjcf
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,17 @@ class KnownString:
     def load(cls, folder: str | Path) -> KnownString:
         """From the folder of a diagnosis or an alignment, or an extended.yaml. Raises StringcastError."""
         return cls(extended_model(Path(folder)))
+
+    @classmethod
+    def of_run(cls, folder: str | Path) -> KnownString:
+        """From a run's folder: its extended.yaml, or else what it estimated last. Raises StringcastError."""
+        whole = Path(folder)
+        estimates = sorted(whole.glob("iterations/*/estimate/parameters.parquet"))
+        if (whole / EXTENDED).exists() or not estimates:
+            return cls.load(whole)
+        settings, table = dataset.settings(whole / "config.json"), read_table(PARAMETERS, estimates[-1])
+        known = dict(zip(table["name"], table["value"].astype(float), strict=True))
+        return cls({"string": settings["string"], "effects": settings["effects"], "known": known})
 
     def save(self, folder: str | Path) -> Path:
         """Write extended.yaml, which `extended=<folder>` takes. Returns its path."""
@@ -45,6 +59,14 @@ class KnownString:
     def parameters(self) -> dict[str, Any]:
         """What is known of each parameter, by name: a number, or a value with its interval."""
         return dict(self.settings.get("known", {}))
+
+    def mjcf(self, mass: float, step: float = 5e-4) -> str:
+        """The string as a chain of links for MuJoCo, see stages/export/mjcf.py. mass: of the string [kg]; step: [s].
+
+        Raises StringcastError for an effect that MuJoCo has no law for.
+        """
+        model = prepared((), self).model
+        return mjcf(model, model.values({}), mass, step)
 
     def __repr__(self) -> str:
         """The effects, and how many parameters are known."""

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-NAMES = ("check", "board", "draw", "resume", "index", "verify", "why", "diff", "lineage", "pictures")
+NAMES = ("check", "board", "draw", "resume", "index", "verify", "why", "diff", "lineage", "pictures", "export")
 
 
 def command(name: str) -> ModuleType:

@@ -91,7 +91,7 @@ def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
     shutil.copy(image.with_name("1.png"), image)
     (run / "run.json").write_text((run / "run.json").read_text().replace('"hit": false', '"hit": true', 1))
     lines = "\n".join(verified(run, tmp_path, toy_world()).lines)
-    assert "images/0.png: 6 pixels differ, at most by 1 grey levels" in lines
+    assert "images/0.png: 256 pixels differ, at most by 1 grey levels" in lines
     assert "it says something else than the steps" in lines
     shutil.rmtree(run / "iterations/02/points")
     shutil.rmtree(tmp_path / "aside")

@@ -1,0 +1,1 @@
+"""What was learned of a string, for other programs."""

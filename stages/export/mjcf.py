@@ -1,0 +1,126 @@
+"""The string as MuJoCo has it: links that do not stretch on hinges with springs and dampers, mass points at their ends.
+
+All that bends, weighs or is blown about is carried over as it is; a segment's stretch is not. Air resists each point by
+MuJoCo's ellipsoid model of a ball: its viscous force 6 pi eta r v is the linear drag, its blunt drag rho C pi r^2 |v| v
+the squared one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from stringcast.data.schema import DataError
+from stringcast.stages.model.effect import Effect, StringEffect, placed
+from stringcast.stages.model.equilibrium import hanging
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.stability import vector_sum
+from stringcast.stages.model.statics import grasp_set
+from stringcast.stages.model.string import BASE
+
+SAID = {"acceleration", "flow", "rest_curvature", "density", "tip_mass", "tip_length"}  # slots that MuJoCo has, too
+VISCOSITY, DENSITY = 0.1, 1.0  # of the air [Pa s], [kg/m3]: such that a ball moves no air to speak of along with it
+SMALL = 1e-3  # radius of gyration of a mass point, in segments
+DOWN = np.array([[0.0, 0.0, -np.pi / 2]])  # pose of a grasp from which the string hangs straight
+HEAVY = 1e6  # times the string's mass (times m^2 for turns): a hand that the string does not move
+
+PAGE = """\
+<mujoco model="string">
+  <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x to the right, y up.
+       Links do not stretch; hung up at rest, the string is {longer:.2f} mm longer.{stated}
+       The hand is a carriage; to hang the string in a gripper of yours, take body link_1 with all that is in it. -->
+  <compiler angle="radian"/>
+  <option timestep="{step:g}" integrator="implicitfast" gravity="{gx:.9g} {gy:.9g} 0" wind="{wx:.9g} {wy:.9g} 0" \
+density="{density:g}" viscosity="{viscosity:g}">
+    <flag contact="disable" constraint="disable"/>
+  </option>
+  <worldbody>
+    <body name="hand" gravcomp="1">
+      <inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/>
+      <joint name="hand_x" type="slide" axis="1 0 0" armature="{heavy:.9g}"/>
+      <joint name="hand_y" type="slide" axis="0 1 0" armature="{heavy:.9g}"/>
+      <joint name="hand_theta" type="hinge" axis="0 0 1" armature="{heavy:.9g}"/>
+{chain}
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="hand_x"/> <motor joint="hand_y"/> <motor joint="hand_theta"/>
+  </actuator>
+  <sensor>
+    <framepos name="tip" objtype="site" objname="tip"/>
+  </sensor>
+</mujoco>
+"""
+LINK = """\
+{pad}<body name="link_{number}" pos="{start:.9g} 0 0">
+{pad}  <joint name="hinge_{number}" type="hinge" axis="0 0 1" stiffness="{stiffness:.9g}" damping="{damping:.9g}" \
+springref="{rest:.9g}"/>
+{pad}  <inertial pos="{length:.9g} 0 0" mass="{mass:.9g}" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/>
+{pad}  <geom type="sphere" pos="{length:.9g} 0 0" size="{radius:.9g}" mass="0" contype="0" conaffinity="0" \
+fluidshape="ellipsoid" fluidcoef="{blunt:.9g} 0 0 0 0"/>
+"""
+
+
+def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
+    """The string of a model as an MJCF document.
+
+    values: (P,) of its parameters. mass: of the string [kg], which motion alone does not tell. step: [s]. Effects on
+    hand, clocks and camera are no part of a string, and are left out. Raises DataError for one on the string that
+    MuJoCo has no law for.
+    """
+    string = model.string
+    refuse(string.effects)
+    material = string.material(values[None, : len(string.parameters)])
+    over = mass / string.length  # mass per length, by which everything of ours is divided [kg/m]
+    nothing = {"x": np.zeros((1, 1)), "y": np.zeros((1, 1)), "t": np.zeros((1, 1))}
+    gravity, wind = (vector_sum(string, material, slot, nothing)[0, 0] for slot in ("acceleration", "flow"))
+    beside = [effect.name for effect in model.effects if not issubclass(effect, StringEffect)]
+    return PAGE.format(
+        **{"segments": string.points - 1, "length": string.length, "mass": mass, "step": step},
+        **{"gx": gravity[0], "gy": gravity[1], "wx": wind[0], "wy": wind[1]},
+        **{"density": DENSITY, "viscosity": VISCOSITY, "heavy": HEAVY * mass},
+        longer=1e3 * float((hanging(string, material, DOWN)[1][0] - string.segments(material)).sum()),
+        stated=f" Left out, for no part of the string: {', '.join(beside)}." if beside else "",
+        chain=_chain(_links(model, material, over)),
+    )
+
+
+def refuse(effects: Sequence[type[Effect]]) -> None:
+    """Raise DataError for effects on a string that cannot be carried over."""
+    for effect in effects:
+        if effect not in BASE and (placed(effect) or not set(effect.laws()) <= SAID):
+            raise DataError(
+                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(effect.laws())}). Estimate the string "
+                "again without it, and export that."
+            )
+
+
+def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, Any]]:
+    """What each link is made of, from the grasp to the tip. over: mass per length [kg/m]."""
+    string = model.string
+    named = {name: float(material[0, place]) for place, name in enumerate(string.rows)}
+    length = float(string.segments(material)[0])
+    masses, cells = (rows[0, 1:] * over for rows in string.masses(material))
+    places = string.places(material)[:, 1:-1]
+    given = {"s": places, "length": string.length * string.longer(material)[:, None]}
+    rest = sum(string.added("rest_curvature", material, given), np.zeros_like(places))[0] * length
+    hinges = [(named["grasp_stiffness"], named["grasp_damping"], float(grasp_set(string, material)[0, 0]))]
+    hinges += [(named["bending_stiffness"] / length, named["bending_damping"] / length, angle) for angle in rest]
+    radius = cells * named["linear_drag"] / (6 * np.pi * VISCOSITY)
+    blunt = cells * named["quadratic_drag"] / (DENSITY * np.pi * radius**2)
+    return [
+        {"number": i + 1, "start": length if i else 0.0, "length": length, "mass": masses[i]}
+        | {"stiffness": stiff * over, "damping": damped * over, "rest": angle, "radius": radius[i], "blunt": blunt[i]}
+        | {"inertia": masses[i] * (SMALL * length) ** 2}
+        for i, (stiff, damped, angle) in enumerate(hinges)
+    ]
+
+
+def _chain(links: Sequence[dict[str, Any]]) -> str:
+    """Bodies one inside the other."""
+    pads = ["  " * (3 + i) for i in range(len(links))]
+    opened = "".join(LINK.format(pad=pad, **link) for pad, link in zip(pads, links, strict=True))
+    tip = f'{pads[-1]}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
+    return opened + tip + "\n".join(f"{pad}</body>" for pad in reversed(pads))
