@@ -22,6 +22,7 @@ from stringcast.stages.model.statics import (
     FLOOR,
     ITERATIONS,
     LARGEST_TURN,
+    Chain,
     forces,
     guessed,
     moments,
@@ -43,7 +44,9 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     free, own = string.only(tuple(e for e in string.effects if not placed(e)), material)
     angles, lengths = _settled(free, own, pose)
     if free.effects != string.effects:
-        with_all, without = (forces(*each, pose, angles, lengths) for each in ((string, material), (free, own)))
+        with_all, without = (
+            forces(Chain.of(*each), pose, angles, lengths) for each in ((string, material), (free, own))
+        )
         held = np.any(with_all != without, axis=(1, 2))
         if held.any():
             angles[held], lengths[held] = leaning(string, material[held], pose[held])
@@ -52,15 +55,17 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
 
 def _settled(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angles and lengths, as `hanging`, where no force depends on the place. pose: (C, 3)."""
-    angles = guessed(string, material, pose[:, 2])
-    lengths = plain(string, material)
+    chain = Chain.of(string, material)
+    angles, lengths = guessed(string, material, pose[:, 2]), plain(string, material)
+    force = forces(chain, pose, angles, lengths)
     last, share = np.zeros_like(angles), np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
-        some, at = material[moving], pose[moving]
-        force = forces(string, some, at, angles[moving], lengths[moving])
-        lengths[moving] = _lengths(string, some, force, angles[moving], lengths[moving])
-        turn = _newton(string, some, at[:, 2], force, angles[moving], lengths[moving])
+        some = chain.only(moving)
+        if not chain.rigid_weight:
+            force[moving] = forces(some, pose[moving], angles[moving], lengths[moving])
+        lengths[moving] = _lengths(some, force[moving], angles[moving], lengths[moving])
+        turn = _newton(some, pose[moving, 2], force[moving], angles[moving], lengths[moving])
         share[moving] = np.where(_back_again(turn, last[moving]), 0.5 * share[moving], np.minimum(2 * share[moving], 1))
         angles[moving] += share[moving] * np.clip(turn, -LARGEST_TURN, LARGEST_TURN)
         last[moving] = turn
@@ -84,36 +89,26 @@ def stretched(string: String, material: np.ndarray, pose: np.ndarray, angles: np
 
     material: (C, P). pose: (1 or C, 3) of the grasp.
     """
-    lengths = plain(string, material)
-    force = forces(string, material, np.broadcast_to(pose, (len(material), 3)), angles, lengths)
+    chain, lengths = Chain.of(string, material), plain(string, material)
+    force = forces(chain, np.broadcast_to(pose, (len(material), 3)), angles, lengths)
     for _ in range(4):
-        lengths = _lengths(string, material, force, angles, lengths)
+        lengths = _lengths(chain, force, angles, lengths)
     return lengths
 
 
-def _lengths(
-    string: String, material: np.ndarray, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray
-) -> np.ndarray:
+def _lengths(chain: Chain, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Lengths at which tension balances the pull along each segment: two steps of Newton's method from `lengths`."""
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
-    segment = string.segments(material)[:, None]
-    stretch = lengths / segment - 1
+    stretch = lengths / chain.segment - 1
     for _ in range(2):
-        tension, rise = sloped(string, material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
+        tension, rise = sloped(chain.string, chain.material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
         stretch = np.maximum(stretch - (tension - along) / rise, -0.9)
-    return segment * (1 + stretch)
+    return chain.segment * (1 + stretch)
 
 
-def _newton(
-    string: String,
-    material: np.ndarray,
-    theta: np.ndarray,
-    force: np.ndarray,
-    angles: np.ndarray,
-    lengths: np.ndarray,
-) -> np.ndarray:
+def _newton(chain: Chain, theta: np.ndarray, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """One step towards the balance of moments, (C, n - 1) [rad]."""
-    moment, stiffness = moments(string, material, theta, angles)
+    moment, stiffness = moments(chain, theta, angles)
     across = lengths * (force[..., 1] * np.cos(angles) - force[..., 0] * np.sin(angles))
     along = lengths * (force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles))
     balance = moment[:, 1:] - moment[:, :-1] + across

@@ -21,6 +21,7 @@ from stringcast.stages.model.statics import (
     FLOOR,
     ITERATIONS,
     LARGEST_TURN,
+    Chain,
     beyond,
     guessed,
     moments,
@@ -42,7 +43,7 @@ def leaning(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     material: (C, P). pose: (C, 3) of the grasp.
     """
     angles = guessed(string, material, pose[:, 2])
-    now = _Leaning(string, material, pose, angles, plain(string, material))
+    now = _Leaning(Chain.of(string, material), pose, angles, plain(string, material))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
         some = now.only(moving)
@@ -87,25 +88,23 @@ def _fall(here: _Leaning, step: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Leaning:
-    """Strings that are on their way to rest. material: (C, P). pose: (C, 3). angles, lengths: (C, n - 1)."""
+    """Strings that are on their way to rest. pose: (C, 3). angles, lengths: (C, n - 1)."""
 
-    string: String
-    material: np.ndarray
+    chain: Chain
     pose: np.ndarray
     angles: np.ndarray
     lengths: np.ndarray
 
     def only(self, which: np.ndarray) -> _Leaning:
         """Some of them."""
-        parts = (self.material, self.pose, self.angles, self.lengths)
-        return _Leaning(self.string, *(part[which] for part in parts))
+        return _Leaning(self.chain.only(which), *(part[which] for part in (self.pose, self.angles, self.lengths)))
 
     def moved(self, which: np.ndarray, step: np.ndarray) -> _Leaning:
         """With some of them turned and stretched. step: (K, 2 n - 2), angles first."""
         angles, lengths = self.angles.copy(), self.lengths.copy()
         angles[which] += step[:, : angles.shape[1]]
         lengths[which] += step[:, angles.shape[1] :]
-        return _Leaning(self.string, self.material, self.pose, angles, lengths)
+        return _Leaning(self.chain, self.pose, angles, lengths)
 
     @cached_property
     def drawn(self) -> tuple[np.ndarray, np.ndarray]:
@@ -126,27 +125,23 @@ class _Leaning:
     def force(self) -> np.ndarray:
         """F, (C, n - 1, 2)."""
         tangent, places = self.drawn
-        return beyond(weight(self.string, self.material, places, tangent))
+        return beyond(weight(self.chain, places, tangent))
 
     @cached_property
     def moments(self) -> tuple[np.ndarray, np.ndarray]:
         """At the hinges, and their slope with the hinge's angle, (C, n) each."""
-        return moments(self.string, self.material, self.pose[:, 2], self.angles)
-
-    @property
-    def segment(self) -> np.ndarray:
-        """Rest length of a segment, (C, 1) [m]."""
-        return self.string.segments(self.material)[:, None]
+        return moments(self.chain, self.pose[:, 2], self.angles)
 
     @property
     def stretch(self) -> np.ndarray:
         """(C, n - 1)."""
-        return self.lengths / self.segment - 1
+        return self.lengths / self.chain.segment - 1
 
     @cached_property
     def tension(self) -> tuple[np.ndarray, np.ndarray]:
         """Of the segments, and its slope with the stretch, (C, n - 1) each."""
-        return sloped(self.string, self.material, "tension", "stretch", self.stretch, {"rate": np.zeros((1, 1))})
+        of = (self.chain.string, self.chain.material)
+        return sloped(*of, "tension", "stretch", self.stretch, {"rate": np.zeros((1, 1))})
 
     @cached_property
     def left(self) -> np.ndarray:
@@ -183,7 +178,7 @@ class _Leaning:
         diagonal = stiffness[:, :-1] + stiffness[:, 1:] + along
         matrix[:, :count, :count] = _full(-stiffness[:, 1:-1], diagonal)
         turns, stretches = np.arange(count), np.arange(count, 2 * count)
-        matrix[:, stretches, stretches] = self.tension[1] / self.segment
+        matrix[:, stretches, stretches] = self.tension[1] / self.chain.segment
         matrix[:, turns, stretches] = matrix[:, stretches, turns] = -across
         return matrix
 
@@ -203,7 +198,8 @@ class _Leaning:
         tangent, places = self.drawn
         ways = NEAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         moved = np.concatenate([places + way for way in ways])
-        pushed = weight(self.string, np.tile(self.material, (4, 1)), moved, np.tile(tangent, (4, 1, 1)))
+        four = self.chain.only(np.tile(np.arange(len(tangent)), 4))
+        pushed = weight(four, moved, np.tile(tangent, (4, 1, 1)))
         ahead, behind = pushed.reshape(2, 2, *places.shape)
         return np.moveaxis((ahead - behind) / (2 * NEAR), 0, -1)
 

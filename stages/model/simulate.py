@@ -15,7 +15,7 @@ from stringcast.stages.model.sampling import asked, between, sampled, stayed, un
 from stringcast.stages.model.slots import HELD
 from stringcast.stages.model.stability import averaged, steps_per_tick
 from stringcast.stages.model.state import State
-from stringcast.stages.model.statics import curvatures, grasp_angle, grasp_set, softness
+from stringcast.stages.model.statics import Chain, curvatures, grasp_angle, grasp_set, softness
 from stringcast.stages.model.string import String
 
 
@@ -244,9 +244,9 @@ def _memory(
     count = max(string.holds(slot) for slot in HELD)
     if not count:
         return {}
+    chain = Chain.of(string, material)
     bent, before = (
-        {"grasp_moment": grasp_angle(string, material, theta, each), "moment": curvatures(string, material, each)}
-        for each in (angles, hung)
+        {"grasp_moment": grasp_angle(chain, theta, each), "moment": curvatures(chain, each)} for each in (angles, hung)
     )
     places = {"grasp_moment": slice(0, 1), "moment": slice(1, None)}
     rows = np.zeros((1 + count, *angles.shape))

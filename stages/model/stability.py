@@ -9,6 +9,7 @@ the chain's axial, bending and grasp operators, whose sum bounds that of all tog
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -114,7 +115,7 @@ def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np
 
     around = {first: np.hstack([a + da, a - da, a, a]), second: np.hstack([b, b, b + db, b - db])}
     total = slot_sum(string, material, slot, around, string.integrator.averaged)
-    more, less, faster, slower = np.split(total, 4, axis=1)
+    more, less, faster, slower = np.moveaxis(total.reshape(len(total), 4, -1), 1, 0)
     return (more - less) / (2 * da), (faster - slower) / (2 * db)
 
 
@@ -126,8 +127,7 @@ def slot_sum(
 
     given: the slot's arguments, (1 or C, M) each. apart: slots of the latter that do not count.
     """
-    shape = np.broadcast_shapes((len(material), 1), *(np.shape(v) for v in given.values()))
-    total = np.zeros(shape)
+    total = np.zeros((len(material), max(value.shape[1] for value in given.values())))
     for more in string.added(slot, material, given):
         total = total + more
     for per, (other, name) in PER.items():
@@ -162,7 +162,7 @@ def load(string: String, material: np.ndarray, given: dict[str, np.ndarray]) -> 
 
 def vector_sum(string: String, material: np.ndarray, slot: str, known: dict[str, np.ndarray]) -> np.ndarray:
     """Sum of a slot's vector laws for all candidates, (C, M, 2). known: the slot's arguments, (1 or C, M) each."""
-    total = np.zeros((*np.broadcast_shapes((len(material), 1), *(v.shape for v in known.values())), 2))
+    total = np.zeros((len(material), max(value.shape[1] for value in known.values()), 2))
     for parts in string.added(slot, material, known):
         for axis, part in enumerate(parts):
             total[..., axis] += part
@@ -176,13 +176,15 @@ def _operators(string: String, material: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     longer = string.longer(material)
     masses = string.masses(material)[0] / longer[:, None]  # alike in strings that differ in length alone
-    distinct, which = np.unique(masses, axis=0, return_inverse=True)
-    free = string.points - 1
-    first = np.eye(free) - np.eye(free, k=-1)
-    second = (first - np.eye(free, k=-1) @ first)[1:]
-    tables = []
-    for mass in distinct:
-        root = 1.0 / np.sqrt(mass[1:])
-        tables.append([np.linalg.norm(rows * root, ord=2) ** 2 for rows in (first, second, first[:1])])
-    axial, bending, grasp = np.array(tables)[which.ravel()].T / longer
+    axial, bending, grasp = np.array([_largest(mass[1:].tobytes()) for mass in masses]).T / longer
+    return axial, bending, grasp
+
+
+@lru_cache(4096)
+def _largest(masses: bytes) -> tuple[float, float, float]:
+    """The eigenvalues of one string whose free points have these masses, (n - 1,) float64 [m]."""
+    root = 1.0 / np.sqrt(np.frombuffer(masses))
+    first = np.eye(len(root)) - np.eye(len(root), k=-1)
+    second = (first - np.eye(len(root), k=-1) @ first)[1:]
+    axial, bending, grasp = (float(np.linalg.norm(rows * root, ord=2) ** 2) for rows in (first, second, first[:1]))
     return axial, bending, grasp

@@ -7,6 +7,7 @@ and hangs from a pose (C, 3) of the grasp. Forces are over the nominal mass per 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,6 +19,42 @@ ITERATIONS = 200
 LARGEST_TURN = 0.3  # [rad] of a segment in one iteration
 FLOOR = 1e-9  # [m3/s2] of what resists a turn, so that a string without stiffness can be turned
 ENOUGH = 1e-12  # [rad] change of an angle that ends the iteration
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Strings, and what of them stays as it is while they turn and stretch: to find it takes longer than a turn.
+
+    material: (C, rows). segment: (C, 1) rest length of a segment [m]. s: (C, n) arc lengths of the points from where
+    the free string begins [m]. masses, cells: (C, n), as `String.masses`. curved: (C, n - 2) curvature at rest of the
+    hinges [1/m], turned: (C, 1) angle at rest of that at the grasp [rad].
+    """
+
+    string: String
+    material: np.ndarray
+    segment: np.ndarray
+    s: np.ndarray
+    masses: np.ndarray
+    cells: np.ndarray
+    curved: np.ndarray
+    turned: np.ndarray
+
+    @classmethod
+    def of(cls, string: String, material: np.ndarray) -> Chain:
+        """Strings of a material (C, rows)."""
+        segment, s = string.segments(material)[:, None], string.places(material)
+        curved = _at_rest(string, material, s[:, 1:-1])
+        return cls(string, material, segment, s, *string.masses(material), curved, grasp_set(string, material))
+
+    def only(self, which: np.ndarray) -> Chain:
+        """Some of them."""
+        parts = (self.material, self.segment, self.s, self.masses, self.cells, self.curved, self.turned)
+        return Chain(self.string, *(part[which] for part in parts))
+
+    @property
+    def rigid_weight(self) -> bool:
+        """Whether what pulls at the points is the same however the string lies."""
+        return not self.string.asks(("load", "flow", "acceleration"), ("x", "y", "tx", "ty"))
 
 
 def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarray:
@@ -35,12 +72,10 @@ def plain(string: String, material: np.ndarray) -> np.ndarray:
     return np.repeat(string.segments(material)[:, None], string.points - 1, axis=1)
 
 
-def forces(
-    string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray
-) -> np.ndarray:
+def forces(chain: Chain, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """Force over nominal mass per length on the part beyond the start of each segment, (C, n - 1, 2) [m^2/s^2]."""
     tangent, places = shape(pose, angles, lengths)
-    return beyond(weight(string, material, places, tangent))
+    return beyond(weight(chain, places, tangent))
 
 
 def shape(pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -49,14 +84,12 @@ def shape(pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> tuple[np
     return tangent, pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
 
 
-def weight(string: String, material: np.ndarray, places: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+def weight(chain: Chain, places: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Force over nominal mass per length on each free point at rest, (C, n - 1, 2) [m^2/s^2]."""
-    masses, cells = string.masses(material)
-    x, y = places[..., 0], places[..., 1]
-    s = string.places(material)[:, 1:]
-    pull = load(string, material, {"x": x, "y": y, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": s})
-    fall = vector_sum(string, material, "acceleration", {"x": x, "y": y, "t": np.zeros((1, 1))})
-    return pull * cells[:, 1:, None] + fall * masses[:, 1:, None]
+    of, place = (chain.string, chain.material), {"x": places[..., 0], "y": places[..., 1]}
+    pull = load(*of, {**place, "tx": tangent[..., 0], "ty": tangent[..., 1], "s": chain.s[:, 1:]})
+    fall = vector_sum(*of, "acceleration", {**place, "t": np.zeros((1, 1))})
+    return pull * chain.cells[:, 1:, None] + fall * chain.masses[:, 1:, None]
 
 
 def beyond(each: np.ndarray) -> np.ndarray:
@@ -64,30 +97,25 @@ def beyond(each: np.ndarray) -> np.ndarray:
     return np.cumsum(each[:, ::-1], axis=1)[:, ::-1]
 
 
-def moments(
-    string: String, material: np.ndarray, theta: np.ndarray, angles: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def moments(chain: Chain, theta: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Moments at the hinges and their slope with the hinge angle, (C, n) each; the free end has none."""
-    zero = np.zeros((1, 1))
-    hinge = grasp_angle(string, material, theta, angles)
-    first, first_slope = sloped(string, material, "grasp_moment", "angle", hinge, {"rate": zero})
-    s = string.places(material)[:, 1:-1]
-    bend = curvatures(string, material, angles)
-    others, others_slope = sloped(string, material, "moment", "curvature", bend, {"rate": zero, "s": s})
-    end = np.zeros((len(material), 1))
-    slopes = [first_slope, others_slope / string.segments(material)[:, None], end]
+    of, zero = (chain.string, chain.material), np.zeros((1, 1))
+    hinge, bend = grasp_angle(chain, theta, angles), curvatures(chain, angles)
+    first, first_slope = sloped(*of, "grasp_moment", "angle", hinge, {"rate": zero})
+    others, others_slope = sloped(*of, "moment", "curvature", bend, {"rate": zero, "s": chain.s[:, 1:-1]})
+    end = np.zeros((len(chain.material), 1))
+    slopes = [first_slope, others_slope / chain.segment, end]
     return np.concatenate([first, others, end], axis=1), np.concatenate(slopes, axis=1)
 
 
-def curvatures(string: String, material: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def curvatures(chain: Chain, angles: np.ndarray) -> np.ndarray:
     """Of the hinges, beyond that at rest, (C, n - 2) [1/m]. angles: (C, n - 1) of the segments [rad]."""
-    s = string.places(material)[:, 1:-1]
-    return np.diff(angles, axis=1) / string.segments(material)[:, None] - _at_rest(string, material, s)
+    return (angles[:, 1:] - angles[:, :-1]) / chain.segment - chain.curved
 
 
-def grasp_angle(string: String, material: np.ndarray, theta: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def grasp_angle(chain: Chain, theta: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Of the hinge there, beyond that at rest, (C, 1) [rad]. theta: (1 or C,) of the hand. angles: (C, n - 1)."""
-    return angles[:, :1] - theta[:, None] - grasp_set(string, material)
+    return angles[:, :1] - theta[:, None] - chain.turned
 
 
 def grasp_set(string: String, material: np.ndarray) -> np.ndarray:
@@ -118,7 +146,8 @@ def sloped(
     few numbers it is the calls that take the time.
     """
     step = 1e-3 if name == "curvature" else 1e-5
-    three = np.hstack([at, at + step, at - step])
+    count = at.shape[1]
+    three = np.concatenate([at, at + step, at - step], axis=1)
     wide = {key: np.tile(value, 3) if value.shape[1] > 1 else value for key, value in others.items()}
-    here, more, less = np.split(slot_sum(string, material, slot, {name: three, **wide}), 3, axis=1)
-    return here, (more - less) / (2 * step)
+    total = slot_sum(string, material, slot, {name: three, **wide})
+    return total[:, :count], (total[:, count : 2 * count] - total[:, 2 * count :]) / (2 * step)

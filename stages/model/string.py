@@ -197,6 +197,10 @@ class String:
         softened[..., grasp] = 1 / (1 / material[..., grasp] + cell / material[..., bending])
         return softened
 
+    def asks(self, slots: Sequence[str], names: Sequence[str]) -> bool:
+        """Whether a law in one of these slots takes an argument of one of these names."""
+        return any({*names} & {*taken} for slot in slots for _, taken, _ in self._laws.get(slot, ()))
+
     def added(self, slot: str, material: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[Any]:
         """What each law in a slot adds. material: (C, rows). given: the slot's arguments by name, (1 or C, M) each."""
         for law in self._laws.get(slot, ()):
