@@ -38,6 +38,9 @@ MUST = {
     "value_error": "{error}",
     "float_parsing": "it must be a number, without a unit",
     "float_type": "it must be a number",
+    "too_short": "it must hold {min_length} values",
+    "too_long": "it must hold {max_length} values",
+    "extra_forbidden": "there is no such key",
 }
 
 
@@ -74,9 +77,18 @@ class ArmBlock(Block):
     base: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
 
 
+class LensBlock(BaseModel):
+    """focal: lengths fx, fy [px]. centre: of the picture cx, cy [px]. distortion: k1, k2, p1, p2 of OpenCV."""
+
+    model_config = ConfigDict(extra="forbid")
+    focal: Annotated[list[Positive], Field(min_length=2, max_length=2)]
+    centre: Annotated[list[Number], Field(min_length=2, max_length=2)]
+    distortion: Annotated[list[Number], Field(min_length=4, max_length=4)]
+
+
 class CameraBlock(Block):
     """fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the world's origin [px]. distortion:
-    radial, of the squared share of half the picture's width. rotation, tilt: [rad]."""
+    radial, of the squared share of half the picture's width, without a lens. rotation, tilt: [rad]."""
 
     fps: Positive = UNSET
     width: Pixels = UNSET
@@ -86,6 +98,15 @@ class CameraBlock(Block):
     distortion: Number = UNSET
     rotation: Number = UNSET
     tilt: Annotated[list[Number], Field(min_length=2, max_length=2)] = UNSET
+    lens: LensBlock | None = None
+
+    @model_validator(mode="after")
+    def _lens_alone_distorts_and_tilts(self) -> CameraBlock:
+        if self.lens and self.distortion:
+            raise ValueError("a lens has its own distortion: leave out camera.distortion")
+        if not self.lens and any(self.tilt or ()):
+            raise ValueError("a tilt is seen by perspective, which needs camera.lens: calibrate, or leave out the tilt")
+        return self
 
 
 class TrialBlock(Block):
@@ -130,5 +151,7 @@ def _first(error: ValidationError) -> str:
     """The first thing that is wrong: field, value and what it must be."""
     fault = error.errors()[0]
     place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+    if fault["type"] == "missing":
+        return f"{place} is missing"
     must = MUST.get(fault["type"], fault["msg"][:1].lower() + fault["msg"][1:])
     return f"{place} is {fault['input']!r}; {must.format(**fault.get('ctx', {}))}"

@@ -37,6 +37,7 @@ CHECKS: tuple[Check, ...] = (
     clocks.begun,
     clocks.gaps,
     frames.dropped,
+    frames.shown,
 )
 
 

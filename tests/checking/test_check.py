@@ -1,8 +1,10 @@
 """A clean dataset with each kind of dirt: the right finding, naming file, field and remedy; and nothing for clean ones."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,7 +17,10 @@ from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.check import measured
 from stringcast.stages.check.check import CHECKS, findings, refuse
 from stringcast.stages.check.finding import Severity
+from stringcast.stages.check.frames import shown
 from stringcast.stages.check.overview import overview
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.lens import Lens
 
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured"
@@ -385,7 +390,33 @@ def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(dirty, tmp_pat
 
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
-    assert len(set(names)) == len(names) == 25
+    assert len(set(names)) == len(names) == 26
+
+
+SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))
+PICTURES = {  # of 320 x 240 px; what is said of those that no camera takes
+    "ordinary": ({}, ""),
+    "barrel": ({"distortion": -0.1}, ""),
+    "lens": ({"lens": replace(SQUARE, distortion=(-0.3, 0.1, 1e-3, 1e-3)), "tilt": (0.1, 0.0)}, ""),
+    "folds at the corners": ({"distortion": -0.25}, "warning .*% of the picture lies nowhere"),
+    "folds": ({"lens": replace(SQUARE, distortion=(-50.0, 0.0, 0.0, 0.0))}, "error .*% of the picture lies nowhere"),
+    "no numbers": ({"lens": replace(SQUARE, distortion=(1e300, 0.0, 0.0, 0.0))}, "error 100% of the picture"),
+    "px per mm": ({"px_per_m": 0.3}, "error .* as long as 0.00028 pictures are wide"),
+    "nothing but string": ({"px_per_m": 1e5}, "error .* as long as 94 pictures"),
+    "one focal length": ({"lens": replace(SQUARE, focal=(1e300, 500.0))}, "error .* the string is as long as"),
+}
+
+
+@pytest.mark.parametrize("kind", PICTURES)
+def test_a_picture_is_of_the_plane_and_of_the_strings_size(kind):
+    changed, said = PICTURES[kind]
+    camera = Camera(
+        **{"width": 320, "height": 240, "px_per_m": 300.0, "origin_px": (160.0, 120.0), "fps": 200.0} | changed
+    )
+    filmed = SimpleNamespace(data=SimpleNamespace(films={"a": None}), camera=camera, length=0.3)
+    told = [f"{finding.severity} {finding.said}" for finding in shown(filmed)]
+    assert len(told) == bool(said)
+    assert not said or re.match(said, told[0]), told
 
 
 def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(dirty, called, tmp_path):
