@@ -35,7 +35,11 @@ from stringcast.pipeline.world import World
 log = logging.getLogger(__name__)
 
 NOTHING = {"config.json", LOCK, FAILED, LOG}  # what a run that made nothing leaves
-HOW_MANY = {"study": ("benches", "first", "processes"), "hits": ("seeds", "first", "processes")}  # no row depends on it
+HOW_MANY = {  # no row depends on it
+    "study": ("benches", "first", "processes"),
+    "hits": ("seeds", "first", "processes"),
+    "measured": ("strings", "processes"),
+}
 
 
 @dataclass(frozen=True)

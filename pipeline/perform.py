@@ -18,7 +18,12 @@ from stringcast.pipeline.show import bars, summary
 from stringcast.pipeline.world import World
 from stringcast.stages.roles import HardwareError
 
-STUDIES = {"study": "study.command", "extraction_study": "extraction_study.command", "hit_study": "hitting.study"}
+STUDIES = {
+    "study": "study.command",
+    "extraction_study": "extraction_study.command",
+    "hit_study": "hitting.study",
+    "measured_study": "measured.study",
+}
 
 
 def module(name: str) -> Any:

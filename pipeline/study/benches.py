@@ -91,11 +91,13 @@ def _diagnosed(diagnose: Diagnose, dataset: Path) -> Mapping[str, Any]:
 
 
 @contextmanager
-def workers(processes: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes of one thread each, that end with this one; 0 is one for each core."""
+def workers(processes: int, lives: int | None = None) -> Iterator[ProcessPoolExecutor]:
+    """Processes of one thread each, that end with this one; 0 is one for each core. lives: calls after which a process
+    is replaced by a new one."""
     context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
     count = processes or os.cpu_count() or 1
-    with _environment(ONE_THREAD), ProcessPoolExecutor(count, context, end_with_parent) as pool:
+    pool = ProcessPoolExecutor(count, context, end_with_parent, max_tasks_per_child=lives)
+    with _environment(ONE_THREAD), pool:
         yield pool
 
 

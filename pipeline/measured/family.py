@@ -1,0 +1,87 @@
+"""Families of strings that others measured, and each string of them as a dataset in our format.
+
+A family's folder holds many strings side by side. What its tables do not say the settings do: which trials are of one
+string, which begin moving, a marker's noise, the camera. The outermost marker is the tip.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import yaml
+from pydantic import Field
+
+from stringcast.data import store
+from stringcast.data.dataset import GRASP, POINTS, with_trial
+from stringcast.data.schema import DataError
+
+WEIGHED = "cables.json"  # what was weighed of each string, where it was
+
+
+@dataclass(frozen=True)
+class Family:
+    """Strings that were measured in one way, and how they are modelled.
+
+    folder: of their tables, in that of all families. trials: pattern of their trials' names, whose group `string` is
+    the name of the string; moving, held_out: patterns of those that begin moving, and to which nothing is fitted.
+    every: of so many frames one is used. beyond: arc length from the grasp [m] up to which no point is used. about:
+    what else dataset.yaml says. settings: of every run. sets: effects by name of the set. authors: root mean square of
+    the tip in the model of those who measured a string, in sample [m].
+    """
+
+    folder: str
+    trials: str
+    moving: str
+    held_out: str
+    every: Annotated[int, Field(ge=1)]
+    beyond: Annotated[float, Field(ge=0)]
+    about: dict[str, Any]
+    settings: dict[str, Any]
+    sets: dict[str, list[str]]
+    authors: dict[str, float]
+
+    def strings(self, folder: Path) -> dict[str, list[str]]:
+        """Names of the trials of each string, by the string's name. folder: of all families."""
+        path = folder / self.folder / "points.parquet"
+        if not path.is_file():
+            raise DataError(f"{path}: there is no such file. Name the folder that holds {self.folder}, as trials=...")
+        found: dict[str, list[str]] = {}
+        for trial in sorted(pd.read_parquet(path, columns=["trial"])["trial"].unique()):
+            if match := re.fullmatch(self.trials, trial):
+                found.setdefault(match["string"], []).append(trial)
+        return found
+
+    def write(self, folder: Path, string: str, trials: list[str], to: Path, origin: Mapping[str, Any]) -> None:
+        """The dataset of one string; dataset.yaml comes last. folder: of all families."""
+        for table in (GRASP, POINTS):
+            rows = pd.read_parquet(folder / self.folder / f"{table.name}.parquet")
+            rows = rows[rows["trial"].isin(trials)].reset_index(drop=True)
+            rows = self._used(rows) if table is POINTS else rows
+            store.write_table(with_trial(table), rows, to / f"{table.name}.parquet", origin)
+        length = {"length": round(float(rows["s"].max()), 4)} | self._weighed(folder, string)
+        about = {"format": 1, "name": string, "string": length, **self.about}
+        about["trials"] = {trial: self._said(trial) for trial in trials}
+        store.write_text(to / "dataset.yaml", yaml.safe_dump(about, sort_keys=False))
+
+    def _used(self, points: pd.DataFrame) -> pd.DataFrame:
+        """Points that are used; those where a tracker only repeated itself are not valid."""
+        frame = points.groupby("trial")["t"].rank("dense").astype(int) - 1
+        points = points[(frame % self.every == 0) & (points["s"] > self.beyond)]
+        return points.assign(valid=~points["held"]) if "held" in points else points
+
+    def _weighed(self, folder: Path, string: str) -> dict[str, float]:
+        """Masses of a string and of what was hung at its tip [kg], where they are told."""
+        path = folder / self.folder / WEIGHED
+        known = json.loads(path.read_text(encoding="utf-8")).get(string) if path.is_file() else None
+        return {} if known is None else {"mass": known["m_cable_kg"], "tip_mass": known["m_tip_kg"]}
+
+    def _said(self, trial: str) -> dict[str, str]:
+        """What dataset.yaml says of a trial."""
+        said = {"initial": "moving" if re.fullmatch(self.moving, trial) else "rest"}
+        return said | ({"role": "held_out"} if re.fullmatch(self.held_out, trial) else {})

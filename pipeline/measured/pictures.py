@@ -1,0 +1,69 @@
+"""The study's picture: how near each set comes to each string, and how far off the tip is in trials held out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from stringcast.stages.report.picture import LIGHT, MM, STYLE
+
+COLOURS = ("before", "target", "after", "measured")  # of sets, in their order within a family
+ACROSS = 4  # trials side by side
+
+
+def picture(table: pd.DataFrame, held_out: Mapping[tuple[str, str], pd.DataFrame], path: Path) -> None:
+    """Write it. table: SETS. held_out: table PREDICTED of each string and set."""
+    trials = list(dict.fromkeys((s, trial) for (s, _), rows in held_out.items() for trial in rows["trial"].unique()))
+    below = -(-len(trials) // ACROSS)
+    strings = list(table["string"].unique())
+    height = 1.0 + 0.26 * len(strings)
+    with plt.style.context(STYLE):
+        figure = plt.figure(figsize=(11, height + 1.9 * below), layout="constrained")
+        grid = figure.add_gridspec(1 + below, ACROSS, height_ratios=[height, *[1.9] * below])
+        left = figure.add_subplot(grid[0, : ACROSS // 2])
+        right = figure.add_subplot(grid[0, ACROSS // 2 :], sharex=left, sharey=left)
+        right.tick_params(labelleft=False)
+        _tips(left, table, strings, "tip", "tip in sample, rms / mm")
+        _tips(right, table, strings, "held_out_tip", "tip in trials held out, rms / mm")
+        left.plot(MM * _of(table, strings, "authors_tip"), range(len(strings)), "kx", label="their authors' model")
+        left.legend(loc="lower center", bbox_to_anchor=(1.0, 1.0), ncols=8)
+        for number, (string, trial) in enumerate(trials):
+            sets = {laws: rows for (name, laws), rows in held_out.items() if name == string}
+            _over_time(figure.add_subplot(grid[1 + number // ACROSS, number % ACROSS]), sets, trial)
+        figure.savefig(path, dpi=110, facecolor="white")
+        plt.close(figure)
+
+
+def _of(table: pd.DataFrame, strings: Sequence[str], column: str) -> np.ndarray:
+    """A number of each string, the same in all its sets."""
+    return table.drop_duplicates("string").set_index("string").loc[list(strings), column].to_numpy(dtype=float)
+
+
+def _tips(axes: Axes, table: pd.DataFrame, strings: list[str], column: str, label: str) -> None:
+    """A row for each string, a mark for each set."""
+    for laws, some in table.groupby("laws", sort=False):
+        place = [strings.index(name) for name in some["string"]]
+        axes.plot(MM * some[column], place, "o", ms=5, color=_colour(table, str(laws)), label=str(laws))
+    axes.set(xlabel=label, xscale="log", ylim=(len(strings) - 0.5, -0.5))
+    axes.set_yticks(range(len(strings)), strings)
+
+
+def _colour(table: pd.DataFrame, laws: str) -> str:
+    """Of a set, by its place among those of a string that has it."""
+    string = table.loc[table["laws"] == laws, "string"].iloc[0]
+    return LIGHT[COLOURS[list(table.loc[table["string"] == string, "laws"]).index(laws) % len(COLOURS)]]
+
+
+def _over_time(axes: Axes, sets: Mapping[str, pd.DataFrame], trial: str) -> None:
+    """Distance of the tip over time, a line for each set."""
+    for number, rows in enumerate(sets.values()):
+        tip = rows[(rows["trial"] == trial) & (rows["s"] == rows["s"].max())]
+        off = np.hypot(tip["predicted_x"] - tip["x"], tip["predicted_y"] - tip["y"])
+        axes.plot(tip["t"], MM * off, lw=1, color=LIGHT[COLOURS[number % len(COLOURS)]])
+    axes.set(title=trial, xlabel="time / s")
+    axes.set_ylabel("tip off / mm")

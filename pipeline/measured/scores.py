@@ -1,0 +1,89 @@
+"""How near a set of effects comes to a string: in sample, and in trials that nothing was fitted to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data import store
+from stringcast.data.about import about
+from stringcast.data.artifacts import PREDICTED
+from stringcast.data.schema import Column, Table
+from stringcast.pipeline.run import Result
+from stringcast.pipeline.world import World
+from stringcast.stages.estimate.settle import MODES
+
+SETS = Table(
+    "sets",
+    "a row for each string that others measured and each set of effects that was fitted to it",
+    (
+        Column("string", "", "its name", "text"),
+        Column("laws", "", "name of the set", "text"),
+        Column("effects", "", "beside the paper's own, and the tip mass that was weighed; joined by ', '", "text"),
+        Column("trials", "1", "that were fitted", "int"),
+        Column("fitted", "1", "parameters fitted, the same for all trials", "int"),
+        Column("begun", "1", "values fitted of the states in which these trials begin, in all", "int"),
+        Column("tip", "m", "root mean square distance of the point nearest the tip, in sample"),
+        Column("rms", "m", "the same of all points"),
+        Column("held_out", "1", "trials that nothing was fitted to", "int"),
+        Column(
+            "free", "1", "values of these trials alone: of their beginnings, or read where they rest; in all", "int"
+        ),
+        Column("held_out_tip", "m", "root mean square distance of the point nearest the tip there; NaN without any"),
+        Column("held_out_rms", "m", "the same of all points"),
+        Column("authors_tip", "m", "of the tip in the model of those who measured it, in sample; NaN if not told"),
+        Column("cpu", "s", "of one core, from the first import to the last row; NaN if it was interrupted"),
+        Column("code", "", "commit that fitted it, with a + where sources were changed", "text"),
+    ),
+)
+
+
+def scored(here: World, result: Result) -> dict[str, Any]:
+    """What a run came to: the numbers of a row of SETS, without time and names."""
+    assert result.estimate is not None
+    said = about(Path(here.config["trials"]))["trials"]
+    fitted = [trial for trial in said.values() if "role" not in trial]
+    fit, apart = result.estimate.fit.iloc[0], foretold(result.folder)
+    scores = [i.done["predict"].score for i in result.iterations if "predict" in i.done]
+    tip = apart[apart["s"] == apart.groupby("trial")["s"].transform("max")]
+    return {
+        "trials": len(fitted),
+        "fitted": len(here.model.parameters) - len(here.model.measured),  # a measured one stays where it is
+        "begun": 2 * MODES * sum(trial["initial"] == "moving" for trial in fitted),
+        "tip": float(fit["tip_after"]),
+        "rms": float(fit["rms_after"]),
+        "held_out": len(scores),
+        "free": int(sum(score["free"].iloc[0] for score in scores)),
+        "held_out_tip": _rms(tip),
+        "held_out_rms": _rms(apart),
+    }
+
+
+def foretold(run: Path) -> pd.DataFrame:
+    """Table PREDICTED of all trials that a run has foretold, empty where it has none."""
+    paths = sorted(run.glob("iterations/*/prediction/predicted.parquet"))
+    tables = [store.read_table(PREDICTED, path) for path in paths]
+    return pd.concat(tables, ignore_index=True) if tables else PREDICTED.empty()
+
+
+def _rms(rows: pd.DataFrame) -> float | None:
+    """Root mean square distance [m], None of none."""
+    off = np.hypot(rows["predicted_x"] - rows["x"], rows["predicted_y"] - rows["y"])
+    return float(np.sqrt(np.mean(off**2))) if len(rows) else None
+
+
+def in_words(table: pd.DataFrame) -> str:
+    """Table SETS in a few numbers."""
+    best = table.loc[table.groupby("string", sort=False)["tip"].idxmin()]
+    return (
+        f"{len(table)} sets of effects on {len(best)} strings; of each string the nearest has the tip "
+        f"{_range(best['tip'])} mm off in sample, {_range(best['held_out_tip'].dropna())} mm in trials held out."
+    )
+
+
+def _range(values: pd.Series) -> str:
+    """The least and the most, from metres to mm."""
+    return f"{1e3 * values.min():.1f} to {1e3 * values.max():.1f}" if len(values) else "no"
