@@ -17,8 +17,9 @@ from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import String, simulate
+from stringcast.stages.model.string import String
 
 STRING = String(0.3, points=12, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 TRUTH = {"axial_stiffness": 9e5, "axial_damping": 1300.0, "bending_stiffness": 60.0, "bending_damping": 0.3}
