@@ -9,7 +9,7 @@ the chain's axial, bending and grasp operators, whose sum bounds that of all tog
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -23,6 +23,7 @@ LEVEL = 1.2  # ratio of one size of step to the next
 SOON = 1e-9  # [s] in which nothing relaxes
 MOST_STEPS = 5000  # in a tick; more is impractical, and the candidate is rejected
 
+STILL = dict.fromkeys(("x", "y", "vx", "vy", "ty", "s", "t", "dt"), np.zeros((1, 1))) | {"tx": np.ones((1, 1))}
 SAMPLES: dict[str, tuple[tuple[str, np.ndarray], ...]] = {
     "tension": (("stretch", np.linspace(-0.1, 0.3, 9)), ("rate", np.linspace(-50.0, 50.0, 9))),
     "moment": (("curvature", np.linspace(-100.0, 100.0, 9)), ("rate", np.linspace(-3000.0, 3000.0, 9))),
@@ -109,14 +110,19 @@ def turning_back(string: String, material: np.ndarray) -> np.ndarray:
 
 def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
     """Rise of the slot's laws with their first and second argument over the samples, (C, M) each."""
-    (first, values), (second, speeds) = SAMPLES[slot]
-    a, b = (grid.ravel()[None] for grid in np.meshgrid(values, speeds, indexing="ij"))
-    da, db = 1e-4 * np.ptp(values), 1e-4 * np.ptp(speeds)
-
-    around = {first: np.hstack([a + da, a - da, a, a]), second: np.hstack([b, b, b + db, b - db])}
+    around, da, db = _around(slot)
     total = slot_sum(string, material, slot, around, string.integrator.averaged)
     more, less, faster, slower = np.moveaxis(total.reshape(len(total), 4, -1), 1, 0)
     return (more - less) / (2 * da), (faster - slower) / (2 * db)
+
+
+@cache
+def _around(slot: str) -> tuple[dict[str, np.ndarray], float, float]:
+    """A slot's two arguments a little above and below each sample, one after the other, (1, 4 M), and how much."""
+    (first, values), (second, speeds) = SAMPLES[slot]
+    a, b = (grid.ravel()[None] for grid in np.meshgrid(values, speeds, indexing="ij"))
+    da, db = 1e-4 * float(np.ptp(values)), 1e-4 * float(np.ptp(speeds))
+    return {first: np.hstack([a + da, a - da, a, a]), second: np.hstack([b, b, b + db, b - db])}, da, db
 
 
 def slot_sum(
@@ -153,8 +159,7 @@ def _drag(string: String, material: np.ndarray) -> np.ndarray:
 
 def load(string: String, material: np.ndarray, given: dict[str, np.ndarray]) -> np.ndarray:
     """Sum of the loads, (C, M, 2) [m/s^2]; arguments not given are 0, the tangent points right."""
-    still = dict.fromkeys(("x", "y", "vx", "vy", "ty", "s", "t", "dt"), np.zeros((1, 1))) | {"tx": np.ones((1, 1))}
-    known = still | given
+    known = STILL | given
     air = vector_sum(string, material, "flow", known)
     known |= {"ux": known["vx"] - air[..., 0], "uy": known["vy"] - air[..., 1]}
     return vector_sum(string, material, "load", known)
