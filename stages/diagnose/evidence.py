@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from stringcast.stages.diagnose.together import seen_together
 from stringcast.stages.estimate.forward import Case
@@ -146,12 +146,12 @@ def _doubted(case: Case, here: np.ndarray, there: np.ndarray) -> Case:
     return replace(case, sigma=np.hypot(case.sigma, error))
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _along(points: np.ndarray, frame: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Points between mass points, by a cubic through four. points: (C, F, n, 2); place: (N,) in segments."""
     count, wanted, last = len(points), len(place), points.shape[2] - 1
     result = np.empty((count, wanted, 2))
-    for c in prange(count):
+    for c in range(count):
         for k in range(wanted):
             at = min(max(place[k], 0.0), float(last))
             first = min(max(int(at) - 1, 0), last - 3)

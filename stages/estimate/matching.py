@@ -9,14 +9,16 @@ from typing import Annotated
 import cv2
 import numpy as np
 import pandas as pd
-from numba import njit, prange
+from numba import njit
 from pydantic import Field
 
 from stringcast.data.artifacts import Observation
 from stringcast.stages.estimate.forward import Case, case
 from stringcast.stages.extract.score import rasterise, score_map
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.threads import side_by_side
 
+PIECE = 64  # candidates that are worth a thread: each takes ten microseconds and more
 Count = Annotated[int, Field(ge=1, le=255)]
 
 
@@ -63,7 +65,6 @@ def matching_rate(goals: Sequence[Target], values: np.ndarray) -> np.ndarray:
     return np.concatenate([goal.per_frame(values)[0] for goal in goals], axis=1).mean(axis=1)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
 def match(
     pixels: np.ndarray, maps: np.ndarray, tips: np.ndarray, tip_step: float, most: float, weights: np.ndarray
 ) -> np.ndarray:
@@ -72,9 +73,27 @@ def match(
     A point scores the map's value at its pixel, 0 outside the picture; the tip scores p_max
     less one for each `tip_step` pixels from the real tip. weights: w_i in each frame, (F, n).
     """
-    count, frames, n, _ = pixels.shape
-    result = np.empty((count, frames))
-    for c in prange(count):
+    result = np.empty(pixels.shape[:2])
+    given = (pixels, maps, tips, tip_step, most, weights)
+    side_by_side(lambda first, last: _match(*given, first, last, result), len(pixels), PIECE)
+    return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _match(
+    pixels: np.ndarray,
+    maps: np.ndarray,
+    tips: np.ndarray,
+    tip_step: float,
+    most: float,
+    weights: np.ndarray,
+    first: int,
+    last: int,
+    result: np.ndarray,
+) -> None:
+    """Some of the candidates. result: (C, F), filled in place."""
+    frames, n = pixels.shape[1:3]
+    for c in range(first, last):
         for f in range(frames):
             total = 0.0
             for i in range(n - 1):
@@ -85,7 +104,6 @@ def match(
             away = np.hypot(pixels[c, f, n - 1, 0] - tips[f, 0], pixels[c, f, n - 1, 1] - tips[f, 1])
             total += max(most - np.floor(away / tip_step), 0.0) * weights[f, n - 1]
             result[c, f] = total / (most * weights[f].sum())
-    return result
 
 
 def _target(ready: Case, observation: Observation, matching: Matching) -> Target:

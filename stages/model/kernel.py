@@ -31,7 +31,6 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -46,6 +45,7 @@ from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.integrator import Integrator
 from stringcast.stages.model.precision import Precision
 from stringcast.stages.model.slots import HELD, HIDDEN, PER, arguments
+from stringcast.stages.model.threads import side_by_side
 
 BEYOND = 2  # points after the tip that nothing is written to, for what looks further than the string goes
 
@@ -91,22 +91,9 @@ def kernel_for(
     some = loaded(source(effects, names, integrator, precision)).run
 
     def run(buffers: np.ndarray, **given: Any) -> None:
-        blocks = len(buffers)
-        threads = min(numba.get_num_threads(), blocks)
-        if threads == 1:
-            some(0, blocks, buffers, **given)
-            return
-        # Threads of our own and no `prange`: a block is begun when a core is free for it, where Numba's pools wait for
-        # the slowest core of a busy machine, and a kernel compiles in two thirds of the time.
-        list(_pool(os.getpid(), threads).map(lambda b: some(b, b + 1, buffers, **given), range(blocks)))
+        side_by_side(lambda first, last: some(first, last, buffers, **given), len(buffers))
 
     return run
-
-
-@cache
-def _pool(process: int, threads: int) -> ThreadPoolExecutor:
-    """Threads of this process: those of a process do not live on in its forks."""
-    return ThreadPoolExecutor(threads, f"string-{process}")
 
 
 def source(

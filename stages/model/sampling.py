@@ -3,25 +3,35 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from stringcast.stages.model.threads import side_by_side
 
 NODES = 6  # ticks that the polynomial goes through
 ALONG = 4  # mass points that the curve between them goes through
 WHOLE = 1e-6  # of a tick, which is as good as none
 FAR = 1e3  # [m] where no tip is
+PIECE = 64  # candidates that are worth a thread: what is done with each of them takes ten microseconds and more
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
 def unpacked(lanes: np.ndarray, count: int) -> np.ndarray:
     """Positions (C, K, n, 2) of the first `count` candidates from the kernel's lanes (blocks, K, 2, n, width)."""
-    width = lanes.shape[4]
     result = np.empty((count, lanes.shape[1], lanes.shape[3], 2))
-    for c in prange(count):
-        for k in range(lanes.shape[1]):
-            for p in range(lanes.shape[3]):
-                result[c, k, p, 0] = lanes[c // width, k, 0, p, c % width]
-                result[c, k, p, 1] = lanes[c // width, k, 1, p, c % width]
+    side_by_side(lambda first, last: _unpack(lanes, first, last, result), len(lanes), -(-PIECE // lanes.shape[4]))
     return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _unpack(lanes: np.ndarray, first: int, last: int, result: np.ndarray) -> None:
+    """Some of the blocks, tick by tick: the lanes of a tick stay in the first cache. result: (C, K, n, 2), filled in
+    place."""
+    width = lanes.shape[4]
+    for block in range(first, last):
+        for k in range(lanes.shape[1]):
+            for c in range(block * width, min((block + 1) * width, len(result))):
+                for p in range(lanes.shape[3]):
+                    result[c, k, p, 0] = lanes[block, k, 0, p, c - block * width]
+                    result[c, k, p, 1] = lanes[block, k, 1, p, c - block * width]
 
 
 def asked(position: np.ndarray) -> np.ndarray:
@@ -51,7 +61,10 @@ def sampled(ticks: np.ndarray, position: np.ndarray, last: np.ndarray) -> np.nda
         whole = whole.astype(int)
         return ticks if np.array_equal(whole, np.arange(ticks.shape[1])) else ticks[:, whole]
     each = np.broadcast_to(position, (len(ticks), position.shape[-1]))
-    return _interpolated(ticks, each, np.broadcast_to(last, len(ticks)), NODES)
+    result = np.zeros((*each.shape, *ticks.shape[2:]))
+    ends = np.broadcast_to(last, len(ticks))
+    side_by_side(lambda one, end: _interpolate(ticks, each, ends, NODES, one, end, result), len(ticks), PIECE)
+    return result
 
 
 def between(points: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -71,13 +84,14 @@ def between(points: np.ndarray, place: np.ndarray) -> np.ndarray:
     return result
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
-def _interpolated(ticks: np.ndarray, position: np.ndarray, last: np.ndarray, width: int) -> np.ndarray:
-    """ticks: (C, K, n, 2); position: (C, F); last: (C,); width: nodes of the polynomial. (C, F, n, 2)."""
-    count, frames = position.shape
-    result = np.zeros((count, frames, ticks.shape[2], 2))
-    for c in prange(count):
-        for f in range(frames):
+@njit(nogil=True, cache=True, error_model="numpy")
+def _interpolate(
+    ticks: np.ndarray, position: np.ndarray, last: np.ndarray, width: int, one: int, end: int, result: np.ndarray
+) -> None:
+    """Candidates from one to before end. ticks: (C, K, n, 2); position: (C, F); last: (C,); width: nodes of the
+    polynomial; result: zeros (C, F, n, 2), filled in place."""
+    for c in range(one, end):
+        for f in range(position.shape[1]):
             first = min(max(int(np.floor(position[c, f])) - (width // 2 - 1), 0), last[c] + 1 - width)
             offset = position[c, f] - first
             for i in range(width):
@@ -88,4 +102,3 @@ def _interpolated(ticks: np.ndarray, position: np.ndarray, last: np.ndarray, wid
                 for p in range(ticks.shape[2]):
                     result[c, f, p, 0] += weight * ticks[c, first + i, p, 0]
                     result[c, f, p, 1] += weight * ticks[c, first + i, p, 1]
-    return result

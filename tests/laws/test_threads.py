@@ -1,0 +1,51 @@
+"""Work in pieces: each is done once, and nobody waits for a thread that is elsewhere."""
+
+import os
+import threading
+
+import numba
+import numpy as np
+import pytest
+from conftest import threads
+
+from stringcast.stages.model.threads import _pool, side_by_side
+
+TWO = pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two threads")
+
+
+@TWO
+@pytest.mark.parametrize(("count", "piece"), [(1, 1), (7, 1), (64, 10), (5, 100)])
+def test_each_thing_is_done_once(count, piece):
+    done = np.zeros(count, int)
+
+    def work(first, last):
+        done[first:last] += 1
+
+    with threads(2):
+        side_by_side(work, count, piece)
+    assert (done == 1).all()
+
+
+@TWO
+def test_a_thread_that_does_not_come_is_not_waited_for():
+    free, done = threading.Event(), []
+    busy = _pool(os.getpid(), 1).submit(free.wait, 30)
+    with threads(2):
+        side_by_side(lambda first, last: done.append(first), 8)
+    assert done == [*range(8)]
+    assert not busy.done()
+    free.set()
+    busy.result()
+
+
+@TWO
+def test_what_goes_wrong_in_a_thread_is_told():
+    met = threading.Barrier(2, timeout=30)
+
+    def work(first, last):
+        met.wait()
+        if threading.current_thread() is not threading.main_thread():
+            raise ValueError("in a helper")
+
+    with threads(2), pytest.raises(ValueError, match="in a helper"):
+        side_by_side(work, 2)
