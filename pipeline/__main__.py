@@ -15,16 +15,17 @@ import hydra
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from stringcast.data.errors import ExpectedError, remedy_for
+from stringcast.data.errors import ExpectedError, printable, remedy_for
 from stringcast.pipeline import log
 from stringcast.pipeline.commands import NAMES, command
 from stringcast.pipeline.complaint import complain, interrupted, refusal
 from stringcast.pipeline.mistakes import refuse_mistakes
 from stringcast.pipeline.settings import refuse_twice
 from stringcast.pipeline.sweep.begun import ended as sweep_ended
+from stringcast.pipeline.sweep.begun import folder as sweep_folder
+from stringcast.pipeline.terminal import Terminal
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 UNANSWERED = 2  # exit status of a command that found no answer
@@ -49,7 +50,7 @@ def asked(name: str, arguments: list[str]) -> int:
     try:
         return int(one_thread(command(name)).main(arguments))
     except ExpectedError as error:
-        complain(error, Console(stderr=True))
+        complain(error, Terminal(stderr=True))
         return UNANSWERED
     except KeyboardInterrupt as error:
         return interrupted(error)
@@ -74,14 +75,14 @@ def called() -> None:
         main()
         sys.exit(sweep_ended())
     except ExpectedError as error:
-        sys.exit(f"Error: {error}")
+        sys.exit(f"Error: {printable(str(error))}")
     except KeyboardInterrupt as error:
         sweep_ended()
         sys.exit(interrupted(error))
     except (HydraException, OmegaConfBaseException) as error:
-        sys.exit(f"Error: {refusal(error)}")
+        sys.exit(f"Error: {printable(refusal(error))}")
     except OSError as error:
-        what = error.filename or "the folder of this run or sweep"
+        what = printable(str(error.filename or sweep_folder()))
         remedy = f"{remedy_for(error)} with hydra.run.dir or hydra.sweep.dir."
         sys.exit(f"Error: {what}: cannot be written ({error.strerror}). {remedy}")
 

@@ -7,16 +7,15 @@ import re
 import signal
 
 from hydra.core.global_hydra import GlobalHydra
-from rich.console import Console
 from rich.markup import escape
 
-from stringcast.data.errors import printable
 from stringcast.pipeline.settings import composed, flat
+from stringcast.pipeline.terminal import Terminal
 
 
-def complain(error: Exception, console: Console) -> None:
+def complain(error: Exception, console: Terminal) -> None:
     """One clear message."""
-    console.print(f"[bold red]Error:[/] {escape(printable(str(error)))}", highlight=False, soft_wrap=True)
+    console.print(f"[bold red]Error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
 
 
 def interrupted(by: KeyboardInterrupt) -> int:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from stringcast.data.errors import ExpectedError
 from stringcast.pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
@@ -17,6 +16,7 @@ from stringcast.pipeline.keep import forget
 from stringcast.pipeline.perform import perform
 from stringcast.pipeline.run import Result
 from stringcast.pipeline.settings import names_given
+from stringcast.pipeline.terminal import Terminal
 from stringcast.pipeline.world import world
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names of trials that look like dates
@@ -24,7 +24,7 @@ logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names o
 
 def main(config: DictConfig) -> float | None:
     """E after the last estimation, if there is one. Ends the process where the run is refused or interrupted."""
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     try:
         result = run(config, console)
     except ExpectedError as error:
@@ -38,7 +38,7 @@ def main(config: DictConfig) -> float | None:
     return None if result.estimate is None else float(result.estimate.fit["after"].iloc[0])
 
 
-def run(config: DictConfig, console: Console) -> Result:
+def run(config: DictConfig, console: Terminal) -> Result:
     """Check, run, report."""
     given = names_given(HydraConfig.get().overrides.task)
     if config.trials is not None and "execute" in config.steps:

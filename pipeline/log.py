@@ -10,12 +10,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from stringcast.data.errors import printable
 from stringcast.pipeline.folder import LOG
 
 OURS = logging.getLogger("stringcast")
 OURS.propagate = False  # to handlers of others, who may have closed what they write to
 OURS.addHandler(logging.NullHandler())
-LINE = logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s")
+
+
+class _Line(logging.Formatter):
+    """A line of which no part steers the terminal on which it is read."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+LINE = _Line("%(asctime)s %(levelname)-7s %(name)s: %(message)s")
 
 
 def shown() -> None:

@@ -6,7 +6,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.markup import escape
 
 from stringcast.pipeline import keep
@@ -15,6 +14,7 @@ from stringcast.pipeline.log import kept
 from stringcast.pipeline.run import Result, work
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.show import bars, summary
+from stringcast.pipeline.terminal import Terminal
 from stringcast.pipeline.world import World
 from stringcast.stages.roles import HardwareError
 
@@ -31,7 +31,7 @@ def module(name: str) -> Any:
     return import_module(f"stringcast.pipeline.{name}")
 
 
-def perform(here: World, folder: Path, console: Console) -> Result:
+def perform(here: World, folder: Path, console: Terminal) -> Result:
     """Run and report; what is in `folder` already is not made again."""
     with keep.alone(folder), kept(folder):
         keep.begin(here, folder)
@@ -43,7 +43,7 @@ def perform(here: World, folder: Path, console: Console) -> Result:
             return cast_or_look_again(here, folder, console)
 
 
-def cast_or_look_again(here: World, folder: Path, console: Console) -> Result:
+def cast_or_look_again(here: World, folder: Path, console: Terminal) -> Result:
     """All but a study. The report comes before run.json, which says that all is there."""
     if "execute" in here.config["steps"] and not (folder / ENDED).exists():
         check_devices(here)
@@ -73,7 +73,7 @@ def check_devices(here: World) -> None:
         raise HardwareError("\n".join(faults))
 
 
-def calibration(here: World, folder: Path, console: Console) -> Result:
+def calibration(here: World, folder: Path, console: Terminal) -> Result:
     """The camera on the terminal and as camera.yaml in the folder, with the page; raises UserError for a bad one."""
     calibrate = module("calibrate")
     looked = calibrate.taken(here, lambda words: asked(words, console))
@@ -84,7 +84,7 @@ def calibration(here: World, folder: Path, console: Console) -> Result:
     return Result(folder, (), calibrate.sentence(made))
 
 
-def asked(words: str, console: Console) -> None:
+def asked(words: str, console: Terminal) -> None:
     """Tell a person what to do before a live camera, and wait until it can film."""
     try:
         console.input(f"{escape(words)} Press Enter. ")
@@ -93,7 +93,7 @@ def asked(words: str, console: Console) -> None:
     console.print("Filming, for as many seconds as the settings say ...")
 
 
-def studied(here: World, folder: Path, console: Console) -> Result:
+def studied(here: World, folder: Path, console: Terminal) -> Result:
     """Its scores on the terminal, its tables and pictures in the folder."""
     study = module(STUDIES[here.config["steps"][0]])
     with bars(console) as bar, bar(here.config["name"]) as progress:

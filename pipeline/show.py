@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from math import isfinite
 
-from rich.console import Console, Group
+from rich.console import Group
 from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -14,13 +14,14 @@ from rich.table import Table
 from rich.text import Text
 
 from stringcast.pipeline.run import Iteration, Result
+from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.progress import Progress as Report
 
 Bar = Callable[[str], AbstractContextManager[Report]]
 
 
 @contextmanager
-def bars(console: Console) -> Iterator[Bar]:
+def bars(console: Terminal) -> Iterator[Bar]:
     """A bar for each step; one that reports no share pulses."""
     columns = (TextColumn("{task.description:<14}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:

@@ -13,7 +13,6 @@ from typing import Any
 import pandas as pd
 import yaml
 from matplotlib.figure import Figure
-from rich.console import Console
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis, Estimate
@@ -23,6 +22,7 @@ from stringcast.measured import Trials
 from stringcast.pipeline.report import made_by
 from stringcast.pipeline.run import held_out
 from stringcast.pipeline.show import bars
+from stringcast.pipeline.terminal import Terminal
 from stringcast.pipeline.world import World
 from stringcast.stages.check.check import refuse
 from stringcast.stages.check.measured import Measured
@@ -174,5 +174,5 @@ def _ready(
 @contextmanager
 def progress_bar(name: str) -> Iterator[Progress]:
     """A bar, as a run shows it."""
-    with bars(Console(stderr=True)) as bar, bar(name) as progress:
+    with bars(Terminal(stderr=True)) as bar, bar(name) as progress:
         yield progress

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
 from stringcast.answers import progress_bar
 from stringcast.data.artifacts import JOINTS, Motion
@@ -16,6 +15,7 @@ from stringcast.data.schema import DataError
 from stringcast.known import KnownString, prepared
 from stringcast.pipeline.perform import perform
 from stringcast.pipeline.run import Result
+from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.model.hand import joint_motion
 
 
@@ -64,4 +64,4 @@ def cast(folder: str | Path, *settings: str, string: KnownString | None = None) 
     "+experiment=stringB" or "hardware=serial". string: what is known of it. Raises StringcastError.
     """
     here = prepared(settings, string)
-    return perform(here, Path(folder), Console(stderr=True))
+    return perform(here, Path(folder), Terminal(stderr=True))

@@ -6,9 +6,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from stringcast.pipeline.settings import build, composed
+from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.calibrate import Board
 from stringcast.stages.calibrate.sheet import sheet
 
@@ -20,7 +19,7 @@ def main(arguments: Sequence[str]) -> int:
     asked.file.parent.mkdir(parents=True, exist_ok=True)
     asked.file.write_bytes(sheet(board))
     width, height = board.size * 1e3
-    Console(stderr=True).print(
+    Terminal(stderr=True).print(
         f"{asked.file}: {width:.1f} x {height:.1f} mm. Print it at 100 %, glue it on something flat, measure ten "
         f"squares and give a tenth of that in metres as board.square if it is not {board.square:g}.",
         soft_wrap=True,

@@ -11,16 +11,15 @@ from typing import Any
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
 from stringcast.data import dataset
-from stringcast.data.errors import printable
 from stringcast.data.schema import DataError
 from stringcast.pipeline.brought import with_brought_settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
+from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.measured import Measured
 from stringcast.stages.check.overview import overview
 from stringcast.stages.model.arm import Arm
@@ -33,7 +32,7 @@ COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
 def main(arguments: Sequence[str]) -> int:
     """Look at a folder and say what was found; the exit status."""
     asked = parser().parse_args(arguments)
-    console = Console()
+    console = Terminal()
     try:
         found = overview(measured(asked.folder, asked.settings))
     except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
@@ -69,7 +68,7 @@ def unreadable(folder: Path, reason: str) -> dict[str, Any]:
     return {"format": 1, "folder": str(folder), "usable": False, "trials": [], "rejected": {}, "findings": [finding]}
 
 
-def show(found: Mapping[str, Any], console: Console) -> None:
+def show(found: Mapping[str, Any], console: Terminal) -> None:
     """In plain words on the terminal."""
     if found["trials"]:
         console.print(f"{found['folder']}: a string of {found['string_length_m']:.3f} m", soft_wrap=True, markup=False)
@@ -80,7 +79,7 @@ def show(found: Mapping[str, Any], console: Console) -> None:
         remedy = f" {finding['remedy']}." if finding["remedy"] else ""
         words = f"{place}{where}: {finding['said']}." if place or where else finding["said"] + "."
         colour, severity = COLOURS[finding["severity"]], finding["severity"]
-        console.print(f"[{colour}]{severity}[/] {escape(printable(words + remedy))}", highlight=False, soft_wrap=True)
+        console.print(f"[{colour}]{severity}[/] {escape(words + remedy)}", highlight=False, soft_wrap=True)
     console.print(conclusion(found), soft_wrap=True)
 
 

@@ -6,10 +6,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from stringcast.hardware.virtual.blind import draw
 from stringcast.pipeline.settings import build, composed
+from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
@@ -17,7 +16,7 @@ from stringcast.stages.model.camera import Camera
 def main(arguments: Sequence[str]) -> int:
     """Draw the bench of a seed; its data go into a folder, what it hides into a file elsewhere. The exit status."""
     asked = parser().parse_args(arguments)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     with console.status("drawing a bench"):
         bench = draw(asked.seed, *bench_of_conf())
     bench.write(asked.folder)

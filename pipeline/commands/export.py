@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from stringcast.data.errors import printable
 from stringcast.data.store import write_text
 from stringcast.known import KnownString, prepared
 from stringcast.pipeline.settings import UserError
@@ -26,7 +27,7 @@ def main(arguments: list[str]) -> int:
     text = {".xml": mjcf, ".csv": card}.get(asked.file.suffix, unknown)(string, asked)
     asked.file.parent.mkdir(parents=True, exist_ok=True)
     write_text(asked.file, text)
-    print(asked.file)
+    print(printable(str(asked.file)))
     return 0
 
 

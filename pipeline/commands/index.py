@@ -9,19 +9,18 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 from rich.progress import track
 from rich.table import Table as Printed
 from rich.text import Text
 
 from stringcast.data import dataset, store
 from stringcast.data.artifacts import FIT
-from stringcast.data.errors import printable
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.folder import ENDED, FAILED
 from stringcast.pipeline.fresh import reasons_of
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.terminal import Terminal
 
 RUNS = Table(
     "runs",
@@ -52,7 +51,7 @@ def main(arguments: list[str]) -> int:
     runs = index(asked.folder)
     if asked.to is not None:
         write(runs, asked.to)
-    Console().print(printed(runs))
+    Terminal().print(printed(runs))
     return 0
 
 
@@ -60,7 +59,7 @@ def index(folder: Path) -> pd.DataFrame:
     """Table RUNS of all runs in a folder, however deep. Raises UserError where there is no such folder."""
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder. Name one that holds runs.")
-    found = track(sorted(_runs(folder)), "index", console=Console(stderr=True), transient=True)
+    found = track(sorted(_runs(folder)), "index", console=Terminal(stderr=True), transient=True)
     rows = [{"run": run.relative_to(folder).as_posix()} | row(run) for run in found]
     return RUNS.check(pd.DataFrame(rows)) if rows else RUNS.empty()
 
@@ -92,7 +91,7 @@ def printed(runs: pd.DataFrame) -> Printed:
         table.add_column(name, overflow="fold")
     short = runs[list(SHOWN)].assign(stale=np.where(runs["stale"] != "", "yes", ""))  # `why` says more
     for one in short.itertuples(index=False):
-        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else Text(printable(str(cell))) for cell in one))
+        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else Text(str(cell)) for cell in one))
     return table
 
 

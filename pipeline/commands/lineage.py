@@ -6,16 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree
 
 from stringcast.data import store
-from stringcast.data.errors import printable
 from stringcast.pipeline.commands.stored import run_of
 from stringcast.pipeline.fresh import leaves
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.steps import STEPS
+from stringcast.pipeline.terminal import Terminal
 
 
 def main(arguments: list[str]) -> int:
@@ -25,8 +24,8 @@ def main(arguments: list[str]) -> int:
     file = parser.parse_args(arguments).file
     folder = run_of(file)
     changed: list[str] = []
-    tree = grown(Tree(Text(printable(str(file)))), file.resolve(), folder, changed, set())
-    Console(highlight=False).print(tree)
+    tree = grown(Tree(Text(str(file))), file.resolve(), folder, changed, set())
+    Terminal(highlight=False).print(tree)
     return 1 if changed else 0
 
 
@@ -38,13 +37,13 @@ def grown(tree: Tree, place: Path, run: Path, changed: list[str], shown: set[Pat
     made = {} if place in shown else _origin(place, run)
     words = [line for line in _words(made) if line not in shown] if made else []
     for line in words:
-        tree.add(Text(printable(line)))
+        tree.add(Text(line))
     shown |= {place, *words}
     for name, digest in made.get("inputs", {}).items():
         there = _find(name, run)
         state = _state(there, digest)
         changed += [name] if state else []
-        branch = tree.add(Text(printable(f"{name}{state}{' (see above)' if there in shown else ''}")))
+        branch = tree.add(Text(f"{name}{state}{' (see above)' if there in shown else ''}"))
         if there is not None:
             grown(branch, there, _run_of(there, run), changed, shown)
     return tree

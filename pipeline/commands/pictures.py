@@ -9,10 +9,9 @@ from collections.abc import Iterator, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 
-from rich.console import Console
-
 from stringcast.data import disk
 from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.terminal import Terminal
 
 ENDINGS = {"svg+xml": "svg", "webp": "webp", "png": "png"}
 
@@ -57,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     disk.make_folder(asked.folder)
     for name, content in pictures(asked.page.read_text(encoding="utf-8")):
         (asked.folder / name).write_bytes(content)
-        Console(stderr=True).print(
+        Terminal(stderr=True).print(
             f"{asked.folder / name}  {len(content) / 1000:.0f} kB", highlight=False, markup=False
         )
     return 0

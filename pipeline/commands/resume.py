@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
 from stringcast.pipeline.brought import refuse_brought_limits
 from stringcast.pipeline.commands.stored import stored_world
 from stringcast.pipeline.perform import perform
 from stringcast.pipeline.settings import composed
+from stringcast.pipeline.terminal import Terminal
 
 
 def main(arguments: list[str]) -> int:
@@ -22,5 +21,5 @@ def main(arguments: list[str]) -> int:
     here = stored_world(asked.run)
     own = composed() | {"accept_limits": asked.accept_limits}
     refuse_brought_limits(here.config, own, str(asked.run), "--accept-limits")
-    perform(here, asked.run, Console(stderr=True))
+    perform(here, asked.run, Terminal(stderr=True))
     return 0

@@ -11,9 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rich.console import Console
-
 from stringcast.data import store
+from stringcast.data.errors import printable
 from stringcast.pipeline import keep
 from stringcast.pipeline.commands.stored import NotMadeError, stored_world, walk
 from stringcast.pipeline.compare import differences, differing_files
@@ -23,6 +22,7 @@ from stringcast.pipeline.make import make
 from stringcast.pipeline.run import Result, in_numbers
 from stringcast.pipeline.show import bars
 from stringcast.pipeline.steps import Past
+from stringcast.pipeline.terminal import Terminal
 from stringcast.pipeline.world import World
 
 
@@ -32,10 +32,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("run", type=Path, help="the run's folder; nothing is written into it")
     folder = parser.parse_args(arguments).run
     here = stored_world(folder)
-    with bars(Console(stderr=True)) as bar, TemporaryDirectory() as aside:
+    with bars(Terminal(stderr=True)) as bar, TemporaryDirectory() as aside:
         outcome = verify(here, folder, Path(aside), bar)
     for line in outcome.lines:
-        print(line)
+        print(printable(line))
     return 0 if outcome.same else 1
 
 

@@ -13,7 +13,6 @@ from typing import Annotated, Any
 import pandas as pd
 from omegaconf import OmegaConf
 from pydantic import Field
-from rich.console import Console
 
 from stringcast.data import store
 from stringcast.pipeline.brought import with_brought_settings
@@ -24,6 +23,7 @@ from stringcast.pipeline.origin import origin, state
 from stringcast.pipeline.perform import perform
 from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.pipeline.study.benches import workers
+from stringcast.pipeline.terminal import Terminal
 from stringcast.pipeline.world import World, world
 from stringcast.stages.progress import Progress
 
@@ -103,7 +103,7 @@ def make(job: Job, config: Mapping[str, Any], folder: Path) -> None:
     place = job.place(folder)
     whole = not (place / "iterations").exists()
     here = world(settings(job, config, folder / "datasets" / job.string), lambda block: f"conf/{block}")
-    result = perform(here, place, Console(quiet=True))
+    result = perform(here, place, Terminal(quiet=True))
     family = build(Family, config["measured"]["families"][job.family], f"measured.families.{job.family}", WHERE)
     names = {"string": job.string, "laws": job.laws, "effects": ", ".join(family.sets[job.laws])}
     row = names | scored(here, result) | {"authors_tip": family.authors.get(job.string)}

@@ -21,13 +21,18 @@ class BegunLater(Launcher):
 
     def setup(self, **given: Any) -> None:
         """Take what Hydra hands over before `launch`, and check the settings; raises UserError."""
+        BegunLater.sweep = self.launcher
         self.launcher.setup(**given)
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run what is missing of these jobs. Each returns E after its last estimation, NaN if there is none."""
-        BegunLater.sweep = self.launcher
         jobs: Sequence[JobReturn] = self.launcher.launch(job_overrides, initial_job_idx)
         return jobs
+
+
+def folder() -> str:
+    """Of this process' sweep, for errors of which Hydra does not say where it writes; of none where there is none."""
+    return "the run's folder" if BegunLater.sweep is None else str(BegunLater.sweep.config.hydra.sweep.dir)
 
 
 def ended() -> int:

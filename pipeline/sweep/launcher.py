@@ -16,13 +16,13 @@ from typing import Any
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from stringcast.pipeline.settings import UserError, loaded, stage
 from stringcast.pipeline.show import bars
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
 from stringcast.pipeline.sweep.show import left, line, summary
+from stringcast.pipeline.terminal import Terminal
 
 WHERE = "conf/hydra/launcher or the command line"
 
@@ -70,7 +70,7 @@ class LedgerLauncher:
         """Run those that wait, and say how each ended."""
         waiting = [Attempt(ledger.folder, key) for key in ledger.waiting(keys, (FAILED,) if self.retry else ())]
         first = 0 if any(ledger.read(key).state == DONE for key in keys) else self.ahead
-        console = Console(stderr=True)
+        console = Terminal(stderr=True)
         ended, begun, left_at_first = len(keys) - len(waiting), time.monotonic(), len(waiting)
         with bars(console) as bar, bar("sweep") as progress:
             for batch in filter(None, (waiting[:first], waiting[first:])):
@@ -89,7 +89,7 @@ class LedgerLauncher:
         with ledger.finishing():
             jobs = finish(folder)
         said = summary(jobs, folder, ledger.elsewhere(jobs))
-        Console(stderr=True).print(said, soft_wrap=True, highlight=False, markup=False)
+        Terminal(stderr=True).print(said, soft_wrap=True, highlight=False, markup=False)
         return int(any(job.state != DONE for job in jobs))
 
 

@@ -1,0 +1,62 @@
+"""Text that others wrote never steers the terminal: escape sequences in names come out spelt."""
+
+import ast
+import io
+import logging
+
+import pytest
+from conftest import ROOT
+from rich.table import Table
+from rich.text import Text
+
+from stringcast.pipeline.log import LINE
+from stringcast.pipeline.show import bars
+from stringcast.pipeline.sweep.ledger import Job
+from stringcast.pipeline.sweep.show import line
+from stringcast.pipeline.terminal import Terminal
+
+EVIL = "a\x1b]0;mine\x07\x1b[2J\x9b2Jb"  # names the window, clears the screen, and clears it in eight bits
+
+
+def table(text):
+    made = Table(EVIL)
+    made.add_row(text)
+    return made
+
+
+SHOWN = {
+    "text": lambda out: out.print(EVIL, markup=False),
+    "wrapped": lambda out: out.print(EVIL, soft_wrap=True),
+    "table": lambda out: out.print(table(Text(EVIL))),
+    "sweep": lambda out: out.print(line(Job(0, (f"name={EVIL}",), {}, error=EVIL), ""), soft_wrap=True),
+    "log": lambda out: out.file.write(LINE.format(logging.makeLogRecord({"msg": EVIL}))),
+}
+
+
+@pytest.mark.parametrize("kind", SHOWN)
+def test_control_characters_are_spelt(kind):
+    out = Terminal(file=io.StringIO(), width=200, no_color=True)
+    SHOWN[kind](out)
+    said = out.file.getvalue()
+    assert "mine" in said
+    assert not {"\x1b", "\x07", "\x9b"} & set(said)
+    assert r"\x1b]0;mine" in said
+
+
+def test_a_bar_moves_and_its_name_does_not_steer():
+    out = Terminal(file=io.StringIO(), width=200, force_terminal=True, legacy_windows=False)
+    with bars(out) as bar, bar(EVIL) as progress:
+        progress(0.5)
+    assert "\x1b[2K" in out.file.getvalue()  # its own line, again and again
+    assert "\x1b[2J" not in out.file.getvalue()
+    assert r"a\x1b]0;mine" in out.file.getvalue()
+
+
+def test_all_that_is_shown_is_shown_there():
+    """No other console; and what commands print is spelt, or JSON."""
+    for file in (ROOT / "pipeline").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+            assert called != "Console", file
+            if called == "print" and file.parent.name == "commands":
+                assert ast.unparse(node.args[0]).startswith(("printable(", "json.dumps(")), file
