@@ -248,7 +248,7 @@ def test_workers_end_when_the_study_is_killed(tmp_path):
     until(lambda: not Path(f"/proc/{worker}").exists() or "Z" in Path(f"/proc/{worker}/stat").read_text())
 
 
-def until(come, seconds=30.0):
+def until(come, seconds=120.0):
     end = time.monotonic() + seconds
     while not come():
         assert time.monotonic() < end
