@@ -80,7 +80,6 @@ CORNER = {
 }
 ACTING |= dict.fromkeys(CORNER, CORNER)
 ACTING |= {f"{name}.slip": {f"{name}.cap": 2e-3} for name in ("maxwell_slip", "dahl_friction")}
-ACTING |= {"internal_friction.slow": {"internal_friction.friction": 2e-3}}
 ACTING |= {"grasp_play.slip": {"grasp_play.cap": 0.02}}
 ACTING |= {"standard_linear_solid.relaxation": {"standard_linear_solid.stiffness": 1e-3}}
 LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
@@ -165,6 +164,7 @@ CONSTANTS = {
     "box_contact": "m/s",
     "gravity": "m/s2",
     "gravity_direction": "m/s2",
+    "internal_friction": "1/(m s)",
     "grasp_slip": "s",
 }
 ELSEWHERE = {

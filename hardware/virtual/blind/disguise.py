@@ -12,7 +12,6 @@ from stringcast.stages.model.effects.contact import Contact
 from stringcast.stages.model.effects.grasp_slip import GraspSlip
 
 LITTLE = 0.03  # of an effect's range
-RECORDED = {"internal_friction.friction": 0.05}  # ends of ranges that were narrower when benches were recorded
 PLANES = np.arange(8) * np.pi / 4  # tilts that are tried [rad]
 ONSETS = (0.05, 0.2, 0.35, 0.5)  # of a slip, all together [s]
 
@@ -49,8 +48,7 @@ def _probes(effect: type[Effect], scene: Scene) -> list[list[dict[str, float]]]:
         return [[_plane(scene, float(tilt))] for tilt in PLANES]
     if effect is GraspSlip:
         return [[{"grasp_slip.speed": 0.02, "grasp_slip.onset": onset} for onset in ONSETS]]
-    ends = {p: RECORDED.get(effect.qualified(p), p.high) for p in components(effect)}
-    return [[{effect.qualified(p): p.start + LITTLE * (end - p.start)} for p, end in ends.items()]]
+    return [[{effect.qualified(p): p.start + LITTLE * (p.high - p.start)} for p in components(effect)]]
 
 
 def _plane(scene: Scene, tilt: float) -> dict[str, float]:

@@ -84,11 +84,6 @@ def _rest_curvature(rng: np.random.Generator, times: list[np.ndarray], strings: 
     return {"curvature": 0.0, "slope": 0.0}, {"curvature": float(rng.choice([-20.0, 20.0])), "slope": 0.0}
 
 
-def _internal_friction(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
-    """Viscous below 100/(m s), as in all benches that were recorded."""
-    return {"friction": 0.0, "slow": 100.0}, {"friction": float(rng.choice([0.05])), "slow": 100.0}
-
-
 def _backlash(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
     """In one joint, or in each as much as it happens to be."""
     shares = np.eye(3)[rng.integers(3)] if rng.integers(2) else rng.uniform(size=3)
@@ -120,7 +115,6 @@ def _contact(rng: np.random.Generator, times: list[np.ndarray], strings: list[np
 SPECIAL: dict[str, Callable[[np.random.Generator, list[np.ndarray], list[np.ndarray]], Ends | None]] = {
     "wind": _wind,
     "rest_curvature": _rest_curvature,
-    "internal_friction": _internal_friction,
     "backlash": _backlash,
     "grasp_slip": _grasp_slip,
     "contact": _contact,

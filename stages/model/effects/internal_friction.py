@@ -16,16 +16,12 @@ from stringcast.stages.model.effect import (
 class InternalFriction(StringEffect):
     """A moment of constant size against the rate of curvature, smooth through rest; it keeps no memory.
 
-    Below the rate `slow` it is viscous: the string creeps home where a dry one would stick (`maxwell_slip`). In a cast
-    100/(m s) is slow; cables that swing by themselves bend at 5 to 60/(m s). Told as a drag, moment over rate, that
-    falls as it bends faster.
+    Below 100/(m s), slow for a cast, it is viscous: the string creeps home where a dry one would stick. Cables swing
+    more slowly: there `maxwell_slip` is dry friction. Told as a drag, moment over rate, that falls as it bends faster.
     """
 
     name = "internal_friction"
-    parameters = (
-        Parameter("friction", "m3/s2", "dry friction moment over mass per length", 0.0, 0.15, 0.0),
-        Parameter("slow", "1/(m s)", "rate of curvature below which it is viscous", 1.0, 300.0, 100.0),
-    )
+    parameters = (Parameter("friction", "m3/s2", "dry friction moment over mass per length", 0.0, 0.05, 0.0),)
     reference = "Coulomb friction, regularised; Dahl, Solid friction damping of mechanical vibrations (1976)"
     symmetries = (even("hinge_drag", "rate"), nothing_at_zero("hinge_drag", "friction"), never_negative("hinge_drag"))
 
@@ -36,5 +32,6 @@ class InternalFriction(StringEffect):
         return f"bending has dry friction: {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod
-    def hinge_drag(rate: Quantity, friction: Quantity, slow: Quantity) -> Quantity:
+    def hinge_drag(rate: Quantity, friction: Quantity) -> Quantity:
+        slow = 100.0  # [1/(m s)]
         return friction / np.sqrt(rate * rate + slow * slow)
