@@ -1,8 +1,10 @@
-"""Every call of the pipeline that a page shows is one: its settings compose, or it is a command that there is."""
+"""Every call of the pipeline that a page shows is one: its settings compose, or it is a command that there is. Those
+that need no run to be there, and take a second or two, are run, and say what the page says."""
 
 import re
 import shlex
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -51,3 +53,38 @@ def test_what_a_page_calls_can_be_called(page, given):
         return
     words = [word for word in shlex.split(PLACEHOLDER.sub("place", given)) if word not in ("--multirun", "--help")]
     assert composed([first_of(word) for word in words if not word.endswith("=")])["steps"]
+
+
+def code(page):
+    """Lines of code of a page, each with the Python and the package of these tests."""
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    calls = ((".venv/bin/python -m pipeline", ".venv/bin/python -m stringcast"), (".venv/bin/python", sys.executable))
+    for old, new in calls:
+        lines = [line.replace(old, new) for line in lines]
+    return [line.strip() for line in lines if line.startswith("    ")]
+
+
+def test_the_first_ten_minutes_go_as_the_page_says(tmp_path):
+    """All of data/README.md up to the diagnosis, in an empty folder beside the sample."""
+    (tmp_path / "data").symlink_to(ROOT / "data")
+    lines = code("data/README.md")
+    first, last = (
+        lines.index(next(line for line in lines if line.endswith(end))) for end in ("-p mine", "check wrong")
+    )
+    script = "\n".join(lines[first : last + 1])
+    done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "trial,t,q1,q2,q3" in done.stdout
+    usable, _, wrong = done.stdout.partition("Usable: 5 trials")
+    assert "Not usable" not in usable
+    assert "Multiply x and y by 0.001" in wrong
+    assert (done.returncode, "Not usable" in wrong) == (1, True)
+
+
+def test_short_commands_do_what_the_front_page_says(called, tmp_path):
+    checked = called("check", "data/sample")
+    assert checked.returncode == 0
+    assert "Usable: 5 trials; nothing looks wrong" in checked.stdout
+    assert called("board", tmp_path / "board.pdf").returncode == 0
+    assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
+    assert called("index", tmp_path).returncode == 0
+    assert "estimate.beta" in called("--help").stdout
