@@ -170,3 +170,54 @@ def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
     expected, without = (independent(shape, t, theta, each) for each in (named, absent))
     assert np.abs(tip - expected).max() < 5e-5
     assert np.abs(without - expected).max() > 5e-3
+
+
+# --- a law that nobody had, in one file ------------------------------------------------------------------------------
+
+
+LAW = """
+    @staticmethod
+    def held(held: Quantity, change: Quantity, dt: Quantity, slip: Quantity, creep: Quantity) -> Quantity:
+        return np.minimum(np.maximum(held + change, -slip), slip) / (1.0 + dt / creep)
+
+    @staticmethod
+    def held_moment(held: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
+        return cap * held / slip
+"""
+FILE = f'''"""Strands that stick, slip, and creep where they stick."""
+
+import numpy as np
+
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values
+
+
+class CreepingSlip(StringEffect):
+    """A stop whose hold fades in time."""
+
+    name = "creeping_slip"
+    parameters = (
+        Parameter("cap", "m3/s2", "moment over mass per length at which it slips", 0.0, 0.3, 0.0),
+        Parameter("slip", "1/m", "curvature from rest at which it slips", 5e-3, 2.0, 0.1),
+        Parameter("creep", "s", "time in which its hold fades", 0.01, 10.0, 1.0),
+    )
+    reference = "A test"
+
+    @staticmethod
+    def words(values: Values) -> str:
+        """What is so."""
+        return f"bending sticks, slips and creeps within {{values['creep']:.2g}} s"
+{LAW}'''
+
+
+def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(tmp_path, monkeypatch):
+    """Nothing else is edited: it is found, runs, is absent at zero, and takes from a swing."""
+    assert len([line for line in LAW.splitlines() if line.strip()]) <= 12
+    (tmp_path / "creeping_slip.py").write_text(FILE)
+    monkeypatch.setenv("STRINGCAST_EFFECTS", str(tmp_path))
+    string = replace(HINGE, effects=(*FORCES, library()["creeping_slip"]))
+    known = {"creeping_slip.slip": 0.1, "creeping_slip.creep": 0.2}
+    _, with_it = bent(known | {"creeping_slip.cap": 0.2 * STIFFNESS}, 6.0, 1.0, string)
+    _, absent = bent(known, 6.0, 1.0, string)
+    _, plain = bent({}, 6.0, 1.0)
+    np.testing.assert_allclose(absent, plain, atol=1e-9)
+    assert np.abs(with_it[100:]).max() < 0.95 * np.abs(plain[100:]).max()
