@@ -94,7 +94,7 @@ def without_arm(stack: np.ndarray) -> np.ndarray:
     def off(scene: np.ndarray) -> float:
         return float(np.mean([cv2.absdiff(frame.astype(np.float32), scene).mean() for frame in stack]))
 
-    return min(darkest(stack), 255 - darkest(255 - stack), key=off)
+    return min(darkest(list(stack)), 255 - darkest(list(255 - stack)), key=off)
 
 
 def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:

@@ -110,13 +110,13 @@ def _target(ready: Case, observation: Observation, matching: Matching) -> Target
     """Score maps from the binary images, or from the measured points where there are none."""
     images = dict(zip(observation.masks["t"], observation.masks["png"], strict=True)) if len(observation.masks) else {}
     camera = ready.model.camera
-    maps, tips = [], []
+    maps, tips = np.empty((len(ready.times), camera.height, camera.width), np.uint8), []
     for number, t in enumerate(ready.times):
         line = camera.pixels(ready.points[ready.frame == number])
         mask = _decode(images[t]) if t in images else rasterise(line, (camera.height, camera.width), 3)
-        maps.append(score_map(mask, matching.dilations, matching.step_px))
+        maps[number] = score_map(mask, matching.dilations, matching.step_px)
         tips.append(line[np.argmax(ready.s[ready.frame == number])])
-    return Target(ready, matching, np.stack(maps), np.array(tips), _weights(ready, matching.delta_w))
+    return Target(ready, matching, maps, np.array(tips), _weights(ready, matching.delta_w))
 
 
 def _weights(ready: Case, delta_w: float) -> np.ndarray:

@@ -88,12 +88,12 @@ def extract(
 def _backdrop(footage: Footage, camera: Camera, string_length: float, arm_width: float, sway: float) -> Backdrop:
     """What all frames share, learnt from some of them."""
     images, chosen = footage.images, samples(len(footage.images))
-    stack = np.stack([cv2.convertScaleAbs(images[i]) for i in chosen])
+    frames = [image if image.dtype == np.uint8 else cv2.convertScaleAbs(image) for image in (images[i] for i in chosen)]
     bodies = np.zeros((len(footage.t), 0, 2)) if footage.body is None else camera.pixels(footage.body)
-    arms = [silhouette(stack.shape[1:], bodies[i][None], arm_width * camera.px_per_m) for i in chosen]
-    low = darkest(stack)
-    half = half_widths(stack, low, arms)
-    scene = background(stack, arms, low, half)
+    arms = [silhouette(frames[0].shape, bodies[i][None], arm_width * camera.px_per_m) for i in chosen]
+    low = darkest(frames)
+    half = half_widths(frames, low, arms)
+    scene = background(frames, arms, low, half)
     scene = uncovered(scene, camera.pixels(footage.grasp[:, :2]), string_length * camera.px_per_m)
     return Backdrop(scene, brightest(footage.images, scene), half, sway)
 

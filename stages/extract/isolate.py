@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 SAMPLES = 120  # frames from which the background is learnt
+BAND = 16  # rows of them that are put in order at a time: about a megabyte
 LIT = 0.75  # of the frames without the arm: where in their order of brightness the wall is not in shadow
 SHADE = 4.0  # [grey levels] by how much a shadow at least darkens the wall
 LEVEL = 3  # percentile over time: a pixel shows the background when the string has left it at least this often
@@ -72,24 +73,38 @@ def isolate(
     return Isolated(sure * alike(above, seen, backdrop.string), mask, arm, outline, grain)
 
 
-def background(stack: np.ndarray, arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
+def background(frames: Sequence[np.ndarray], arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
     """The scene without string and arm, (height, width) float32.
 
-    stack: (F, height, width) uint8, some frames. arm: of each the pixels where the arm is, bool. low: `darkest` of
+    frames: some, (height, width) uint8 each. arm: of each the pixels where the arm is, bool. low: `darkest` of
     them. half: half the string's width [px]. What is bright in a few frames is string or arm; but where a shadow
     passes, the wall is what is bright in some, over more than the string's width.
     """
-    wall = np.maximum(_bare(stack, np.stack(arm)) - low, 0)
+    wall = np.maximum(_in_bands(_bare, frames, arm) - low, 0)
     across = 2 * int(np.ceil(2 * half)) + 5
     wide = cv2.morphologyEx(wall, cv2.MORPH_OPEN, np.ones((across, across), np.uint8))
     return low + np.where(wide > SHADE, wide, 0)
 
 
-def darkest(stack: np.ndarray) -> np.ndarray:
-    """What each pixel shows when nothing bright covers it, (height, width) float32."""
-    ordered = _ordered(stack)
-    low, middle = _level(ordered, LEVEL), _level(ordered, 50)
+def darkest(frames: Sequence[np.ndarray]) -> np.ndarray:
+    """What each pixel shows when nothing bright covers it, (height, width) float32. frames: uint8."""
+    levels = _in_bands(_low_and_middle, frames)
+    low, middle = levels[..., 0], levels[..., 1]
     return np.asarray(low + np.median(middle - low))  # noise alone makes a low percentile darker than the scene
+
+
+def _in_bands(look: Callable[..., np.ndarray], *films: Sequence[np.ndarray]) -> np.ndarray:
+    """A look at frames, so many rows of all at a time: what is made of them meanwhile fits into a processor's cache.
+
+    look: from stacks (F, rows, width), one of each film, to (rows, width, ...)."""
+    bands = (slice(first, first + BAND) for first in range(0, len(films[0][0]), BAND))
+    return np.concatenate([look(*(np.stack([frame[rows] for frame in film]) for film in films)) for rows in bands])
+
+
+def _low_and_middle(stack: np.ndarray) -> np.ndarray:
+    """A low percentile of each pixel and its median, (height, width, 2) float32."""
+    ordered = _ordered(stack)
+    return np.stack([_level(ordered, LEVEL), _level(ordered, 50)], axis=-1)
 
 
 def _bare(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
@@ -101,11 +116,11 @@ def _bare(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return chosen[..., 0].astype(np.float32)
 
 
-def half_widths(stack: np.ndarray, scene: np.ndarray, arm: Sequence[np.ndarray]) -> float:
+def half_widths(frames: Sequence[np.ndarray], scene: np.ndarray, arm: Sequence[np.ndarray]) -> float:
     """Half the width of what outshines the scene most [px], blurred as it may be in some frames: the string's."""
     widths = []
-    for number in np.unique(np.linspace(0, len(stack) - 1, SAMPLES // 8).astype(int)):
-        above = np.where(cv2.dilate(arm[number].astype(np.uint8), np.ones((5, 5))) > 0, 0, stack[number] - scene)
+    for number in np.unique(np.linspace(0, len(frames) - 1, SAMPLES // 8).astype(int)):
+        above = np.where(cv2.dilate(arm[number].astype(np.uint8), np.ones((5, 5))) > 0, 0, frames[number] - scene)
         widths.append(half_width(without_specks((above > above.max() / 2).astype(np.uint8))))
     return float(np.percentile(widths, 90))
 
