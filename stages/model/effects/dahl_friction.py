@@ -30,9 +30,8 @@ class DahlFriction(StringEffect):
     @staticmethod
     def held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:
         end, x = np.copysign(slip, change), abs(change) / slip
-        fading = 1.0 + x * (
-            1.0 + x / 2.0 * (1.0 + x / 3.0 * (1.0 + x / 4.0))
-        )  # exp(x), within a step to the last digit
+        # exp(x), within a step to the last digit, by products: a division by 3 stays one in the loop
+        fading = 1.0 + x * (1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0))))
         return end + (held - end) / fading
 
     @staticmethod
