@@ -58,6 +58,8 @@ def setup() -> None:
         install("--require-hashes", "-r", LOCK, made_of=[LOCK])
     if not installed(*PACKAGE):
         install("--no-deps", "--no-build-isolation", "--editable", ROOT, made_of=PACKAGE)
+        for stale in ROOT.rglob("__pycache__/*.nb[ci]"):  # machine code names modules as they were called
+            stale.unlink()
     show_types()
 
 
