@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.study.scores import counted
+from stringcast.pipeline.study.scores import UNKNOWN_CODE, counted
 
 BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the chance foretold
 WANTED = 0.95
@@ -38,6 +38,13 @@ CASTS = Table(
         Column("residual", "m", "between simulated and measured string after estimation, root mean square"),
         Column("foretelling", "m", "of the tip on casts nobody learned from, after estimation, root mean square"),
         Column("effects", "", "beyond the paper's that the method's model knows", "text"),
+        Column(
+            "code",
+            "",
+            "commit of the code that cast, + if it was changed since; 'unknown' where nothing says",
+            "text",
+            optional=True,  # rows of studies that were begun before they said so
+        ),
     ),
 )
 RATES = Table(
@@ -71,7 +78,8 @@ TABLES = {table.name: table for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRA
 
 def scores(casts: pd.DataFrame, most: int) -> dict[str, pd.DataFrame]:
     """All tables. casts: as CASTS. most: casts that a run had at most."""
-    whole = CASTS.check(casts.reindex(columns=[column.name for column in CASTS.columns]))
+    told = casts.reindex(columns=[column.name for column in CASTS.columns])
+    whole = CASTS.check(told.astype({"code": object}).fillna({"code": UNKNOWN_CODE}))
     runs = whole.assign(run=whole["case"] + whole["seed"].astype(str))
     both = pd.concat([runs, runs.assign(case=ALL)], ignore_index=True).groupby(["case", "method"], sort=False)
     rates = pd.concat([_rates(some, most).assign(case=c, method=m) for (c, m), some in both], ignore_index=True)
@@ -122,4 +130,6 @@ def sentence(tables: Mapping[str, pd.DataFrame]) -> str:
     for method, some in rates.groupby("method", sort=False):
         shares = ", ".join(f"{100 * share:.0f} %" for share in some["share"])
         said.append(f"{method}: {shares} of {some['count'].iloc[0]} runs within 1 to {len(some)} casts")
-    return f"Hit: {'; '.join(said)}."
+    codes = tables["casts"]["code"].nunique()
+    pooled = f" Runs are of {codes} states of the code: repeat the older." if codes > 1 else ""
+    return f"Hit: {'; '.join(said)}.{pooled}"

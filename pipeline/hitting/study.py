@@ -16,7 +16,7 @@ from stringcast.data import store
 from stringcast.pipeline.hitting.job import casts_of
 from stringcast.pipeline.hitting.pictures import picture
 from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
-from stringcast.pipeline.origin import origin
+from stringcast.pipeline.origin import origin, state
 from stringcast.pipeline.settings import build
 from stringcast.pipeline.study.benches import workers
 from stringcast.pipeline.world import World
@@ -89,7 +89,7 @@ def make(job: Job, config: Mapping[str, Any], folder: Path) -> None:
     """Cast, and keep the rows."""
     hits = config["hits"]
     rows = casts_of(config, hits["cases"][job.case], hits["methods"][job.method], job.seed)
-    store.write_text(job.kept(folder), json.dumps(rows))
+    store.write_text(job.kept(folder), json.dumps([row | {"code": state()} for row in rows]))
 
 
 def _table(jobs: list[Job], folder: Path) -> pd.DataFrame:

@@ -48,6 +48,15 @@ def made(case, method, seed, *hits, chance=np.nan):
     ]
 
 
+def test_states_of_the_code_are_told_apart():
+    rows = [*made("A", "ours", 0, True), *made("A", "ours", 1, True)]
+    for codes, pooled in (((None, None), False), (("a", "a"), False), (("a", "b"), True), (("a", None), True)):
+        table = pd.DataFrame([row | ({"code": code} if code else {}) for row, code in zip(rows, codes, strict=True)])
+        tables = scores(table, 2)
+        assert list(tables["casts"]["code"]) == [code or "unknown" for code in codes]
+        assert ("2 states of the code" in sentence(tables)) == pooled
+
+
 def test_hits_are_counted_by_run():
     """Two cases share a seed, which does not make them one run; a run that never hits counts in every row."""
     rows = [*made("A", "ours", 0, True, chance=0.8), *made("B", "ours", 0, False, True, chance=0.8)]
