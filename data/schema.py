@@ -93,6 +93,8 @@ class Table:
     @staticmethod
     def _truth(series: pd.Series) -> pd.Series:
         """True and false; what is missing is false."""
+        if series.dtype == bool:
+            return series
         if any(isinstance(value, str) for value in series):
             raise ValueError("give true or false")  # else any text counts as true
         return series.where(series.notna(), False).astype("bool")

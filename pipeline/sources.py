@@ -67,13 +67,22 @@ def _imported(file: Path) -> tuple[Path, ...]:
 
 def _named_in(file: Path) -> tuple[Path, ...]:
     names: set[str] = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in _statements(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
     packages = {".".join(name.split(".")[:end]) for name in names for end in range(1, name.count(".") + 2)}
     return tuple(path for name in sorted(packages) if (path := _file(name)) is not None)
+
+
+def _statements(node: ast.AST) -> Iterator[ast.stmt]:
+    """All statements within one, however deep; expressions, which are most of a file, hold none."""
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        inside = getattr(node, field, ())
+        for one in inside if isinstance(inside, list) else ():
+            yield one
+            yield from _statements(one)
 
 
 def _file(module: str) -> Path | None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
-from scipy.signal import lfilter
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ class Servo:
         pole = np.exp(-2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1) * self.step)
         real = held
         for _ in range(2):
-            real = lfilter([1 - pole], [1, -pole], real, axis=0)
+            # y_k = (1 - p) x_k + p y_{k-1}: SciPy has it too, and takes half a second to load
+            real = np.array(list(accumulate((1 - pole) * real, lambda before, new: new + pole * before)))
         return fine, np.concatenate([np.zeros((1, speeds.shape[1])), np.cumsum(real[:-1], axis=0) * self.step])
 
     def encoder(self, angles: np.ndarray) -> np.ndarray:

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from scipy.stats import qmc
 
+from stringcast.data.later import Later
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import Fit, fitted, ranked
 from stringcast.stages.diagnose.noise import CLEAR, visible_in_each
 from stringcast.stages.diagnose.screen import about, followed, start_of, varied
 from stringcast.stages.diagnose.theory import Theory, joined
 from stringcast.stages.model.effect import Effect
+
+stats = Later("scipy.stats")
 
 FIRST = 0.15  # [s] of every trial, which must show nothing
 GROWTH = 1.25  # of the horizon, from one to the next
@@ -151,7 +153,7 @@ def _touched(evidence: Evidence, begun: Onset, sought: _Sought, seed: int) -> np
     rng = np.random.default_rng(seed)
     chi = np.repeat(sought.start[None], 2**DRAWS, axis=0)
     chi[:, sought.size] += SIZES[0] * (1 - chi[:, sought.size])
-    chi[:, sought.where] = qmc.Sobol(len(sought.where), seed=seed).random_base2(DRAWS)
+    chi[:, sought.where] = stats.qmc.Sobol(len(sought.where), seed=seed).random_base2(DRAWS)
     found = _fitting(evidence, begun, sought, chi)
     if not len(found):
         return found

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from stringcast.stages.diagnose.fit import Fit, fitted
 from stringcast.stages.diagnose.hypotheses import Hypotheses
@@ -20,7 +20,7 @@ from stringcast.stages.diagnose.verdict import log_odds
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import Parameter
 
-AGAINST = float(chi2.ppf(0.95, 1)) / 2  # log odds at which a place is no longer possible
+AGAINST = float(gammaincinv(0.5, 0.95))  # log odds at which a place is no longer possible: half of chi squared, 95 %
 GROWTH = 2.0  # of a step to the next, if it is allowed; once one was not, steps are halved
 FINE = 0.05  # of the way gone: shorter steps are not asked
 STEPS = 4  # of the fit of all others

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
+from stringcast.data.later import Later
 from stringcast.stages.diagnose.evidence import LOST, Evidence
 from stringcast.stages.diagnose.fit import PRIOR, Fit
 from stringcast.stages.diagnose.theory import Theory, joined
@@ -20,6 +20,8 @@ from stringcast.stages.estimate.forward import Case
 from stringcast.stages.estimate.result import values_of
 from stringcast.stages.model.effect import Effect, components, placed
 from stringcast.stages.model.model import Model
+
+stats = Later("scipy.stats")
 
 SIZES = (0.2, 0.03)  # shares of the way from absent to the end of the range
 PATH = 20000  # places on the string's way at which it is asked
@@ -187,7 +189,7 @@ def _ends(count: int, seed: int) -> np.ndarray:
     """Ends of the range of one parameter, or points spread over that of several, (C, count)."""
     if count == 1:
         return np.array([[0.0], [1.0]])
-    some = qmc.Sobol(count, seed=seed).random_base2(count + 1)
+    some = stats.qmc.Sobol(count, seed=seed).random_base2(count + 1)
     some[:, 0] = np.round(some[:, 0])
     return some
 
@@ -220,7 +222,7 @@ def touching(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.nda
     """
     own = trial.own
     chi = np.repeat(trial.start[None], 2**DRAWS, axis=0)
-    chi[:, own] = qmc.Sobol(len(own), seed=seed).random_base2(DRAWS)
+    chi[:, own] = stats.qmc.Sobol(len(own), seed=seed).random_base2(DRAWS)
     chi[:, own[0]] = trial.start[own[0]] + SIZES[-1] * (1 - trial.start[own[0]])
     chi = chi[~trial.theory.on_hand(trial.effect, chi)]  # first: the hand's way is short
     share = np.mean(trial.theory.pushed(trial.effect, chi, path), axis=1)

@@ -13,9 +13,9 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 from pydantic import Field
-from scipy.stats import binomtest
 
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
+from stringcast.data.later import Later
 from stringcast.data.schema import DataError
 from stringcast.stages.generate.chance import Place, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, joined
@@ -28,6 +28,8 @@ from stringcast.stages.generate.space import check_reach
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.progress import Progress, part
+
+stats = Later("scipy.stats")
 
 FINALISTS = 4  # winners of the race that are refined
 NEAREST = 8  # winners of the race that may be chosen all the same
@@ -152,7 +154,7 @@ def _outcome(place: Place, curve: Curves, tip: np.ndarray, hit: np.ndarray) -> d
     """Table MOTION_OUTCOME. tip: (T, 2) of a string that hits [m]. hit: (K,) of the fresh draws."""
     target, way = place.target, between(tip[None])[0]
     at = int(np.argmin(target.away(way)))
-    share = binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
+    share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
     return {
         "duration": float(curve.duration[0]),
         "t_hit": at * place.model.arm.tick / 2,
