@@ -80,7 +80,8 @@ def world(config: Mapping[str, Any], where: Where) -> World:
 STAGES = ("generate", "excite", "execute", "extract", "estimate", "align", "diagnose", "calibrate", "hardware")
 CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
 STUDIES = (["study"], ["extraction_study"], ["hit_study"])
-AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"], ["align"], ["measured_study"])
+MEASURED = ["measured_study"]
+AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"], ["align"], MEASURED)
 LEFT = ("frames", "report")
 ALL = "all"  # of the trials, which `memory` may be
 DECIDE = ["diagnose", "execute", "extract", "diagnose"]

@@ -11,7 +11,7 @@ from stringcast.data import dataset
 from stringcast.pipeline.run import Iteration, Result, work
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.steps import Past
-from stringcast.pipeline.world import World, world
+from stringcast.pipeline.world import MEASURED, STUDIES, World, world
 
 
 class NotMadeError(Exception):
@@ -34,8 +34,10 @@ class Reader:
 
 def walk(here: World, folder: Path, ask: Callable[[str, Past], Any]) -> Result | None:
     """Ask for every step of a run in its order; None where `ask` raises NotMadeError before the end."""
-    if here.config["steps"] == ["study"]:
-        raise UserError(f"{folder}: a blind study has no steps. Name the folder of a cast, estimation or diagnosis.")
+    if here.config["steps"] in (*STUDIES, MEASURED):
+        raise UserError(
+            f"{folder}: a study has no steps of its own. Name the folder of a cast, estimation or diagnosis."
+        )
     try:
         return work(here, folder, Reader(ask))
     except NotMadeError:

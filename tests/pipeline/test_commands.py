@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,11 @@ from stringcast.data import store
 from stringcast.data.artifacts import Points
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import commands, fresh
+from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.commands.verify import verify
 from stringcast.pipeline.compare import differences
+from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.world import MEASURED, STUDIES
 from tests.faults.toy import contents, toy_run, toy_world
 
 PAGE = Path(commands.__file__).with_name("README.md")
@@ -327,3 +331,11 @@ def test_the_examples_of_the_page_run_in_duckdb(finished, tmp_path, monkeypatch,
     assert blocks("sql")
     for query in blocks("sql"):
         assert len(duckdb.sql(query).df()), query
+
+
+@pytest.mark.parametrize("steps", [*STUDIES, MEASURED])
+def test_a_study_has_no_steps_to_ask_for(steps, tmp_path):
+    """Its trials, where it has any, are not read as a dataset."""
+    study = replace(toy_world(), config={**toy_world().config, "steps": steps, "trials": str(tmp_path)})
+    with pytest.raises(UserError, match="a study has no steps of its own"):
+        walk(study, tmp_path, lambda name, past: None)
