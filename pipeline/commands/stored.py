@@ -36,7 +36,7 @@ def walk(here: World, folder: Path, ask: Callable[[str, Past], Any]) -> Result |
     """Ask for every step of a run in its order; None where `ask` raises NotMadeError before the end."""
     if here.config["steps"] in (*STUDIES, MEASURED):
         raise UserError(
-            f"{folder}: a study has no steps of its own. Name the folder of a cast, estimation or diagnosis."
+            f"{folder}: a study has no steps of its own. Name that of a cast, an estimation or a diagnosis."
         )
     try:
         return work(here, folder, Reader(ask))
