@@ -31,8 +31,9 @@ class Family:
     folder: of their tables, in that of all families. trials: pattern of their trials' names, whose group `string` is
     the name of the string; moving, held_out: patterns of those that begin moving, and to which nothing is fitted.
     every: of so many frames one is used. beyond: arc length from the grasp [m] up to which no point is used. about:
-    what else dataset.yaml says. settings: of every run. sets: effects by name of the set. authors: root mean square of
-    the tip in the model of those who measured a string, in sample [m].
+    what else dataset.yaml says. settings: of every run. sets: what each set has for itself, by its name: effects, and
+    what is known of them. authors: root mean square of the tip in the model of those who measured a string, in sample
+    [m].
     """
 
     folder: str
@@ -43,7 +44,7 @@ class Family:
     beyond: Annotated[float, Field(ge=0)]
     about: dict[str, Any]
     settings: dict[str, Any]
-    sets: dict[str, list[str]]
+    sets: dict[str, dict[str, Any]]
     authors: dict[str, float]
 
     def strings(self, folder: Path) -> dict[str, list[str]]:

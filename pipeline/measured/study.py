@@ -105,7 +105,7 @@ def make(job: Job, config: Mapping[str, Any], folder: Path) -> None:
     here = world(settings(job, config, folder / "datasets" / job.string), lambda block: f"conf/{block}")
     result = perform(here, place, Terminal(quiet=True))
     family = build(Family, config["measured"]["families"][job.family], f"measured.families.{job.family}", WHERE)
-    names = {"string": job.string, "laws": job.laws, "effects": ", ".join(family.sets[job.laws])}
+    names = {"string": job.string, "laws": job.laws, "effects": ", ".join(family.sets[job.laws]["effects"])}
     row = names | scored(here, result) | {"authors_tip": family.authors.get(job.string)}
     used = os.times()
     row |= {"cpu": used.user + used.system if whole else None, "code": state()[:7] + state()[40:]}
@@ -115,6 +115,6 @@ def make(job: Job, config: Mapping[str, Any], folder: Path) -> None:
 def settings(job: Job, config: Mapping[str, Any], dataset: Path) -> dict[str, Any]:
     """Of the run that a person begins by hand: +experiment=estimate trials=<dataset> and what the family sets."""
     family = config["measured"]["families"][job.family]
-    own = composed(["+experiment=estimate"]) | family["settings"] | {"effects": family["sets"][job.laws]}
+    own = composed(["+experiment=estimate"]) | family["settings"] | family["sets"][job.laws]
     own |= {"seed": config["seed"], "leave": [], "trials": str(dataset)}
     return with_brought_settings(OmegaConf.create(own), {"string"})

@@ -74,7 +74,7 @@ def config(tmp_path):
     less += [f"{place}.string.points=6", f"{place}.string.largest_step=2e-3", "measured.strings=[red]"]
     found = with_brought_settings(OmegaConf.create(composed([STUDY, f"trials={source}", *less])), set())
     found["measured"]["families"] = {"cables": found["measured"]["families"]["cables"]}
-    found["measured"]["families"]["cables"]["sets"] = {"viscous": ["rest_curvature"]}
+    found["measured"]["families"]["cables"]["sets"] = {"viscous": {"effects": ["rest_curvature"]}}
     return found
 
 
