@@ -11,7 +11,7 @@ NODES = 6  # ticks that the polynomial goes through
 ALONG = 4  # mass points that the curve between them goes through
 WHOLE = 1e-6  # of a tick, which is as good as none
 FAR = 1e3  # [m] where no tip is
-PIECE = 64  # candidates that are worth a thread: what is done with each of them takes ten microseconds and more
+PIECE = 128  # candidates that are worth a thread: what is done with each of them takes ten microseconds and more
 
 
 def unpacked(lanes: np.ndarray, count: int) -> np.ndarray:

@@ -14,6 +14,8 @@ from functools import cache
 
 import numba
 
+LEAST = 2  # pieces for each thread: with one each, on a busy machine, to wait for the other's costs what it saves
+
 
 def side_by_side(work: Callable[[int, int], None], count: int, piece: int = 1) -> None:
     """Do `count` things, `piece` of them at a time: work(first, last) does those from first to before last.
@@ -21,7 +23,7 @@ def side_by_side(work: Callable[[int, int], None], count: int, piece: int = 1) -
     What it does must not depend on who else does what, and hold no lock of the interpreter. A piece is worth a thread
     from about a millisecond: one that is taken off its core in the middle of a piece is waited for.
     """
-    threads = min(numba.get_num_threads(), -(-count // piece))
+    threads = min(numba.get_num_threads(), count // piece // LEAST)
     if threads <= 1:
         work(0, count)
         return

@@ -44,11 +44,14 @@ class Picture:
     height: int
 
 
-def framed(width: float, height: float, left: float = 0.66, top: float = 0.28) -> Figure:
+def framed(
+    width: float, height: float, left: float = 0.66, top: float = 0.28, bottom: float = 0.42, between: float = 0.14
+) -> Figure:
     """An empty figure, all in inches, with margins for a label and numbers of five characters, and for a row of legend:
-    to measure the texts first, as the layout of the style does, takes longer than to draw them."""
+    to measure the texts first, as the layout of the style does, takes longer than to draw them. between: rows, in
+    heights of one."""
     figure = Figure(figsize=(width, height), layout="none")  # type: ignore[arg-type]
-    figure.subplots_adjust(left / width, 0.42 / height, 1 - 0.1 / width, 1 - top / height, hspace=0.14)
+    figure.subplots_adjust(left / width, bottom / height, 1 - 0.1 / width, 1 - top / height, 0.08, between)
     return figure
 
 

@@ -1,9 +1,13 @@
-"""`python3 tasks.py bench`: measure, print the table, and keep it as Parquet and as a picture."""
+"""`python3 tasks.py bench`: measure, print the table, and keep it as Parquet and as a picture.
+
+`python3 tasks.py bench waits` measures what the user waits for, alone, and keeps nothing.
+"""
 
 from __future__ import annotations
 
 import os
 import platform
+import sys
 from dataclasses import fields
 from pathlib import Path
 
@@ -16,8 +20,9 @@ from rich.table import Table as Printed
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
 from stringcast.pipeline.origin import PACKAGES, code, versions
-from tests.speed.measures import Row, table
+from tests.speed.measures import Row, framed, measured
 from tests.speed.picture import picture
+from tests.speed.waits import waits
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "results" / "speed"
 COMMAND = "python3 tasks.py bench"
@@ -42,9 +47,12 @@ SPEED = Table(
 )
 
 
-def main() -> None:
+def main(parts: list[str]) -> None:
     """Measure, print, keep."""
-    rows = table()
+    if parts == ["waits"]:
+        Console(width=150).print(printed(framed(waits())))
+        return
+    rows = framed([*measured(), *waits()])
     Console(width=150).print(printed(rows))
     FOLDER.mkdir(parents=True, exist_ok=True)
     write_table(SPEED, rows, FOLDER / "speed.parquet", origin())
@@ -107,4 +115,4 @@ def _lines(path: str) -> list[str]:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -144,7 +144,7 @@ def threads() -> list[Row]:
     string, values = string_b(10)
     whole = partial(simulate, string, hand(), np.tile(values, (512, 1)), TIMES)
     names = {"engine, step loop": loop, "engine, simulate": whole}
-    calls = {(name, count): partial(_on, count, call) for name, call in names.items() for count in (1, 2)}
+    calls = {(name, count): partial(on_threads, count, call) for name, call in names.items() for count in (1, 2)}
     wall, own = in_turns(calls, ROUNDS, time.perf_counter), in_turns(calls, ROUNDS)
     measure, more = "speed on two threads over one", {"points": 10, "threads": 2, "batch": 512}
     return [
@@ -153,7 +153,7 @@ def threads() -> list[Row]:
     ]
 
 
-def _on(count: int, call) -> None:  # type: ignore[no-untyped-def]
+def on_threads(count: int, call) -> None:  # type: ignore[no-untyped-def]
     """Call with so many threads at most."""
     numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
     try:
@@ -211,7 +211,7 @@ def estimation() -> list[Row]:
     call = partial(
         random_search.estimate, Model(string, arm, camera), [trial], None, seed=1, manipulation=1, **settings
     )
-    wall = in_turns({"wall": partial(_on, 2, call)}, 3, time.perf_counter)["wall"]
+    wall = in_turns({"wall": partial(on_threads, 2, call)}, 3, time.perf_counter)["wall"]
     alone = in_turns({"processor": call}, 3)["processor"]
     more = {"points": 10, "batch": settings["candidates"]}
     return [
@@ -253,10 +253,14 @@ def _first_call(cache: str) -> float:
     return float(done.stdout)
 
 
-def table() -> pd.DataFrame:
-    """All rows, one-threaded but where a row says otherwise."""
+def measured() -> list[Row]:
+    """Of the engine, one-threaded but where a row says otherwise."""
     numba.set_num_threads(1)
     limit = limits.measured()
-    rows = [*machine(limit), *loops(limit), *batches(), *threads(), *equals(), *estimation(), *compilation()]
+    return [*machine(limit), *loops(limit), *batches(), *threads(), *equals(), *estimation(), *compilation()]
+
+
+def framed(rows: list[Row]) -> pd.DataFrame:
+    """Rows as a table, those of a measure together."""
     together = {row.measure: None for row in rows}  # in the order in which each first appears
     return pd.DataFrame([asdict(row) for measure in together for row in rows if row.measure == measure])

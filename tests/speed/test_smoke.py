@@ -1,5 +1,7 @@
 """The benchmark runs: a smoke size of it, without its peers unless they are installed. Nothing is timed here."""
 
+import subprocess
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,6 +12,7 @@ from tests.speed import measures
 from tests.speed.__main__ import printed
 from tests.speed.engine import step_loop
 from tests.speed.trial import TIMES, engine_tip, hand, string_b
+from tests.speed.waits import spent
 
 
 def test_the_step_loop_alone_moves_the_string_as_simulate_does():
@@ -40,3 +43,11 @@ def test_mujoco_is_read_at_the_frames_time():
     tips = [Chain(20, step).rollout(1, 1)[0] for step in (1e-3, 5e-4)]
     one, half = ((speed * (tip - engine)).sum() / (speed**2).sum() for tip in tips)
     assert abs(one - half) < 5e-5
+
+
+def test_time_and_memory_of_a_whole_process_are_measured():
+    seconds, megabytes = spent("--help")
+    assert 0.05 < seconds < 60
+    assert 10 < megabytes < 2000
+    with pytest.raises(subprocess.CalledProcessError):
+        spent("check", "no such folder")

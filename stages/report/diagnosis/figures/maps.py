@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import AsinhNorm
 from matplotlib.figure import Figure
 
 from stringcast.stages.report.diagnosis.figures.colours import DIVERGING, NAMES, NOTHING
 from stringcast.stages.report.diagnosis.record import DiagnosisRecord
-from stringcast.stages.report.picture import MM, Picture, vector
+from stringcast.stages.report.picture import MM, Picture, framed, vector
 
 PLACES, MOMENTS = 30, 80  # cells at most, along the string and in time
 LEAST = 5.0  # standard deviations: the end of the colour scale is never nearer
@@ -23,7 +23,7 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
     if not record.trials:
         return None
     rows = len(record.trials)
-    figure = Figure(figsize=(5.4, 1.3 + 1.05 * rows))
+    figure = framed(5.4, 1.3 + 1.05 * rows, top=0.45, bottom=1.0, between=0.3)
     panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
     end = _end(record)
     scale = AsinhNorm(2.0, -end, end)
@@ -37,13 +37,14 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
         axes.set_title(words, fontsize=9, pad=16)
     for axes in panels[-1]:
         axes.set_xlabel("time [ms]")
-    _bar(figure, panels, drawn[0], end)
+    _bar(figure, drawn[0], end)
     return vector(figure, f"Residuals of the {NAMES[model]} over arc length and time in {rows} trials.")
 
 
-def _bar(figure: Figure, panels: np.ndarray, drawn: QuadMesh, end: float) -> None:
+def _bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
     """What the colours mean, below all panels."""
-    bar = figure.colorbar(drawn, ax=panels, location="bottom", aspect=40, shrink=0.9, pad=0.02, extend="both")
+    place = (0.15, 0.46 / figure.get_figheight(), 0.8, 0.09 / figure.get_figheight())
+    bar = figure.colorbar(drawn, cax=figure.add_axes(place), orientation="horizontal", extend="both")
     above = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= end]
     ticks = [*(-tick for tick in reversed(above)), 0, *above]
     bar.set_ticks(ticks, labels=[str(tick).replace("-", "−") for tick in ticks])
@@ -70,14 +71,14 @@ def _end(record: DiagnosisRecord) -> float:
     return max(LEAST, float(np.quantile(np.concatenate(sizes), 0.99)))
 
 
-def _map(axes: Axes, table: pd.DataFrame, values: np.ndarray, scale: AsinhNorm) -> QuadMesh:
+def _map(axes: Axes, table: pd.DataFrame, values: np.ndarray, scale: AsinhNorm) -> ScalarMappable:
     """Means in cells of arc length and time."""
     edges = _along(table["s"].to_numpy()), _over(table["t"].to_numpy())
     total, count = (np.histogram2d(table["s"], table["t"], edges, weights=w)[0] for w in (values, None))
     cells = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
     axes.grid(visible=False)
     colours = DIVERGING.with_extremes(bad=NOTHING)
-    return axes.pcolormesh(edges[1] * MM, edges[0] * MM, cells, cmap=colours, norm=scale, rasterized=True)
+    return axes.pcolorfast(edges[1] * MM, edges[0] * MM, cells, cmap=colours, norm=scale)
 
 
 def _along(s: np.ndarray) -> np.ndarray:

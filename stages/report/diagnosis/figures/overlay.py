@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from stringcast.stages.report.diagnosis.figures.colours import MODEL
 from stringcast.stages.report.diagnosis.record import DiagnosisRecord, away
-from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.words import mm, ms
 
 FAR = 0.75  # quantile along the string that says how wrong a frame is: a few outliers do not
@@ -27,7 +26,7 @@ def worst(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _overlay(record: DiagnosisRecord, trial: str, frame: pd.DataFrame) -> tuple[str, Picture]:
-    figure = Figure(figsize=(3.4, 3.2))
+    figure = framed(3.4, 3.2, top=0.08)
     axes = figure.subplots()
     for model in record.models:
         axes.plot(frame[f"{model}_x"] * MM, frame[f"{model}_y"] * MM, color=MODEL[model], marker=".", ms=3)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pandas as pd
-from matplotlib.figure import Figure
 
 from stringcast.stages.report.diagnosis.figures.colours import MODEL
 from stringcast.stages.report.diagnosis.record import DiagnosisRecord, away
-from stringcast.stages.report.picture import LIGHT, MM, Picture, vector
+from stringcast.stages.report.picture import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.words import mm
 
 NEAR = 0.05  # of the length measured: a point as near to the end stands for the tip
@@ -26,7 +25,7 @@ def last(table: pd.DataFrame) -> pd.DataFrame:
 
 def _tip(record: DiagnosisRecord, trial: str, ends: pd.DataFrame) -> tuple[str, Picture]:
     """Above, the way in the plane; below, the distance from it over time."""
-    figure = Figure(figsize=(3.4, 4.2))
+    figure = framed(3.4, 4.2, top=0.08, between=0.35)
     top, bottom = figure.subplots(2, 1, height_ratios=[5, 3])
     top.plot(ends["x"] * MM, ends["y"] * MM, ".", ms=3, color=LIGHT["measured"])
     for model in record.models:
