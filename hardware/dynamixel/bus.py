@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,15 +15,19 @@ from pydantic import Field
 
 from stringcast.hardware.arm.wire import Answer
 from stringcast.hardware.dynamixel.registers import (
+    ACCELERATION_UNIT,
     BUS_WATCHDOG,
+    DRIVE_MODE,
     GOAL_VELOCITY,
     HARDWARE_ERROR,
     OPERATING_MODE,
     POSITION_UNIT,
     PRESENT_POSITION,
+    PROFILE_ACCELERATION,
     REALTIME_TICK,
     STATE,
     TICKS,
+    TIMED,
     TORQUE_ENABLE,
     TRIPPED,
     VELOCITY_LIMIT,
@@ -63,7 +68,7 @@ class DynamixelBus:
     servos: base first. fastest: what each must be able to do [rad/s]. reply: time [s] that an answer may take.
     patience: multiples of 20 ms without a command after which each servo stops by itself. owed: velocity that
     rounding has left out so far (J,) [rad/s]; it is made up for in the next command, so that rounding to
-    0.024 rad/s does not add up to a way.
+    0.024 rad/s does not add up to a way. most: of each servo's velocity (J,) [counts]; zero until `limit`.
     """
 
     port: str
@@ -78,6 +83,7 @@ class DynamixelBus:
     latched: bool = False
     millis: int | None = None
     owed: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    most: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
     sdk: Any = None
     handler: Any = None
     packets: Any = None
@@ -102,7 +108,14 @@ class DynamixelBus:
         self._make_ready()
 
     def limit(self, arm: Arm) -> None:
-        """The servos keep to their own limits, which `open` has read."""
+        """Each servo's own limits, read back; its velocity limit, which outlasts the power, is only ever lowered."""
+        most = [math.ceil(speed / VELOCITY_UNIT) for speed in arm.speed]
+        for servo, count, acceleration in zip(self.servos, most, arm.acceleration, strict=True):
+            self._write(servo, TORQUE_ENABLE, 0)  # the velocity limit can be changed only so
+            self._hold(servo, VELOCITY_LIMIT, count)
+            self._hold(servo, PROFILE_ACCELERATION, math.ceil(acceleration / ACCELERATION_UNIT))
+            self._write(servo, TORQUE_ENABLE, 1)
+        self.most = np.array(most)
 
     def close(self) -> None:
         """Torque off, and let go."""
@@ -131,9 +144,11 @@ class DynamixelBus:
             self._write_all(BUS_WATCHDOG, self.patience)
             self.armed, self.owed = True, np.zeros(len(self.servos))
         wanted = speeds + self.owed
-        counts = np.rint(wanted / VELOCITY_UNIT).astype(int)
+        counts = np.clip(np.rint(wanted / VELOCITY_UNIT).astype(int), -self.most, self.most)  # else it is not obeyed
         carried = counts * VELOCITY_UNIT
-        self.owed = wanted - carried
+        self.owed = np.clip(
+            wanted - carried, -VELOCITY_UNIT / 2, VELOCITY_UNIT / 2
+        )  # what a limit cut is not made up for
         for servo, count in zip(self.servos, counts, strict=True):
             self.writer.changeParam(servo.id, list(int(servo.direction * count).to_bytes(4, "little", signed=True)))
         self._done(self.writer.txPacket)
@@ -185,7 +200,7 @@ class DynamixelBus:
         """Velocity mode at velocity zero, torque on, watchdogs at rest."""
         for servo in self.servos:
             self._write(servo, TORQUE_ENABLE, 0)  # the mode can be changed only so
-            self._write(servo, OPERATING_MODE, VELOCITY_MODE)
+            self._hold(servo, OPERATING_MODE, VELOCITY_MODE)
             self._write(servo, BUS_WATCHDOG, 0)  # first: a tripped one makes the goal read-only
             self._write(servo, GOAL_VELOCITY, 0)
             self._write(servo, TORQUE_ENABLE, 1)
@@ -225,14 +240,22 @@ class DynamixelBus:
             self.latched = True
             raise HardwareError(
                 f"{place} was latched by an emergency stop or its watchdog. Look why, make it safe, then: python -m "
-                f"hardware.dynamixel.clear {self.port} {' '.join(str(s.id) for s in self.servos)}"
+                f"stringcast.hardware.dynamixel.clear {self.port} {' '.join(str(s.id) for s in self.servos)}"
             )
         ill = self._read(servo, HARDWARE_ERROR)
         if ill:
             raise HardwareError(f"{place} reports hardware error {ill:#04x}. See its manual, then reboot it.")
+        if self._read(servo, DRIVE_MODE) & TIMED:
+            raise HardwareError(
+                f"{place} takes accelerations as times (Drive Mode, register {DRIVE_MODE.address}, bit 2), so that it "
+                "would keep no limit of its own. Set a velocity-based profile with the maker's wizard."
+            )
         limit = self._read(servo, VELOCITY_LIMIT) * VELOCITY_UNIT
         if limit < speed:
-            raise HardwareError(f"{place} turns at {limit:.2f} rad/s at most, arm.speed is {speed:.2f}. Lower that.")
+            raise HardwareError(
+                f"{place} turns at {limit:.2f} rad/s at most (its Velocity Limit, register {VELOCITY_LIMIT.address}), "
+                f"arm.speed is {speed:.2f}. Lower that, or raise the servo's limit with the maker's wizard."
+            )
 
     def _read(self, servo: Servo, register: Register) -> int:
         def ask() -> tuple[Any, int, int]:
@@ -243,6 +266,17 @@ class DynamixelBus:
     def _write(self, servo: Servo, register: Register, value: int) -> None:
         data = list(value.to_bytes(register.size, "little"))
         self._asked(servo, lambda: (None, *self.packets.writeTxRx(self.handler, servo.id, *register, data)))
+
+    def _hold(self, servo: Servo, register: Register, value: int) -> None:
+        """Have a register hold a value, and see that it does: a servo may acknowledge what it does not take."""
+        if self._read(servo, register) != value:
+            self._write(servo, register, value)
+        held = self._read(servo, register)
+        if held != value:
+            raise HardwareError(
+                f"arm on {self.port}: servo {servo.id} holds {held} in register {register.address} where {value} was "
+                "asked for; nothing was moved. Look at its control table with the maker's wizard, or reset the servo."
+            )
 
     def _asked(self, servo: Servo, ask: Any) -> Any:
         """An exchange with one servo; asks again a few times, for a packet may be lost. Raises HardwareError."""

@@ -13,22 +13,26 @@ class Register(NamedTuple):
     size: int
 
 
+DRIVE_MODE = Register(10, 1)
 OPERATING_MODE = Register(11, 1)
 VELOCITY_LIMIT = Register(44, 4)
 TORQUE_ENABLE = Register(64, 1)
 HARDWARE_ERROR = Register(70, 1)
 BUS_WATCHDOG = Register(98, 1)
 GOAL_VELOCITY = Register(104, 4)
+PROFILE_ACCELERATION = Register(108, 4)
 REALTIME_TICK = Register(120, 2)
 PRESENT_POSITION = Register(132, 4)
 
 STATE = Register(BUS_WATCHDOG.address, PRESENT_POSITION.address + PRESENT_POSITION.size - BUS_WATCHDOG.address)
 
 VELOCITY_MODE = 1
+TIMED = 4  # bit of DRIVE_MODE: PROFILE_ACCELERATION would be a time [ms]
 TRIPPED = 255  # of BUS_WATCHDOG: it has stopped the servo, whose goals are read-only until 0 is written
 WATCHDOG_UNIT = 0.020  # [s]
 TICKS = 32768  # after which REALTIME_TICK begins anew [ms]
 VELOCITY_UNIT = 0.229 * 2 * math.pi / 60  # [rad/s]
+ACCELERATION_UNIT = 214.577 * 2 * math.pi / 3600  # [rad/s^2]
 POSITION_UNIT = 2 * math.pi / 4096  # [rad]
 
 

@@ -1,8 +1,15 @@
 """The Dynamixel driver, through the maker's own library, against an emulated bus on a real pseudo-terminal."""
 
+import math
+import os
+import pty
 import subprocess
 import sys
-from dataclasses import replace
+import threading
+import time
+import tty
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,8 +18,24 @@ from rig import ARM, DRIVING, emulator, events, movement, standstill
 from stringcast.data.artifacts import LINK, SENT, TICKS
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
+from stringcast.hardware.dynamixel.emulator.bus import LIMIT, Bus
+from stringcast.hardware.dynamixel.emulator.bus import Servo as Emulated
 from stringcast.hardware.dynamixel.emulator.packets import Splitter, crc16, status
-from stringcast.hardware.dynamixel.registers import BUS_WATCHDOG, TORQUE_ENABLE, TRIPPED, VELOCITY_UNIT
+from stringcast.hardware.dynamixel.registers import (
+    ACCELERATION_UNIT,
+    BUS_WATCHDOG,
+    DRIVE_MODE,
+    GOAL_VELOCITY,
+    OPERATING_MODE,
+    PROFILE_ACCELERATION,
+    TORQUE_ENABLE,
+    TRIPPED,
+    VELOCITY_LIMIT,
+    VELOCITY_MODE,
+    VELOCITY_UNIT,
+)
+from stringcast.hardware.emulated.joints import STEP
+from stringcast.hardware.emulated.terminal import _talk
 from stringcast.stages.roles import HardwareError
 
 sdk = pytest.importorskip("dynamixel_sdk")
@@ -155,12 +178,121 @@ def test_silence_trips_the_watchdogs_and_the_driver_is_told(log):
     ("changed", "words"),
     [
         ({"servos": (*SERVOS[:2], Servo(9, 2048, 1))}, r"servo 9: .*no status packet"),
-        ({"fastest": (100.0,) * 3}, r"60\.\d+ rad/s at most, arm\.speed is 100"),
+        ({"fastest": (100.0,) * 3}, r"60\.\d+ rad/s at most .*, arm\.speed is 100"),
     ],
 )
 def test_what_is_wrong_with_the_servos_is_one_clear_error(log, changed, words):
     with bus(log) as port, pytest.raises(HardwareError, match=words), driver(port, **changed):
         pass
+
+
+@contextmanager
+def served(servos):
+    """The name of a port behind which these servos are, in a thread of this process."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    ended = threading.Event()
+    there = threading.Thread(
+        target=_talk, args=(Bus(servos, {}, lambda *_: None), master, time.monotonic() + 60, ended)
+    )
+    there.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        ended.set()
+        there.join()
+        os.close(slave)
+        os.close(master)
+
+
+@dataclass
+class Deaf(Emulated):
+    """A servo that acknowledges writes to some registers and keeps what it had. written: addresses, in order."""
+
+    keeps: tuple[int, ...] = ()
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.written = []
+
+    def write(self, address, data):
+        self.written.append(address)
+        kept = bytes(self.table[address : address + len(data)]) if address in self.keeps else data
+        return super().write(address, kept)
+
+
+SLOW = replace(ARM, speed=(4.0, 5.0, 6.0), acceleration=(30.0, 40.0, 50.0))
+
+
+def slow(port):
+    return VelocityArm(SLOW, DynamixelBus(port, 1_000_000, SERVOS, SLOW.speed, 0.2, PATIENCE), DRIVING)
+
+
+def test_every_servo_is_told_the_arms_limits_and_the_lasting_one_is_written_once():
+    servos = {i: Deaf() for i in (1, 2, 3)}
+    with served(servos) as port:
+        for _ in range(2):
+            with slow(port):
+                held = [[s.get(r) for s in servos.values()] for r in (VELOCITY_LIMIT, PROFILE_ACCELERATION)]
+    per_unit = ((SLOW.speed, VELOCITY_UNIT), (SLOW.acceleration, ACCELERATION_UNIT))
+    assert held == [[math.ceil(limit / unit) for limit in limits] for limits, unit in per_unit]
+    for servo in servos.values():
+        assert servo.get(OPERATING_MODE) == VELOCITY_MODE
+        assert servo.written.count(VELOCITY_LIMIT.address) == servo.written.count(OPERATING_MODE.address) == 1
+
+
+@pytest.mark.parametrize("register", [VELOCITY_LIMIT, PROFILE_ACCELERATION, OPERATING_MODE])
+def test_a_servo_that_does_not_hold_what_it_was_asked_is_refused_before_anything_moves(register):
+    servos = {1: Deaf(), 2: Deaf(keeps=(register.address,)), 3: Deaf()}
+    with served(servos) as port:
+        with pytest.raises(HardwareError, match=rf"servo 2 holds \d+ in register {register.address} where \d+ was"):
+            slow(port).__enter__()
+        until = time.monotonic() + 5.0  # the last words are not answered
+        while any(servo.get(TORQUE_ENABLE) for servo in servos.values()) and time.monotonic() < until:
+            time.sleep(0.01)
+        assert not any(servo.get(TORQUE_ENABLE) or servo.get(GOAL_VELOCITY) for servo in servos.values())
+    assert all(servo.joint.angle == 0.0 for servo in servos.values())
+
+
+def test_a_servo_that_takes_accelerations_as_times_is_refused():
+    servos = {i: Deaf() for i in (1, 2, 3)}
+    servos[3].set(DRIVE_MODE, 4)
+    with served(servos) as port, pytest.raises(HardwareError, match=r"servo 3 takes accelerations as times"):
+        slow(port).__enter__()
+    assert PROFILE_ACCELERATION.address not in servos[3].written
+
+
+def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before_limits_are_set():
+    servos = {i: Deaf() for i in (1, 2, 3)}
+    with served(servos) as port:
+        plain = DynamixelBus(port, 1_000_000, SERVOS, SLOW.speed, 0.2, PATIENCE)
+        plain.open()
+        assert plain.send(np.full(3, 1.0))[1].tolist() == [0.0, 0.0, 0.0]
+        plain.limit(SLOW)
+        _, carried = plain.send(np.array([1e6, -1e6, 1.0]))
+        plain.answers()  # they have read it when they answer
+        told = [servo.get(GOAL_VELOCITY) for servo in servos.values()]
+        plain.close()
+    assert told == [math.ceil(4.0 / VELOCITY_UNIT), math.ceil(5.0 / VELOCITY_UNIT), round(1.0 / VELOCITY_UNIT)]
+    np.testing.assert_allclose(carried, np.array(told) * VELOCITY_UNIT * [1, -1, 1])
+
+
+def test_the_device_keeps_its_limits_against_any_bytes():
+    """The emulated servo: a goal beyond its limit is not taken, and one within it is gone to by its profile."""
+    servo = Emulated()
+    for register, value in ((OPERATING_MODE, 1), (VELOCITY_LIMIT, 100), (PROFILE_ACCELERATION, 20)):
+        assert servo.write(register.address, value.to_bytes(register.size, "little")) == 0
+    servo.write(TORQUE_ENABLE.address, b"\1")
+    for goal in (101, -101, 2**31 - 1):
+        assert servo.write(GOAL_VELOCITY.address, goal.to_bytes(4, "little", signed=True)) == LIMIT
+        assert servo.get(GOAL_VELOCITY) == 0
+    assert servo.write(GOAL_VELOCITY.address, (-100).to_bytes(4, "little", signed=True)) == 0
+    speeds = [0.0]
+    for k in range(1000):
+        servo.step(k * STEP)
+        speeds.append(servo.speed)
+    assert speeds[-1] == pytest.approx(-100 * VELOCITY_UNIT)
+    assert np.abs(np.diff(speeds)).max() == pytest.approx(20 * ACCELERATION_UNIT * STEP)
 
 
 def test_no_bus_is_one_clear_error():

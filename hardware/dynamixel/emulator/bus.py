@@ -17,11 +17,13 @@ from stringcast.hardware.dynamixel.emulator.packets import (
     status,
 )
 from stringcast.hardware.dynamixel.registers import (
+    ACCELERATION_UNIT,
     BUS_WATCHDOG,
     GOAL_VELOCITY,
     OPERATING_MODE,
     POSITION_UNIT,
     PRESENT_POSITION,
+    PROFILE_ACCELERATION,
     REALTIME_TICK,
     TICKS,
     TORQUE_ENABLE,
@@ -36,18 +38,20 @@ from stringcast.hardware.emulated.joints import STEP, Joint
 from stringcast.hardware.emulated.terminal import UnpluggedError
 
 MODEL = bytes([0xFC, 0x03, 0x2D])  # XM430-W350, firmware 45
-NO_ERROR, UNKNOWN, RANGE, ACCESS = 0, 2, 4, 7  # of status packets
+NO_ERROR, UNKNOWN, RANGE, LIMIT, ACCESS = 0, 2, 4, 6, 7  # of status packets
 GOALS = (100, 120)  # addresses that a tripped watchdog makes read-only
 LOCKED = 64  # addresses below are locked while the torque is on
 
 
 @dataclass
 class Servo:
-    """table: the control table. silent: time since the last packet on the bus [s]."""
+    """table: the control table. silent: time since the last packet on the bus [s]. speed: which it has the joint follow
+    [rad/s]."""
 
     table: bytearray = field(default_factory=lambda: bytearray(147))
     joint: Joint = field(default_factory=Joint)
     silent: float = 0.0
+    speed: float = 0.0
 
     def __post_init__(self) -> None:
         """As it leaves the works, but for a velocity limit of 60 rad/s."""
@@ -71,6 +75,9 @@ class Servo:
             return ACCESS
         if self.get(BUS_WATCHDOG) == TRIPPED and GOALS[0] <= address < GOALS[1]:
             return RANGE
+        goal = int.from_bytes(data, "little", signed=True) if address == GOAL_VELOCITY.address else 0
+        if abs(goal) > self.get(VELOCITY_LIMIT):
+            return LIMIT
         self.table[address : address + len(data)] = data
         return NO_ERROR
 
@@ -82,9 +89,15 @@ class Servo:
             self.set(BUS_WATCHDOG, TRIPPED)
             self.set(GOAL_VELOCITY, 0)
         follows = self.get(TORQUE_ENABLE) and self.get(OPERATING_MODE) == VELOCITY_MODE
-        self.joint.step(self.get(GOAL_VELOCITY) * VELOCITY_UNIT if follows else 0.0)
+        self.speed = self._ramped(self.get(GOAL_VELOCITY) * VELOCITY_UNIT) if follows else 0.0
+        self.joint.step(self.speed)
         self.set(REALTIME_TICK, int(clock * 1e3) % TICKS)
         self.set(PRESENT_POSITION, 2048 + math.floor(self.joint.encoder / POSITION_UNIT + 0.5))
+
+    def _ramped(self, goal: float) -> float:
+        """The velocity [rad/s] a step later, towards a goal by what the profile allows; zero allows anything."""
+        change = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP or math.inf
+        return self.speed + min(max(goal - self.speed, -change), change)
 
 
 @dataclass
