@@ -14,12 +14,12 @@ from rich.text import Text
 from stringcast.data import store
 from stringcast.data.calibration import Calibration
 from stringcast.hardware.camera import Source
-from stringcast.pipeline.brought import CAMERA
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.inherited import CAMERA
 from stringcast.pipeline.origin import PACKAGES, code, origin, versions
 from stringcast.pipeline.settings import UserError, build, chosen
-from stringcast.pipeline.world import World
 from stringcast.stages.calibrate import Board
-from stringcast.stages.progress import Progress
+from stringcast.stages.common import Progress
 from stringcast.stages.report.calibration import CalibrationRecord, calibration_report
 
 TILT = "Move the board slowly, tilted in all directions, all over the picture."
@@ -35,7 +35,7 @@ class Taken:
     flat: list[np.ndarray]
 
 
-def taken(here: World, ask: Callable[[str], object]) -> Taken:
+def taken(here: Experiment, ask: Callable[[str], object]) -> Taken:
     """All pictures, of whatever source. ask: tells a person what to do for a live one, and waits."""
     board = build(Board, here.config["board"], "board", "conf/board")
     tilted, flat = (source(here, name) for name in ("source", "plane"))
@@ -46,13 +46,13 @@ def taken(here: World, ask: Callable[[str], object]) -> Taken:
     )
 
 
-def source(here: World, name: str) -> Source:
+def source(here: Experiment, name: str) -> Source:
     """One of the sources, as configured."""
     made: Source = chosen(here.config[name], name, f"conf/source, as {name}")
     return made
 
 
-def run(here: World, folder: Path, looked: Taken, progress: Progress) -> Calibration:
+def run(here: Experiment, folder: Path, looked: Taken, progress: Progress) -> Calibration:
     """Measure, and leave the artifact, the page and, of a good one, camera.yaml."""
     pictures = (looked.tilted, looked.flat)
     made: Calibration = here.stages["calibrate"](*pictures, looked.board, here.camera, progress=progress)

@@ -10,14 +10,14 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from stringcast.data.errors import ExpectedError
-from stringcast.pipeline.brought import check_bench, refuse_brought_limits, with_brought_settings
 from stringcast.pipeline.complaint import complain, interrupted
-from stringcast.pipeline.keep import forget
+from stringcast.pipeline.experiment import prepare
+from stringcast.pipeline.inherited import check_bench, refuse_inherited_limits, with_inherited_settings
 from stringcast.pipeline.perform import perform
 from stringcast.pipeline.run import Result
+from stringcast.pipeline.run_folder import forget
 from stringcast.pipeline.settings import names_given
 from stringcast.pipeline.terminal import Terminal
-from stringcast.pipeline.world import world
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names of trials that look like dates
 
@@ -43,9 +43,9 @@ def run(config: DictConfig, console: Terminal) -> Result:
     given = names_given(HydraConfig.get().overrides.task)
     if config.trials is not None and "execute" in config.steps:
         check_bench(Path(config.trials), given)
-    settings = with_brought_settings(config, given)
-    refuse_brought_limits(settings, OmegaConf.to_container(config, resolve=True), f"trials={config.trials}")
-    here = world(settings, where)
+    settings = with_inherited_settings(config, given)
+    refuse_inherited_limits(settings, OmegaConf.to_container(config, resolve=True), f"trials={config.trials}")
+    here = prepare(settings, where)
     return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
 
 

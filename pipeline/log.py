@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from stringcast.data.errors import printable
-from stringcast.pipeline.folder import LOG
+from stringcast.pipeline.layout import LOG
 
 OURS = logging.getLogger("stringcast")
 OURS.propagate = False  # to handlers of others, who may have closed what they write to

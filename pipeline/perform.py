@@ -8,15 +8,15 @@ from typing import Any
 
 from rich.markup import escape
 
-from stringcast.pipeline import keep
-from stringcast.pipeline.folder import ENDED
+from stringcast.pipeline import run_folder
+from stringcast.pipeline.console import bars, summary
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.layout import ENDED
 from stringcast.pipeline.log import kept
 from stringcast.pipeline.run import Result, work
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.show import bars, summary
 from stringcast.pipeline.terminal import Terminal
-from stringcast.pipeline.world import World
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 STUDIES = {
     "study": "study.command",
@@ -31,11 +31,11 @@ def module(name: str) -> Any:
     return import_module(f"stringcast.pipeline.{name}")
 
 
-def perform(here: World, folder: Path, console: Terminal) -> Result:
+def perform(here: Experiment, folder: Path, console: Terminal) -> Result:
     """Run and report; what is in `folder` already is not made again."""
-    with keep.alone(folder), kept(folder):
-        keep.begin(here, folder)
-        with keep.failing(folder):
+    with run_folder.alone(folder), kept(folder):
+        run_folder.begin(here, folder)
+        with run_folder.failing(folder):
             if here.config["steps"] == ["calibrate"]:
                 return calibration(here, folder, console)
             if here.config["steps"][0] in STUDIES:
@@ -43,23 +43,23 @@ def perform(here: World, folder: Path, console: Terminal) -> Result:
             return cast_or_look_again(here, folder, console)
 
 
-def cast_or_look_again(here: World, folder: Path, console: Terminal) -> Result:
+def cast_or_look_again(here: Experiment, folder: Path, console: Terminal) -> Result:
     """All but a study. The report comes before run.json, which says that all is there."""
     if "execute" in here.config["steps"] and not (folder / ENDED).exists():
         check_devices(here)
     with bars(console) as bar:
-        result = work(here, folder, keep.Keeper(here, folder, bar, lambda words: console.print(escape(words))))
+        result = work(here, folder, run_folder.RunFolder(here, folder, bar, lambda words: console.print(escape(words))))
         if "report" in here.config["leave"]:
             with bar("report"):
                 module("report").write(here, result)
-        keep.end(result)
+        run_folder.end(result)
     if "frames" not in here.config["leave"]:
-        keep.without_frames(here, result)
+        run_folder.without_frames(here, result)
     console.print(summary(result))
     return result
 
 
-def check_devices(here: World) -> None:
+def check_devices(here: Experiment) -> None:
     """Open arm and camera before anything is planned for them. Raises HardwareError with all that is wrong of both."""
     lab = here.stages["hardware"](here.arm, here.camera, seed=here.seed, trial=1)
     faults = []
@@ -73,7 +73,7 @@ def check_devices(here: World) -> None:
         raise HardwareError("\n".join(faults))
 
 
-def calibration(here: World, folder: Path, console: Terminal) -> Result:
+def calibration(here: Experiment, folder: Path, console: Terminal) -> Result:
     """The camera on the terminal and as camera.yaml in the folder, with the page; raises UserError for a bad one."""
     calibrate = module("calibrate")
     looked = calibrate.taken(here, lambda words: asked(words, console))
@@ -93,7 +93,7 @@ def asked(words: str, console: Terminal) -> None:
     console.print("Filming, for as many seconds as the settings say ...")
 
 
-def studied(here: World, folder: Path, console: Terminal) -> Result:
+def studied(here: Experiment, folder: Path, console: Terminal) -> Result:
     """Its scores on the terminal, its tables and pictures in the folder."""
     study = module(STUDIES[here.config["steps"][0]])
     with bars(console) as bar, bar(here.config["name"]) as progress:

@@ -1,7 +1,7 @@
 """The loop: iterate until the real tip is in the box or the budget is spent (II-A).
 
 The order of the steps, and what each may look at. Where they are made, or only looked up, is the desk's affair: a run
-makes and keeps them (`pipeline.keep`), `verify` computes them again, `why` asks what has changed.
+makes and keeps them (`pipeline.run_folder`), `verify` computes them again, `why` asks what has changed.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from stringcast.data import dataset
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Diagnosis, Estimate, Motion, Observation, Points
 from stringcast.data.schema import DataError
+from stringcast.pipeline.experiment import ALL, Experiment
+from stringcast.pipeline.settings import allowed
 from stringcast.pipeline.steps import Past
 from stringcast.pipeline.targets import REHEARSALS
-from stringcast.pipeline.world import ALL, World
 from stringcast.stages.align.undo import in_arms_frame
 from stringcast.stages.check.check import refuse
 from stringcast.stages.check.measured import Measured
-from stringcast.stages.judge import Verdict, judge
+from stringcast.stages.hit_test import Verdict, hit_test
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +90,7 @@ class Result:
         return any(i.hit for i in self.iterations)
 
 
-class Desk(Protocol):
+class Executor(Protocol):
     """Where a run's steps come from."""
 
     def step(self, name: str, past: Past) -> Any:
@@ -99,35 +100,35 @@ class Desk(Protocol):
         """Called whenever a cast is whole."""
 
 
-def work(world: World, folder: Path, desk: Desk) -> Result:
+def work(experiment: Experiment, folder: Path, desk: Executor) -> Result:
     """All that the settings ask for. folder: the run's."""
-    if "align" in world.config["steps"]:
-        return align(world, folder, desk)
-    if world.config["trials"] is None:
-        return cast(world, folder, desk)
-    again = diagnose if "diagnose" in world.config["steps"] else estimate_again
-    return again(world, folder, Path(world.config["trials"]), desk)
+    if "align" in experiment.config["steps"]:
+        return align(experiment, folder, desk)
+    if experiment.config["trials"] is None:
+        return cast(experiment, folder, desk)
+    again = diagnose if "diagnose" in experiment.config["steps"] else estimate_again
+    return again(experiment, folder, Path(experiment.config["trials"]), desk)
 
 
-def cast(world: World, folder: Path, desk: Desk, before: Sequence[Iteration] = ()) -> Result:
+def cast(experiment: Experiment, folder: Path, desk: Executor, before: Sequence[Iteration] = ()) -> Result:
     """Cast until it hits or the manipulations are spent. before: what was cast already, and counts as spent."""
     iterations = list(before)
-    rehearsal = world.config["execute"]["_target_"] in REHEARSALS
-    while len(iterations) < (1 if rehearsal else world.config["manipulations"]) and not (
+    rehearsal = allowed(experiment.config["execute"]["_target_"], "execute", "config.json") in REHEARSALS
+    while len(iterations) < (1 if rehearsal else experiment.config["manipulations"]) and not (
         iterations and iterations[-1].hit
     ):
-        iterations.append(_iterate(world, iterations, desk))
+        iterations.append(_iterate(experiment, iterations, desk))
         desk.publish(iterations)
     return Result(folder, tuple(iterations), _rehearsed(iterations[-1]) if rehearsal else _ended(iterations))
 
 
-def estimate_again(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
+def estimate_again(experiment: Experiment, folder: Path, trials: Path, desk: Executor) -> Result:
     """Estimation alone, from stored trials: each in turn, beginning with the one before it, or from all at once.
 
     Points are made from a trial's frames where it has no points, or where `steps` asks for it. Trials that dataset.yaml
     holds out are not estimated from: what the last estimate foretells of each comes after.
     """
-    data = _usable(world, trials)
+    data = _usable(experiment, trials)
     aside = set(held_out(data))
     fitted = [stored for name, stored in data.trials.items() if name not in aside]
     if not fitted:
@@ -137,16 +138,16 @@ def estimate_again(world: World, folder: Path, trials: Path, desk: Desk) -> Resu
     last: Estimate | None = None
     for number, stored in enumerate(fitted, start=1):
         past = Past(number, {}, None, last, tuple(observations), data.films.get(stored.trial), _hashes(data))
-        done, observation = _read_again(world, stored, past, desk)
+        done, observation = _read_again(experiment, stored, past, desk)
         observations.append(observation)
-        if number == len(fitted) or world.config["memory"] != ALL:
-            last = desk.step("estimate", replace(past, done=done, observations=_remembered(world, observations)))
+        if number == len(fitted) or experiment.config["memory"] != ALL:
+            last = desk.step("estimate", replace(past, done=done, observations=_remembered(experiment, observations)))
             done = done | {"estimate": last}
         iterations.append(Iteration(number, done))
         _told(iterations[-1])
     for number, name in enumerate(sorted(aside & data.trials.keys()), start=len(fitted) + 1):
         past = Past(number, {}, None, last, (), data.films.get(name), _hashes(data))
-        done, observation = _read_again(world, data.trials[name], past, desk)
+        done, observation = _read_again(experiment, data.trials[name], past, desk)
         made = desk.step("predict", replace(past, done=done, observations=(observation,)))
         iterations.append(Iteration(number, done | {"predict": made}))
     return Result(folder, tuple(iterations), _estimated(iterations, data))
@@ -163,28 +164,28 @@ def _estimated(iterations: Sequence[Iteration], data: dataset.Dataset) -> str:
     return " ".join(words)
 
 
-def _remembered(world: World, observations: Sequence[Observation]) -> tuple[Observation, ...]:
+def _remembered(experiment: Experiment, observations: Sequence[Observation]) -> tuple[Observation, ...]:
     """Those of the trials that an estimation looks at: the last ones, or all."""
-    memory = world.config["memory"]
+    memory = experiment.config["memory"]
     return tuple(observations if memory == ALL else observations[-memory:])
 
 
-def diagnose(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
+def diagnose(experiment: Experiment, folder: Path, trials: Path, desk: Executor) -> Result:
     """The diagnosis of stored trials.
 
     Where `steps` says that the arm may move: while look-alikes are left that a motion tells apart, that motion is
     performed, and diagnosed with all the others, `manipulations` times at most.
     """
-    data = _usable(world, trials)
+    data = _usable(experiment, trials)
     observations: list[Observation] = []
     iterations: list[Iteration] = []
     for number, stored in enumerate(data.trials.values(), start=1):
         past = Past(number, {}, None, None, tuple(observations), data.films.get(stored.trial), _hashes(data))
-        done, observation = _read_again(world, stored, past, desk)
+        done, observation = _read_again(experiment, stored, past, desk)
         observations.append(observation)
         iterations.append(Iteration(number, done))
     past = replace(past, observations=tuple(observations), rejected=data.rejected, held_out=held_out(data))
-    motions = world.config["manipulations"] if "execute" in world.config["steps"] else 0
+    motions = experiment.config["manipulations"] if "execute" in experiment.config["steps"] else 0
     past = _diagnosed(past, iterations[-1], desk)
     while len(iterations) < len(observations) + motions and past.diagnosis is not None and past.diagnosis.motion:
         iterations.append(Iteration(past.number + 1, {}))
@@ -194,14 +195,14 @@ def diagnose(world: World, folder: Path, trials: Path, desk: Desk) -> Result:
     return Result(folder, tuple(iterations), _concluded(past))
 
 
-def align(world: World, folder: Path, desk: Desk) -> Result:
+def align(experiment: Experiment, folder: Path, desk: Executor) -> Result:
     """Camera and clock measured from stored trials, or where there are none from a motion performed for it."""
     current = Iteration(1, {})
     past = Past(1, current.done, None, None, ())
-    if world.config["trials"] is None:
+    if experiment.config["trials"] is None:
         past = _excited(past, current, desk)
     else:
-        data = _usable(world, Path(world.config["trials"]))
+        data = _usable(experiment, Path(experiment.config["trials"]))
         seen = tuple(data.trials.values())
         past = replace(past, observations=seen, films=data.films, rejected=data.rejected, hashes=_hashes(data))
     made: Alignment = desk.step("align", past)
@@ -210,7 +211,7 @@ def align(world: World, folder: Path, desk: Desk) -> Result:
     return Result(folder, (current,), " ".join(filter(None, (made.sentence, left))))
 
 
-def _excited(past: Past, current: Iteration, desk: Desk) -> Past:
+def _excited(past: Past, current: Iteration, desk: Executor) -> Past:
     """Perform the motion that tells the most. Raises DataError where its trial cannot be trusted."""
     for name in ("excite", "execute"):
         current.done[name] = desk.step(name, past)
@@ -221,7 +222,7 @@ def _excited(past: Past, current: Iteration, desk: Desk) -> Past:
     return replace(past, observations=(seen,), films={current.name: trial.film})
 
 
-def _diagnosed(past: Past, current: Iteration, desk: Desk) -> Past:
+def _diagnosed(past: Past, current: Iteration, desk: Executor) -> Past:
     """Diagnose all that is there, and leave the motion that comes next, if there is one."""
     made: Diagnosis = desk.step("diagnose", past)
     current.done["diagnose"] = made
@@ -231,7 +232,7 @@ def _diagnosed(past: Past, current: Iteration, desk: Desk) -> Past:
     return past
 
 
-def _performed(past: Past, current: Iteration, desk: Desk) -> Past:
+def _performed(past: Past, current: Iteration, desk: Executor) -> Past:
     """Perform the motion that the last diagnosis proposed; what was seen joins the other trials."""
     past = replace(past, number=current.number, done=current.done, film=None)
     for name in ("propose", "execute", "extract"):
@@ -267,11 +268,11 @@ def held_out(data: dataset.Dataset) -> tuple[str, ...]:
     return tuple(name for name, about in data.about.get("trials", {}).items() if about.get("role") == "held_out")
 
 
-def _usable(world: World, trials: Path) -> dataset.Dataset:
+def _usable(experiment: Experiment, trials: Path) -> dataset.Dataset:
     """Stored trials that fit this string; raises DataError where there are none."""
     read = dataset.read(trials)
-    refuse(Measured(read, world.arm, world.camera, world.string.length))
-    data = dataset.fits(read, world.string.length)
+    refuse(Measured(read, experiment.arm, experiment.camera, experiment.string.length))
+    data = dataset.fits(read, experiment.string.length)
     if not data.trials:
         reasons = _reasons(data.rejected) or "it holds no trial"
         raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")
@@ -282,20 +283,22 @@ def _reasons(rejected: Mapping[str, str]) -> str:
     return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
 
 
-def _read_again(world: World, stored: Observation, past: Past, desk: Desk) -> tuple[dict[str, Any], Observation]:
+def _read_again(
+    experiment: Experiment, stored: Observation, past: Past, desk: Executor
+) -> tuple[dict[str, Any], Observation]:
     """What was extracted, if anything was, and the observation with its points."""
-    asked = world.config["steps"][0] == "extract"
+    asked = experiment.config["steps"][0] == "extract"
     if past.film is None or not (stored.points.empty or asked):
         return {}, stored
     points = desk.step("extract", past)
     return {"extract": points}, replace(stored, points=points.points, readings=points.readings, masks=points.masks)
 
 
-def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
+def _iterate(experiment: Experiment, before: list[Iteration], desk: Executor) -> Iteration:
     """One manipulation, step by step. Nothing is estimated from a trial that cannot be trusted."""
     current = Iteration(len(before) + 1, {})
     estimates = [i.done["estimate"] for i in before if "estimate" in i.done]
-    for name in world.config["steps"]:
+    for name in experiment.config["steps"]:
         if name == "estimate" and current.refused:
             continue
         seen = [i for i in (*before, current) if "extract" in i.done and not i.refused]
@@ -304,15 +307,15 @@ def _iterate(world: World, before: list[Iteration], desk: Desk) -> Iteration:
             current.done,
             before[-1].done.get("generate") if before else None,
             estimates[-1] if estimates else None,
-            _remembered(world, [i.observation for i in seen]),
+            _remembered(experiment, [i.observation for i in seen]),
         )
         current.done[name] = desk.step(name, past)
     if "estimate" in current.done:
         _told(current)
     motion: Motion = current.done["generate"]
     points: Points = current.done["extract"]
-    there = in_arms_frame(points, world.model)
-    verdict = judge(there, world.target, world.obstacles, motion.duration)
+    there = in_arms_frame(points, experiment.model)
+    verdict = hit_test(there, experiment.target, experiment.obstacles, motion.duration)
     log.info("cast %d: the tip came within %.1f mm of the target", current.number, 1e3 * verdict.distance)
     if current.refused:
         log.warning("cast %d: nothing is estimated from its trial: %s", current.number, current.refused)

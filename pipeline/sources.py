@@ -13,7 +13,7 @@ from stringcast.pipeline.origin import CODE, ROOT
 from stringcast.pipeline.settings import allowed
 from stringcast.stages.model.library import files, kind_of
 
-GLUE = ("pipeline/steps.py", "pipeline/make.py", "pipeline/world.py")  # they hand every stage what it is given
+GLUE = ("pipeline/steps.py", "pipeline/make.py", "pipeline/experiment.py")  # they hand every stage what it is given
 LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect without naming any
 MODEL = "stages/model/model.py"
 

@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from typing import Any
 
 SOURCES = ("hardware.camera.Device", "hardware.camera.ImageFolder", "hardware.camera.VideoFile")
-REHEARSALS = ("stages.rehearse.dry", "stages.rehearse.slow")
+REHEARSALS = ("stages.execute.dry_run.dry", "stages.execute.dry_run.slow")
 VIRTUAL = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")  # nothing real moves by these
 ROLES: Mapping[str, tuple[str, ...]] = {
     "generate": ("stages.generate.generate", "stages.generate.robust.generate"),
-    "excite": ("stages.excite.excite",),
-    "execute": ("stages.execute.execute", *REHEARSALS),
+    "excite": ("stages.align.excitation.excite.excite",),
+    "execute": ("stages.execute.execute.execute", *REHEARSALS),
     "extract": ("stages.extract.extract",),
     "estimate": (
         "stages.estimate.random_search.estimate",
@@ -43,6 +43,13 @@ ROLES: Mapping[str, tuple[str, ...]] = {
         "pipeline.sweep.launchers.slurm.launch",
     ),
     "finish": ("pipeline.sweep.finish.finish", "pipeline.paper.finish.finish"),
+}
+
+MOVED = {  # what settings of stored runs still call by an old name
+    "stages.excite.excite": "stages.align.excitation.excite.excite",
+    "stages.execute.execute": "stages.execute.execute.execute",
+    "stages.rehearse.dry": "stages.execute.dry_run.dry",
+    "stages.rehearse.slow": "stages.execute.dry_run.slow",
 }
 
 

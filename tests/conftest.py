@@ -16,7 +16,7 @@ import yaml
 import stringcast
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
 from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from stringcast.stages.execute import execute
+from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model

@@ -19,8 +19,8 @@ from stringcast.hardware.arm.loop import Guard, Log, blank, play
 from stringcast.hardware.arm.record import performance
 from stringcast.hardware.arm.signals import Signals
 from stringcast.hardware.arm.wire import Wire
+from stringcast.stages.execute.interfaces import HardwareError, Performance
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.roles import HardwareError, Performance
 
 TRIPS = 50  # round trips of the link test
 START_TOLERANCE = 0.02  # [rad] between reported and commanded start
@@ -50,7 +50,7 @@ class Driving:
 
 @dataclass
 class VelocityArm:
-    """Fills `stages.roles.ArmDevice` over any wire.
+    """Fills `stages.execute.interfaces.ArmDevice` over any wire.
 
     latched: why the emergency stop was pressed; empty if it was not. Nothing moves until `clear`.
     """

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.roles import HardwareError
 
 SLACK = 1.001  # limits may be touched to rounding
 

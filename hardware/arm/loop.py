@@ -10,8 +10,8 @@ import numpy as np
 
 from stringcast.hardware.arm.clock import SPIN, undisturbed, wait_until
 from stringcast.hardware.arm.wire import Answer, Wire
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.roles import HardwareError
 
 POLL = 0.0003  # [s] between looks for an answer
 DRAIN = 0.05  # [s] that the last answers may take

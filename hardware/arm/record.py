@@ -7,7 +7,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, SENT, SPEEDS
 from stringcast.hardware.arm.loop import Log
-from stringcast.stages.roles import Performance
+from stringcast.stages.execute.interfaces import Performance
 
 QUICK = 0.25  # share of the exchanges, the quickest, that fix the device's clock
 

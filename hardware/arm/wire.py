@@ -23,7 +23,7 @@ class Answer:
 
 
 class Wire(Protocol):
-    """A connection to an arm. Each method raises `stages.roles.HardwareError` where it cannot do its work."""
+    """A connection to an arm. Each method raises `HardwareError` where it cannot do its work."""
 
     @property
     def name(self) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated
 import cv2
 from pydantic import AfterValidator
 
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 NEAR = 0.01  # by which a value read back may differ from the one asked
 UNKNOWN = (0.0, -1.0)  # what OpenCV gives for a property that a backend cannot report

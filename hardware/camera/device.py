@@ -14,8 +14,8 @@ from pydantic import Field
 from stringcast.hardware.camera.controls import Controls, obeyed
 from stringcast.hardware.camera.source import Frame, Source, Stream
 from stringcast.hardware.camera.warm_up import warmed
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError
 
 BUFFERED = 8  # frames that a driver may hold from before; V4L2 has 4
 

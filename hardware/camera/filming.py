@@ -14,8 +14,8 @@ import numpy as np
 
 from stringcast.hardware.camera.record import Film, recording
 from stringcast.hardware.camera.source import Frame, Source, Stream
+from stringcast.stages.execute.interfaces import HardwareError, Recording
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError, Recording
 
 ROOM = 64  # frames that wait to be made grey; then one is lost, and counted, rather than all memory
 FIRST = 5.0  # [s] in which the first frame must come
@@ -25,7 +25,7 @@ LAST = 2.0  # [s] that a read under way may take to end
 
 @dataclass
 class FilmingCamera:
-    """Fills `stages.roles.CameraDevice` with any source.
+    """Fills `stages.execute.interfaces.CameraDevice` with any source.
 
     most_lost: share of frames dropped or repeated above which a trial is invalid.
     """

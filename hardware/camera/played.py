@@ -10,8 +10,8 @@ import numpy as np
 
 from stringcast.data.schema import DataError
 from stringcast.hardware.camera.source import Frame, Source, Stream
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError
 
 
 class Played(Source):

@@ -11,7 +11,7 @@ import pandas as pd
 
 from stringcast.hardware.camera.schedule import Schedule, fitted
 from stringcast.hardware.camera.source import Frame
-from stringcast.stages.roles import Recording
+from stringcast.stages.execute.interfaces import Recording
 
 DRAWN = 0.75  # share of equal neighbours at rest from which images are drawn or compressed: then equality says nothing
 LATE = 0.5  # periods after its moment at which a frame counts as late

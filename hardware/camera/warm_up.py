@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from stringcast.hardware.camera.source import Frame, Stream
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError
 
 LOOK = 0.5  # [s] that it takes
 FEWEST = 10  # frames of it

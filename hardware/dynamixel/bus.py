@@ -38,8 +38,8 @@ from stringcast.hardware.dynamixel.registers import (
     taken,
 )
 from stringcast.hardware.serial.wire import check_latency
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.roles import HardwareError
 
 try:  # what a pulled cable raises in pyserial, beside its own error
     import termios

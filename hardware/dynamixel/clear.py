@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 
 def main() -> None:

@@ -9,9 +9,9 @@ from pydantic import Field
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.camera import FilmingCamera, Source
 from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
+from stringcast.stages.execute.interfaces import HardwareError, Lab
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError, Lab
 
 
 def open_lab(

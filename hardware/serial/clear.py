@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from stringcast.hardware.serial.wire import SerialWire
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 
 def main() -> None:

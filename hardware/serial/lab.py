@@ -9,9 +9,9 @@ from pydantic import Field
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.camera import FilmingCamera, Source
 from stringcast.hardware.serial.wire import SerialWire
+from stringcast.stages.execute.interfaces import Lab
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import Lab
 
 
 def open_lab(

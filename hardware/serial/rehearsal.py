@@ -18,9 +18,9 @@ from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.serial.wire import SerialWire
 from stringcast.hardware.virtual import Bench, Look, Obstacles, Servo, Specimen, VirtualCamera
+from stringcast.stages.execute.interfaces import HardwareError, Lab, Performance
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError, Lab, Performance
 
 BAUD = 1_000_000  # a pseudo-terminal takes any
 

@@ -25,8 +25,8 @@ from stringcast.hardware.serial.protocol import (
     decode_answer,
     encode_command,
 )
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.roles import HardwareError
 
 ANSWER_WITHIN = 0.25  # [s] that an exchange may take before it is tried again
 TRIES = 3

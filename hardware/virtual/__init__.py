@@ -6,9 +6,9 @@ from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, Virtu
 from stringcast.hardware.virtual.obstacles import Obstacles
 from stringcast.hardware.virtual.render import Look
 from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.execute.interfaces import Lab
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import Lab
 
 
 def open_lab(

@@ -21,6 +21,7 @@ from stringcast.data.artifacts import JOINTS, SPEEDS
 from stringcast.hardware.virtual.obstacles import Obstacles
 from stringcast.hardware.virtual.render import Look, noisy, render, scenery
 from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.execute.interfaces import HardwareError, Performance, Recording
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.hand import JointMotion, joint_motion
@@ -28,7 +29,6 @@ from stringcast.stages.model.integrator import RungeKutta4
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.roles import HardwareError, Performance, Recording
 
 EXPOSURES = 5  # moments drawn in one exposure
 
@@ -132,7 +132,7 @@ class Bench:
 
 @dataclass
 class VirtualArm:
-    """The bench's arm; fills `stages.roles.ArmDevice`."""
+    """The bench's arm; fills `stages.execute.interfaces.ArmDevice`."""
 
     bench: Bench
 
@@ -171,7 +171,7 @@ class VirtualArm:
 
 @dataclass
 class VirtualCamera:
-    """The bench's camera; fills `stages.roles.CameraDevice`."""
+    """The bench's camera; fills `stages.execute.interfaces.CameraDevice`."""
 
     bench: Bench
 

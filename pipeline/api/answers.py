@@ -19,15 +19,15 @@ from stringcast.data.artifacts import Diagnosis, Estimate
 from stringcast.data.store import write_text
 from stringcast.known import KnownString, prepared
 from stringcast.measured import Trials
+from stringcast.pipeline.console import bars
+from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.report import made_by
 from stringcast.pipeline.run import held_out
-from stringcast.pipeline.show import bars
 from stringcast.pipeline.terminal import Terminal
-from stringcast.pipeline.world import World
 from stringcast.stages.check.check import refuse
 from stringcast.stages.check.measured import Measured
+from stringcast.stages.common import Progress
 from stringcast.stages.model.library import library
-from stringcast.stages.progress import Progress
 from stringcast.stages.report.diagnosis import DiagnosisRecord, diagnosis_report
 
 MM = 1e3
@@ -35,10 +35,10 @@ MM = 1e3
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What the simulation gets wrong, and why. made: every table of the diagnosis. world: what it was asked with."""
+    """What the simulation gets wrong, and why. made: every table of the diagnosis. experiment: that it was asked of."""
 
     made: Diagnosis
-    world: World
+    experiment: Experiment
 
     @property
     def document(self) -> dict[str, Any]:
@@ -84,7 +84,7 @@ class Diagnosed:
 
     def report(self, page: str | Path) -> Path:
         """Write the page with all the evidence; one file that needs no network. Returns its path."""
-        here = self.world
+        here = self.experiment
         record = DiagnosisRecord("diagnosis", self.made, here.model, library(), here.config, made_by(here))
         write_text(Path(page), diagnosis_report(record))
         return Path(page)
@@ -100,10 +100,10 @@ class Diagnosed:
 
 @dataclass(frozen=True)
 class Estimated:
-    """String parameters found from trials. made: every table of the estimation. world: what it was asked with."""
+    """String parameters found from trials. made: every table of the estimation. experiment: that it was asked of."""
 
     made: Estimate
-    world: World
+    experiment: Experiment
 
     @property
     def sentence(self) -> str:
@@ -123,7 +123,7 @@ class Estimated:
     @property
     def string(self) -> KnownString:
         """The string with these parameters, for all that comes after."""
-        settings = {"string": self.world.config["string"], "effects": list(self.world.config["effects"])}
+        settings = {"string": self.experiment.config["string"], "effects": list(self.experiment.config["effects"])}
         return KnownString(settings | {"known": self.made.values()})
 
     def __repr__(self) -> str:
@@ -164,7 +164,7 @@ def estimate(trials: Trials, *settings: str, string: KnownString | None = None) 
 
 def _ready(
     trials: Trials, settings: tuple[str, ...], string: KnownString | None = None
-) -> tuple[World, dataset.Dataset]:
+) -> tuple[Experiment, dataset.Dataset]:
     """All that is asked with, and the trials that fit this string."""
     here = prepared(settings, string, trials=str(trials.folder), steps=["diagnose"])
     refuse(Measured(trials.data, here.arm, here.camera, here.string.length))

@@ -14,10 +14,10 @@ from omegaconf import OmegaConf
 from stringcast.data import dataset
 from stringcast.data.artifacts import PARAMETERS
 from stringcast.data.store import read_table, write_text
-from stringcast.pipeline.brought import EXTENDED, extended_model, with_brought_settings
 from stringcast.pipeline.complaint import refusal
+from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.inherited import EXTENDED, extended_model, with_inherited_settings
 from stringcast.pipeline.settings import UserError, composed, flat, names_given
-from stringcast.pipeline.world import World, world
 from stringcast.stages.export.mjcf import mjcf
 
 
@@ -73,7 +73,7 @@ class KnownString:
         return f"KnownString(effects={self.effects}, {len(self.parameters)} parameters known)"
 
 
-def prepared(settings: Sequence[str], string: KnownString | None, **given: Any) -> World:
+def prepared(settings: Sequence[str], string: KnownString | None, **given: Any) -> Experiment:
     """All that a call works with. settings: words as on the command line, which stand above all. string: what is known
     of it. given: further settings by name."""
     try:
@@ -85,4 +85,4 @@ def prepared(settings: Sequence[str], string: KnownString | None, **given: Any) 
         OmegaConf.update(whole, block, value, merge=True)
     for name in sorted(words & set(flat(OmegaConf.to_container(asked)))):
         OmegaConf.update(whole, name, OmegaConf.select(asked, name))
-    return world(with_brought_settings(whole, words), lambda block: f"conf/{block} or this call")
+    return prepare(with_inherited_settings(whole, words), lambda block: f"conf/{block} or this call")

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
-from stringcast.pipeline.brought import with_brought_settings
+from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.measured import Measured
@@ -56,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
 def measured(folder: Path, overrides: Sequence[str]) -> Measured:
     """The data in a folder, with the arm, camera and string that a run would have."""
     config = OmegaConf.create({**composed(overrides), "trials": str(folder)})
-    blocks = with_brought_settings(config, names_given(overrides))
+    blocks = with_inherited_settings(config, names_given(overrides))
     arm = build(Arm, blocks["arm"], "arm", "conf/arm")
     camera = build(Camera, blocks["camera"], "camera", "conf/camera")
     return Measured(dataset.read(folder), arm, camera, float(blocks["string"]["length"]))

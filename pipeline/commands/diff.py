@@ -11,9 +11,9 @@ from stringcast.data import dataset, store
 from stringcast.data.errors import printable
 from stringcast.data.schema import DataError
 from stringcast.pipeline.compare import differing_files
-from stringcast.pipeline.folder import ENDED, FAILED, LOG
-from stringcast.pipeline.fresh import pairs
+from stringcast.pipeline.layout import ENDED, FAILED, LOG
 from stringcast.pipeline.settings import UserError, leaves
+from stringcast.pipeline.staleness import pairs
 
 DRAWN = frozenset({"config.json", ENDED, FAILED, LOG, "report.html"})  # compared by another heading, or drawn
 Parts = list[str]

@@ -16,10 +16,10 @@ from rich.text import Text
 from stringcast.data import dataset, store
 from stringcast.data.artifacts import FIT
 from stringcast.data.schema import Column, DataError, Table
-from stringcast.pipeline.folder import ENDED, FAILED
-from stringcast.pipeline.fresh import reasons_of
+from stringcast.pipeline.layout import ENDED, FAILED
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.staleness import reasons_of
 from stringcast.pipeline.terminal import Terminal
 
 RUNS = Table(

@@ -11,8 +11,8 @@ from rich.tree import Tree
 
 from stringcast.data import store
 from stringcast.pipeline.commands.stored import run_of
-from stringcast.pipeline.fresh import leaves
 from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.staleness import leaves
 from stringcast.pipeline.steps import STEPS
 from stringcast.pipeline.terminal import Terminal
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stringcast.pipeline.brought import refuse_brought_limits
-from stringcast.pipeline.commands.stored import stored_world
+from stringcast.pipeline.commands.stored import stored_experiment
+from stringcast.pipeline.inherited import refuse_inherited_limits
 from stringcast.pipeline.perform import perform
 from stringcast.pipeline.settings import composed
 from stringcast.pipeline.terminal import Terminal
@@ -18,8 +18,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("run", type=Path, help="the run's folder")
     parser.add_argument("--accept-limits", action="store_true", help="move a real arm by the limits stored there")
     asked = parser.parse_args(arguments)
-    here = stored_world(asked.run)
+    here = stored_experiment(asked.run)
     own = composed() | {"accept_limits": asked.accept_limits}
-    refuse_brought_limits(here.config, own, str(asked.run), "--accept-limits")
+    refuse_inherited_limits(here.config, own, str(asked.run), "--accept-limits")
     perform(here, asked.run, Terminal(stderr=True))
     return 0

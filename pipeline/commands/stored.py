@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data import dataset
+from stringcast.pipeline.experiment import MEASURED, STUDIES, Experiment, prepare
 from stringcast.pipeline.run import Iteration, Result, work
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.steps import Past
-from stringcast.pipeline.world import MEASURED, STUDIES, World, world
 
 
 class NotMadeError(Exception):
@@ -32,7 +32,7 @@ class Reader:
         """Nothing is written."""
 
 
-def walk(here: World, folder: Path, ask: Callable[[str, Past], Any]) -> Result | None:
+def walk(here: Experiment, folder: Path, ask: Callable[[str, Past], Any]) -> Result | None:
     """Ask for every step of a run in its order; None where `ask` raises NotMadeError before the end."""
     if here.config["steps"] in (*STUDIES, MEASURED):
         raise UserError(
@@ -44,13 +44,13 @@ def walk(here: World, folder: Path, ask: Callable[[str, Past], Any]) -> Result |
         return None
 
 
-def stored_world(folder: Path) -> World:
+def stored_experiment(folder: Path) -> Experiment:
     """What a run works with, from its config.json. Raises UserError where there is none, or one of another version."""
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
     try:
-        return world(dataset.settings(path), lambda block: str(path))
+        return prepare(dataset.settings(path), lambda block: str(path))
     except KeyError as error:
         raise UserError(f"{path}: it lacks the setting {error}: another version of this code made the run.") from error
 

@@ -13,17 +13,17 @@ from typing import Any
 
 from stringcast.data import store
 from stringcast.data.errors import printable
-from stringcast.pipeline import keep
-from stringcast.pipeline.commands.stored import NotMadeError, stored_world, walk
+from stringcast.pipeline import run_folder
+from stringcast.pipeline.commands.stored import NotMadeError, stored_experiment, walk
 from stringcast.pipeline.compare import differences, differing_files
-from stringcast.pipeline.folder import ENDED, place_of
-from stringcast.pipeline.fresh import look, repeatable
+from stringcast.pipeline.console import bars
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.layout import ENDED, place_of
 from stringcast.pipeline.make import make
 from stringcast.pipeline.run import Result, in_numbers
-from stringcast.pipeline.show import bars
+from stringcast.pipeline.staleness import look, repeatable
 from stringcast.pipeline.steps import Past
 from stringcast.pipeline.terminal import Terminal
-from stringcast.pipeline.world import World
 
 
 def main(arguments: list[str]) -> int:
@@ -31,7 +31,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser("python -m pipeline verify", description=__doc__)
     parser.add_argument("run", type=Path, help="the run's folder; nothing is written into it")
     folder = parser.parse_args(arguments).run
-    here = stored_world(folder)
+    here = stored_experiment(folder)
     with bars(Terminal(stderr=True)) as bar, TemporaryDirectory() as aside:
         outcome = verify(here, folder, Path(aside), bar)
     for line in outcome.lines:
@@ -52,7 +52,7 @@ class Outcome:
         self.lines += [f"{what}: {'DIFFERS' if faults else good}", *(f"    {fault}" for fault in faults)]
 
 
-def verify(here: World, folder: Path, aside: Path, bar: Callable[[str], AbstractContextManager[Any]]) -> Outcome:
+def verify(here: Experiment, folder: Path, aside: Path, bar: Callable[[str], AbstractContextManager[Any]]) -> Outcome:
     """Every step, then what the run wrote from them. aside: an empty folder to compute in."""
     outcome = Outcome()
 
@@ -79,11 +79,11 @@ def verify(here: World, folder: Path, aside: Path, bar: Callable[[str], Abstract
     return outcome
 
 
-def _ending(here: World, folder: Path, aside: Path, result: Result, outcome: Outcome) -> None:
+def _ending(here: Experiment, folder: Path, aside: Path, result: Result, outcome: Outcome) -> None:
     """The dataset and run.json: drawn from the steps alone, they must say what these say."""
     if here.config["trials"] is None:
         iterations = list(result.iterations)
-        keep.publish(here, keep.trial_hashes(folder, iterations), aside, iterations)
+        run_folder.publish(here, run_folder.trial_hashes(folder, iterations), aside, iterations)
         written = [*sorted(aside.glob("*.parquet")), aside / "dataset.yaml"]
         faults = {path.name: differences(folder / path.name, path) for path in written}
         outcome.note("the run as a dataset", _lines(faults))

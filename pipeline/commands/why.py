@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data.errors import printable
-from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_world, walk
-from stringcast.pipeline.folder import FOLDERS, place_of
-from stringcast.pipeline.fresh import inputs, look, performed
+from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_experiment, walk
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.layout import FOLDERS, place_of
 from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.staleness import inputs, look, performed
 from stringcast.pipeline.steps import Past
-from stringcast.pipeline.world import World
 
 
 def main(arguments: list[str]) -> int:
@@ -23,7 +23,7 @@ def main(arguments: list[str]) -> int:
     place = parser.parse_args(arguments).place
     folder = run_of(place)
     asked = place.resolve().relative_to(folder.resolve()).as_posix()
-    states = [state for state in states_of(stored_world(folder), folder) if asked in (".", state.place)]
+    states = [state for state in states_of(stored_experiment(folder), folder) if asked in (".", state.place)]
     if not states:
         known = ", ".join(FOLDERS.values())
         raise UserError(f"{place}: the run has no such step. Name a folder iterations/<number>/<one of {known}>.")
@@ -49,7 +49,7 @@ class State:
         return "fresh" if not self.reasons else "stale, but stays: the arm has moved by it" if self.stays else "stale"
 
 
-def states_of(here: World, folder: Path) -> list[State]:
+def states_of(here: Experiment, folder: Path) -> list[State]:
     """Of all steps of a run, in their order, up to the first that is missing."""
     states: dict[str, State] = {}
 

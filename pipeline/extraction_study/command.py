@@ -13,13 +13,13 @@ from pydantic import Field
 from stringcast.data import store
 from stringcast.hardware.virtual import Specimen
 from stringcast.hardware.virtual.conditions import CONDITIONS
+from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.extraction_study.films import Cell, Take, read, take
 from stringcast.pipeline.extraction_study.pictures import overview
 from stringcast.pipeline.extraction_study.scores import FRAMES, SHARES, compared, shares
 from stringcast.pipeline.origin import origin
 from stringcast.pipeline.settings import build
-from stringcast.pipeline.world import World
-from stringcast.stages.progress import Progress
+from stringcast.stages.common import Progress
 
 WHERE = "conf/experiment/extraction_study.yaml"
 
@@ -33,7 +33,7 @@ class ExtractionStudy:
     strings: Mapping[str, Any]
 
 
-def run(here: World, folder: Path, progress: Progress) -> str:
+def run(here: Experiment, folder: Path, progress: Progress) -> str:
     """Film, read and score; what came out, in a sentence. What is in `folder` already is not made again."""
     asked = build(ExtractionStudy, here.config["extraction_study"], "extraction_study", WHERE)
     takes = [one for name, block in asked.strings.items() for one in _takes(here, asked, name, block)]
@@ -64,14 +64,14 @@ def sentence(frames: pd.DataFrame) -> str:
     return f"{len(frames)} frames: {read:.1%} read, {wrong:.2%} wrong, {1 - read:.1%} refused with the reason."
 
 
-def _takes(here: World, asked: ExtractionStudy, name: str, block: Mapping[str, Any]) -> list[Take]:
+def _takes(here: Experiment, asked: ExtractionStudy, name: str, block: Mapping[str, Any]) -> list[Take]:
     """The casts of one string."""
     specimen = build(Specimen, block, f"extraction_study.strings.{name}", WHERE)
     seeds = range(here.seed, here.seed + asked.casts)
     return [take(name, specimen, here.arm, here.camera, asked.frames, seed) for seed in seeds]
 
 
-def _kept(here: World, folder: Path, cell: Cell, takes: list[Take]) -> pd.DataFrame:
+def _kept(here: Experiment, folder: Path, cell: Cell, takes: list[Take]) -> pd.DataFrame:
     """Table FRAMES of one condition and severity, read from `folder` if it is there."""
     path = folder / "conditions" / f"{cell.condition.replace(' ', '_')}-{cell.severity}.parquet"
     if not path.exists():

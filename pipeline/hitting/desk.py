@@ -15,23 +15,23 @@ import pandas as pd
 
 from stringcast.data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Motion, Points, Trial
 from stringcast.hardware.virtual.bench import Bench
+from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.make import make
 from stringcast.pipeline.run import Iteration
 from stringcast.pipeline.steps import Past
-from stringcast.pipeline.world import World
-from stringcast.stages.execute import padded
-from stringcast.stages.judge import Verdict, judge
+from stringcast.stages.execute.execute import padded
+from stringcast.stages.hit_test import Verdict, hit_test
 
 FINE = 1e-3  # [s] between moments at which it is looked up what really happened
 PLACES = 2  # every so manieth point of the bench's string is measured
 
 
 @dataclass
-class PointDesk:
+class PointExecutor:
     """Steps are made in memory. noise: of a measured coordinate, one sigma [m]. seconds: that planning took, and
     the bench, by number of the cast."""
 
-    world: World
+    experiment: Experiment
     noise: float
     seconds: dict[int, float] = field(default_factory=dict)
     benches: dict[int, Bench] = field(default_factory=dict)
@@ -45,13 +45,14 @@ class PointDesk:
         """What really became of a cast, whatever was seen of it. duration: of its movement [s]."""
         t = np.arange(0, duration + FINE, FINE)
         bench = self.benches[number]
-        return judge(read(bench, t, bench.string_at(t), 0.0), self.world.target, self.world.obstacles, duration)
+        seen = read(bench, t, bench.string_at(t), 0.0)
+        return hit_test(seen, self.experiment.target, self.experiment.obstacles, duration)
 
     def publish(self, iterations: list[Iteration]) -> None:
         """Nobody reads along."""
 
     def _made(self, name: str, past: Past) -> Any:
-        return make(name, self.world, past, lambda share: None)
+        return make(name, self.experiment, past, lambda share: None)
 
     def _generate(self, past: Past) -> Motion:
         begun = time.process_time()
@@ -60,8 +61,8 @@ class PointDesk:
         return motion
 
     def _execute(self, past: Past) -> Trial:
-        world, rest = self.world, self.world.config["execute"]
-        lab = world.stages["hardware"](world.arm, world.camera, seed=world.seed, trial=past.number)
+        experiment, rest = self.experiment, self.experiment.config["execute"]
+        lab = experiment.stages["hardware"](experiment.arm, experiment.camera, seed=experiment.seed, trial=past.number)
         commands = padded(past.done["generate"].commands, rest["before"], rest["after"])
         lab.arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
         performance = lab.arm.perform(commands)
@@ -71,9 +72,9 @@ class PointDesk:
     def _extract(self, past: Past) -> Points:
         bench = self.benches[past.number]
         first, last = past.done["execute"].arm["t"].iloc[[0, -1]]
-        rate = self.world.camera.fps
+        rate = self.experiment.camera.fps
         t = np.arange(np.ceil(first * rate), np.floor(last * rate) + 1) / rate
-        return measured(bench, t, self.noise, np.random.default_rng([self.world.seed, past.number]))
+        return measured(bench, t, self.noise, np.random.default_rng([self.experiment.seed, past.number]))
 
 
 def measured(bench: Bench, t: np.ndarray, noise: float, rng: np.random.Generator) -> Points:

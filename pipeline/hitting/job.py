@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from stringcast.hardware.virtual.bench import Bench
-from stringcast.pipeline.hitting.desk import PointDesk
+from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.hitting.desk import PointExecutor
 from stringcast.pipeline.hitting.lessons import estimated, lessons, model_found
 from stringcast.pipeline.run import Iteration, cast
-from stringcast.pipeline.world import World, world
 from stringcast.stages.generate.curves import Curves, first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.hand import JointMotion
@@ -52,12 +52,12 @@ def casts_of(config: Config, case: Config, method: Config, seed: int) -> list[di
     plain = settings(config, case, taught_so, seed, hits["casts"])
     own = settings(config, case, method, seed, hits["casts"] + count)
     try:
-        taught = lessons(PointDesk(world(plain, named), noise), count)
+        taught = lessons(PointExecutor(prepare(plain, named), noise), count)
         if "diagnose" in method:
-            found = model_found(world({**plain, "diagnose": method["diagnose"]}, named), taught)
+            found = model_found(prepare({**plain, "diagnose": method["diagnose"]}, named), taught)
             own |= {block: _changed(own[block], value) for block, value in found.items()}
-        here = world(own, named)
-        desk = PointDesk(here, noise)
+        here = prepare(own, named)
+        desk = PointExecutor(here, noise)
         if taught:
             estimated(desk, taught)
         made = cast(here, Path(), desk, taught).iterations[count:]
@@ -72,7 +72,7 @@ def named(block: str) -> str:
     return f"conf/{block}"
 
 
-def _row(iteration: Iteration, number: int, desk: PointDesk, truth: References) -> dict[str, Any]:
+def _row(iteration: Iteration, number: int, desk: PointExecutor, truth: References) -> dict[str, Any]:
     assert iteration.verdict is not None
     plan, estimate = iteration.done["generate"].outcome.iloc[0], iteration.done["estimate"]
     real = desk.real(iteration.number, float(plan["duration"]))
@@ -85,7 +85,7 @@ def _row(iteration: Iteration, number: int, desk: PointDesk, truth: References) 
         "planning": desk.seconds[iteration.number],
         "residual": float(estimate.fit["rms_after"].iloc[0]),
         "foretelling": truth.off(estimate.values()),
-        "effects": " ".join(desk.world.config["effects"]),
+        "effects": " ".join(desk.experiment.config["effects"]),
     }
     return {name: None if pd.isna(value) else value for name, value in row.items()}  # JSON has no NaN
 
@@ -93,7 +93,7 @@ def _row(iteration: Iteration, number: int, desk: PointDesk, truth: References) 
 class References:
     """Casts that nobody learns from, on which a model foretells the tip."""
 
-    def __init__(self, here: World, bench: Bench) -> None:
+    def __init__(self, here: Experiment, bench: Bench) -> None:
         self.model, self.curves = here.model, reference_curves(here)
         self.motion = JointMotion(0.0, here.arm.tick, *self.curves.sampled(here.arm.tick, REFERENCE_T[1]))
         self.times = np.arange(0, REFERENCE_T[1], 2 * here.arm.tick)
@@ -107,7 +107,7 @@ class References:
         return float(np.sqrt(np.mean(np.sum((tips - self.tips) ** 2, axis=-1))))
 
 
-def reference_curves(here: World) -> Curves:
+def reference_curves(here: Experiment) -> Curves:
     """The same movements whatever is compared."""
     rng = np.random.default_rng(0)
     curves = first_curves(here.arm, rng, 64, REFERENCE_T, REFERENCE_ALPHA)

@@ -7,15 +7,15 @@ from typing import Any
 import yaml
 
 from stringcast.data.artifacts import Diagnosis
-from stringcast.pipeline.hitting.desk import PointDesk
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.hitting.desk import PointExecutor
 from stringcast.pipeline.run import Iteration
 from stringcast.pipeline.steps import Past
-from stringcast.pipeline.world import World
 
 PERFORMED = ("generate", "execute", "extract")
 
 
-def lessons(desk: PointDesk, count: int) -> list[Iteration]:
+def lessons(desk: PointExecutor, count: int) -> list[Iteration]:
     """First casts, each as if nothing were known of the string; what is cast after them is no change of theirs."""
     casts = [Iteration(number, {}) for number in range(1, count + 1)]
     for current in casts:
@@ -25,15 +25,15 @@ def lessons(desk: PointDesk, count: int) -> list[Iteration]:
     return casts
 
 
-def estimated(desk: PointDesk, casts: list[Iteration]) -> None:
+def estimated(desk: PointExecutor, casts: list[Iteration]) -> None:
     """What the desk's method makes of all lessons is known after the last."""
     last = casts[-1]
     last.done["estimate"] = desk.step("estimate", _seen(casts))
 
 
-def model_found(here: World, casts: list[Iteration]) -> dict[str, Any]:
+def model_found(here: Experiment, casts: list[Iteration]) -> dict[str, Any]:
     """Settings of the model that a diagnosis of the lessons makes: what `extended=<its folder>` brings along."""
-    made: Diagnosis = PointDesk(here, noise=0.0).step("diagnose", _seen(casts))
+    made: Diagnosis = PointExecutor(here, noise=0.0).step("diagnose", _seen(casts))
     said: dict[str, Any] = yaml.safe_load(made.finding["extended"].iloc[0])
     return said
 

@@ -13,14 +13,14 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data import store
+from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.hitting.job import casts_of
 from stringcast.pipeline.hitting.pictures import picture
 from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
 from stringcast.pipeline.origin import origin, state
 from stringcast.pipeline.settings import build
 from stringcast.pipeline.study.benches import workers
-from stringcast.pipeline.world import World
-from stringcast.stages.progress import Progress
+from stringcast.stages.common import Progress
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -63,7 +63,7 @@ class Job:
         return folder / "rows" / f"{self.case}-{self.method}-{self.seed:04d}.json"
 
 
-def run(here: World, folder: Path, progress: Progress) -> str:
+def run(here: Experiment, folder: Path, progress: Progress) -> str:
     """Cast, count and draw; what came out, in a sentence. What is in `folder` already is not made again."""
     asked = build(Hits, here.config["hits"], "hits", "conf/experiment/hit_study.yaml")
     seeds = range(asked.first, asked.first + asked.seeds)

@@ -12,8 +12,8 @@ from stringcast.data import store
 from stringcast.data.about import about
 from stringcast.data.artifacts import PREDICTED
 from stringcast.data.schema import Column, Table
+from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.run import Result
-from stringcast.pipeline.world import World
 from stringcast.stages.estimate.settle import MODES
 
 SETS = Table(
@@ -41,7 +41,7 @@ SETS = Table(
 )
 
 
-def scored(here: World, result: Result) -> dict[str, Any]:
+def scored(here: Experiment, result: Result) -> dict[str, Any]:
     """What a run came to: the numbers of a row of SETS, without time and names."""
     assert result.estimate is not None
     said = about(Path(here.config["trials"]))["trials"]

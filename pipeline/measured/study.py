@@ -15,7 +15,8 @@ from omegaconf import OmegaConf
 from pydantic import Field
 
 from stringcast.data import store
-from stringcast.pipeline.brought import with_brought_settings
+from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.measured.family import Family
 from stringcast.pipeline.measured.pictures import picture
 from stringcast.pipeline.measured.scores import SETS, foretold, in_words, scored
@@ -24,8 +25,7 @@ from stringcast.pipeline.perform import perform
 from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.pipeline.study.benches import workers
 from stringcast.pipeline.terminal import Terminal
-from stringcast.pipeline.world import World, world
-from stringcast.stages.progress import Progress
+from stringcast.stages.common import Progress
 
 WHERE = "conf/experiment/measured_study.yaml"
 
@@ -56,7 +56,7 @@ class Job:
         return folder / "rows" / f"{self.place(folder).name}.json"
 
 
-def run(here: World, folder: Path, progress: Progress) -> str:
+def run(here: Experiment, folder: Path, progress: Progress) -> str:
     """Fit, tabulate and draw; what came out, in a sentence. What is in `folder` already is not made again."""
     asked = build(Measured, here.config["measured"], "measured", WHERE)
     jobs = list(_jobs(asked, here.config, folder))
@@ -102,7 +102,7 @@ def make(job: Job, config: Mapping[str, Any], folder: Path) -> None:
     """Fit, in this process alone, and keep the row."""
     place = job.place(folder)
     whole = not (place / "iterations").exists()
-    here = world(settings(job, config, folder / "datasets" / job.string), lambda block: f"conf/{block}")
+    here = prepare(settings(job, config, folder / "datasets" / job.string), lambda block: f"conf/{block}")
     result = perform(here, place, Terminal(quiet=True))
     family = build(Family, config["measured"]["families"][job.family], f"measured.families.{job.family}", WHERE)
     names = {"string": job.string, "laws": job.laws, "effects": ", ".join(family.sets[job.laws]["effects"])}
@@ -117,4 +117,4 @@ def settings(job: Job, config: Mapping[str, Any], dataset: Path) -> dict[str, An
     family = config["measured"]["families"][job.family]
     own = composed(["+experiment=estimate"]) | family["settings"] | family["sets"][job.laws]
     own |= {"seed": config["seed"], "leave": [], "trials": str(dataset)}
-    return with_brought_settings(OmegaConf.create(own), {"string"})
+    return with_inherited_settings(OmegaConf.create(own), {"string"})

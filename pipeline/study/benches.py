@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from stringcast.data.store import write_text
 from stringcast.hardware.virtual.blind import LATEST
 from stringcast.pipeline.origin import state
-from stringcast.stages.progress import Progress
+from stringcast.stages.common import Progress
 
 Row = dict[str, Any]
 

@@ -17,14 +17,14 @@ from stringcast.data import dataset, store
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import DataError
 from stringcast.hardware.virtual.blind import draw
-from stringcast.pipeline.brought import with_brought_settings
+from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.origin import origin
 from stringcast.pipeline.settings import build
 from stringcast.pipeline.study.benches import study
 from stringcast.pipeline.study.pictures import pictures
 from stringcast.pipeline.study.scores import TABLES, scores
-from stringcast.pipeline.world import World, world
-from stringcast.stages.progress import Progress
+from stringcast.stages.common import Progress
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Study:
     processes: Annotated[int, Field(ge=0)]
 
 
-def run(here: World, folder: Path, progress: Progress) -> str:
+def run(here: Experiment, folder: Path, progress: Progress) -> str:
     """Draw, diagnose and score; what came out, in a sentence. What is in `folder` already is not made again."""
     asked = build(Study, here.config["study"], "study", "conf/config.yaml")
     seeds = range(asked.first, asked.first + asked.benches)
@@ -57,8 +57,9 @@ def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
     """The same with all its tables."""
-    settings = with_brought_settings(OmegaConf.create({**config, "trials": str(folder), "steps": ["diagnose"]}), set())
-    here = world(settings, lambda block: f"conf/{block}")
+    asked = OmegaConf.create({**config, "trials": str(folder), "steps": ["diagnose"]})
+    settings = with_inherited_settings(asked, set())
+    here = prepare(settings, lambda block: f"conf/{block}")
     data = dataset.fits(dataset.read(folder), here.string.length)
     if not data.trials:
         raise DataError(f"{folder}: no trial can be used.")

@@ -17,8 +17,8 @@ from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 
+from stringcast.pipeline.console import bars
 from stringcast.pipeline.settings import UserError, loaded, stage
-from stringcast.pipeline.show import bars
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
 from stringcast.pipeline.sweep.show import left, line, summary

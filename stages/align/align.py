@@ -18,9 +18,9 @@ from stringcast.stages.align.grasp import from_points
 from stringcast.stages.align.lookalike import LAG, OFFSET, likelihood, most_lag
 from stringcast.stages.align.outline import from_films
 from stringcast.stages.align.refuse import refuse_fit, refuse_sight, speed
+from stringcast.stages.common import Progress
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress
 
 AIM = 1e-3  # [s] to which the clocks should be known
 

@@ -16,10 +16,10 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from stringcast.stages.align.sightings import Sighted
+from stringcast.stages.common import mad_sigma
 from stringcast.stages.model.effect import components
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
-from stringcast.stages.spread import spread
 
 ALWAYS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
 SOUGHT = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
@@ -189,7 +189,7 @@ def fitted(
 
 def robust(residual: np.ndarray) -> float:
     """Robust standard deviation about zero."""
-    return float(spread(residual)) + 1e-12
+    return float(mad_sigma(residual)) + 1e-12
 
 
 def chosen(problem: Problem) -> Fit:

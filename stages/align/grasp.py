@@ -7,9 +7,9 @@ import numpy as np
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.align.sightings import Sighted, Sightings
+from stringcast.stages.common import mad_sigma
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import joint_motion
-from stringcast.stages.spread import spread
 
 NEAR = 1e-3  # [m] of arc length: a point as near to the grasp as that is the grasp
 TOLD = 1e-5  # [m] a point nearer than that to where the joints have it was not measured
@@ -43,7 +43,7 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
 def noise(off: np.ndarray) -> float:
     """One standard deviation [m] of what goes on evenly from frame to frame but for it. off: (K, 2)."""
     jumps = np.diff(off, 2, axis=0)
-    return max(float(spread(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
+    return max(float(mad_sigma(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
 
 
 def at_hand(t: np.ndarray, seen: np.ndarray, sigma: np.ndarray, links: int) -> Sightings:

@@ -17,12 +17,12 @@ from stringcast.data.artifacts import JOINTS, Film
 from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import ALWAYS, Problem, fitted
 from stringcast.stages.align.sightings import Sighted, Sightings
+from stringcast.stages.common import Progress
 from stringcast.stages.extract.isolate import darkest
 from stringcast.stages.extract.steady import samples
 from stringcast.stages.model.body import arm_seen
 from stringcast.stages.model.hand import JointMotion, joint_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress
 
 PIECES = 6  # pieces of a link, each a sighting
 ENDS = 0.15  # share of a link at its ends that is left out: there links and gripper overlap

@@ -18,8 +18,8 @@ from stringcast.stages.calibrate.judge import Demands, Evidence, reason
 from stringcast.stages.calibrate.plane import Place, in_plane
 from stringcast.stages.calibrate.tables import tables
 from stringcast.stages.calibrate.views import View, look
+from stringcast.stages.common import Progress
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.progress import Progress
 
 SOLVABLE = 4  # views below which there is nothing to judge
 FOLDS = 4

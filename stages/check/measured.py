@@ -11,10 +11,9 @@ import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.dataset import Dataset
+from stringcast.stages.common import at_places, mad_sigma, tracked, wander
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.spread import spread
-from stringcast.stages.tracks import at_places, tracked, wander
 
 STILL = 3  # frames that tell where the string is at first
 MOVED = 0.03  # of the string's length: who has gone so far has left his place
@@ -91,7 +90,7 @@ class Seen:
         of the calmest place, for the tip of a string that whips has them. NaN where frames are too few."""
         rough = [np.diff(xy, 4, axis=0).ravel() for _, xy in self.tracks]
         enough = [some for some in rough if len(some) >= FEWEST and some.any()] or rough
-        return float(min((spread(some) for some in enough), default=np.nan) / np.sqrt(70))
+        return float(min((mad_sigma(some) for some in enough), default=np.nan) / np.sqrt(70))
 
     @cached_property
     def hand_onset(self) -> float | None:

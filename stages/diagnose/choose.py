@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.closing import closer
 from stringcast.stages.diagnose.compare import blocks, moved
 from stringcast.stages.diagnose.evidence import Evidence
@@ -15,7 +16,6 @@ from stringcast.stages.diagnose.hypotheses import INEXACT, Causes, Hypotheses
 from stringcast.stages.diagnose.intervals import present
 from stringcast.stages.diagnose.noise import CLEAR, visible, visible_in_each
 from stringcast.stages.model.effect import placed
-from stringcast.stages.progress import Progress
 
 log = logging.getLogger(__name__)
 

@@ -16,6 +16,7 @@ from pydantic import Field
 
 from stringcast.data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
 from stringcast.data.schema import DataError
+from stringcast.stages.common import Progress, part
 from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.casts import Design
 from stringcast.stages.diagnose.choose import chosen, levelled, noisiness
@@ -38,7 +39,6 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress, part
 
 log = logging.getLogger(__name__)
 

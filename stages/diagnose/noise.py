@@ -13,10 +13,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from stringcast.data.dataset import FRAMES_NEEDED
+from stringcast.stages.common import mad_sigma, tracked
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.estimate.forward import Case
-from stringcast.stages.spread import spread
-from stringcast.stages.tracks import tracked
 
 FEWEST = 30  # second differences from which a noise can be told
 CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames
@@ -43,7 +42,7 @@ def estimated(evidence: Evidence, residual: np.ndarray) -> float:
     """
     pairs = zip(evidence.cases, parts(evidence, residual), strict=True)
     rough = np.concatenate([_second_differences(case, part) for case, part in pairs])
-    noise = spread(residual) if len(rough) < FEWEST else spread(rough) / np.sqrt(6)
+    noise = mad_sigma(residual) if len(rough) < FEWEST else mad_sigma(rough) / np.sqrt(6)
     return max(float(noise), rounding(evidence) / float(np.median(evidence.sigma)))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from stringcast.data.artifacts import Observation
 from stringcast.data.dataset import FRAMES_NEEDED
 from stringcast.data.schema import DataError
+from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import Fit, fitted, ranked
@@ -23,7 +24,6 @@ from stringcast.stages.estimate.forward import Case, case
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress
 
 GUESS = 1e-3  # [m] of noise before anything is known
 TOLD_WRONG = 1.3  # times the noise that the data's author states: then the data are believed

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import Fit, fitted, ranked
 from stringcast.stages.diagnose.theory import Theory
-from stringcast.stages.progress import Progress
 
 FIRST = 0.2  # [s] of every trial that are fitted first
 GROWTH = 1.75  # of the horizon, from one to the next

@@ -13,11 +13,11 @@ from cmaes import CMA
 from pydantic import Field
 
 from stringcast.data.artifacts import Estimate, Observation
+from stringcast.stages.common import Progress
 from stringcast.stages.estimate.least_squares import possible
 from stringcast.stages.estimate.matching import Matching, matching_rate, targets
 from stringcast.stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress
 
 
 def estimate(

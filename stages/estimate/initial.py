@@ -15,9 +15,9 @@ from itertools import product
 import numpy as np
 
 from stringcast.data.schema import DataError
+from stringcast.stages.common import at_places
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.state import State
-from stringcast.stages.tracks import at_places
 
 PIECES = 40  # straight pieces of the curve
 FRAMES = 4  # to which parabolas are fitted: more are no parabola at 30 Hz, and at 200 Hz no better

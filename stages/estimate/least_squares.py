@@ -25,13 +25,12 @@ from scipy.optimize import least_squares as trust_region
 from scipy.special import stdtrit
 
 from stringcast.data.artifacts import Estimate, Observation
+from stringcast.stages.common import Progress, mad_sigma
 from stringcast.stages.estimate.forward import Case
 from stringcast.stages.estimate.matching import Matching, Target, matching_rate, targets
 from stringcast.stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, values_of, words
 from stringcast.stages.estimate.settle import settled
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress
-from stringcast.stages.spread import spread
 
 STEP = 1e-4  # of chi, for the central difference
 HUBER = 2.0  # robust scales beyond which a residual counts less
@@ -236,7 +235,7 @@ def _costs(cases: Sequence[Case], chi: np.ndarray, limit: np.ndarray | float) ->
 
 def _limit(residual: np.ndarray) -> np.ndarray:
     """HUBER robust standard deviations of residuals (..., N), (...)."""
-    return HUBER * spread(residual, axis=-1) + 1e-12
+    return HUBER * mad_sigma(residual, axis=-1) + 1e-12
 
 
 def _huber(residual: np.ndarray, limit: np.ndarray) -> np.ndarray:

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from stringcast.stages.common import mad_sigma
 from stringcast.stages.estimate.forward import Case
 from stringcast.stages.model.state import State
-from stringcast.stages.spread import spread
 
 SPAN = 0.5  # [s] of the trial's beginning that is looked at
 MODES = 6
@@ -33,7 +33,7 @@ def settled(ready: Case, values: np.ndarray) -> Case:
     if ready.initial is None:
         return ready
     early = ready.until(min(SPAN / float(np.ptp(ready.times)), 1.0))
-    noise = float(spread(_residuals(early, values, UNCHANGED)[0])) + 1e-12
+    noise = float(mad_sigma(_residuals(early, values, UNCHANGED)[0])) + 1e-12
     if not np.isfinite(noise):
         return ready
 

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import Observation
+from stringcast.stages.common import at_places, tracked, wander
 from stringcast.stages.model.box import Box
-from stringcast.stages.tracks import at_places, tracked, wander
 
 NEAR = 0.01  # [m] of an obstacle at which a measured string may be touching it
 FEWEST = 3  # frames that are worth keeping

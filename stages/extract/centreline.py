@@ -16,8 +16,8 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter1d
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from stringcast.stages.common import mad_sigma
 from stringcast.stages.extract.certainty import centroid, sigmas
-from stringcast.stages.spread import spread
 
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 GAP = 7  # [px] across which a broken string is joined
@@ -172,7 +172,7 @@ def _end(light: np.ndarray, blind: np.ndarray, half: float) -> tuple[float, floa
     if beyond or last + 1 == len(light):
         return last + beyond / 2, max(beyond, 1) / np.sqrt(12)
     drop = float(light[last] - light[last + 1])
-    return last + float(light[last] - level) / drop, float(np.hypot(SHAPE, spread(even - 2 * level) / drop))
+    return last + float(light[last] - level) / drop, float(np.hypot(SHAPE, mad_sigma(even - 2 * level) / drop))
 
 
 def _graph(difference: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:

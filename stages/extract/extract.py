@@ -13,6 +13,7 @@ from pydantic import Field
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Points
 from stringcast.data.images import Held
 from stringcast.data.schema import DataError
+from stringcast.stages.common import Progress
 from stringcast.stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
 from stringcast.stages.extract.doubt import check
 from stringcast.stages.extract.footage import Footage
@@ -31,7 +32,6 @@ from stringcast.stages.extract.score import rasterise
 from stringcast.stages.extract.steady import samples, steadied
 from stringcast.stages.extract.window import around
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.progress import Progress
 
 MARGIN = 12.0  # [px] around what the string can reach
 BLURRED = 2.0  # [px] by how much half the string's width may be more than in the other frames

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from stringcast.stages.spread import spread
+from stringcast.stages.common import mad_sigma
 
 SAMPLES = 120  # frames whose median stands for the film
 PYRAMID = (8, 3)  # the picture is made so many times smaller: large shifts first, then their fractions
@@ -100,7 +100,7 @@ def _closer(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int)
     across, down = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
     columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[:, 2:-2, 2:-2]
     rest = (image - found[0] * like)[2:-2, 2:-2]
-    still = np.abs(rest) < MOVES * (float(spread(rest.ravel()[::7])) + 1e-3)
+    still = np.abs(rest) < MOVES * (float(mad_sigma(rest.ravel()[::7])) + 1e-3)
     sums = _by_part(np.concatenate([columns, rest[None]]) * still)
     others = sums.sum(axis=0) - sums
     steps = np.linalg.solve(others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:])[..., 0]

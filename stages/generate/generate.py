@@ -25,6 +25,7 @@ from stringcast.data.artifacts import (
 )
 from stringcast.data.errors import ExpectedError
 from stringcast.data.schema import DataError
+from stringcast.stages.common import Progress
 from stringcast.stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
 from stringcast.stages.generate.space import check_reach
 from stringcast.stages.model.arm import Arm
@@ -32,7 +33,6 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.progress import Progress
 
 FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
 HIT = "hit"

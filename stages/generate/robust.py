@@ -17,6 +17,7 @@ from pydantic import Field
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
 from stringcast.data.later import Later
 from stringcast.data.schema import DataError
+from stringcast.stages.common import Progress, part
 from stringcast.stages.generate.chance import Place, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, joined
 from stringcast.stages.generate.draws import Doubt, Draws, drawn
@@ -27,7 +28,6 @@ from stringcast.stages.generate.refine import Space, refine
 from stringcast.stages.generate.space import check_reach
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress, part
 
 stats = Later("scipy.stats")
 

@@ -20,11 +20,11 @@ from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, Virtu
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.stages.align import align
 from stringcast.stages.align.align import measured_table
+from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import Problem, chosen, measuring
 from stringcast.stages.align.grasp import from_points
 from stringcast.stages.align.lookalike import OFFSET
-from stringcast.stages.excite import excite
-from stringcast.stages.execute import execute
+from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model

@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 
 from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, SPEEDS, Motion, Observation
 from stringcast.hardware.virtual.servo import Servo
+from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import measuring
-from stringcast.stages.excite import excite
 from stringcast.stages.model.body import arm_seen
 from stringcast.stages.model.hand import JointMotion, joint_motion
 from stringcast.stages.model.library import named

@@ -12,6 +12,7 @@ from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, Film, Obs
 from stringcast.data.schema import DataError
 from stringcast.hardware.virtual.render import Look, noisy, render, scenery
 from stringcast.stages.align import align
+from stringcast.stages.align.excitation.excite import drawn, excite, information
 from stringcast.stages.align.fit import ALWAYS, Problem, measuring
 from stringcast.stages.align.grasp import at_hand
 from stringcast.stages.align.lookalike import most_lag
@@ -19,7 +20,6 @@ from stringcast.stages.align.sightings import Sighted
 from stringcast.stages.align.undo import in_arms_frame
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.random_search import estimate
-from stringcast.stages.excite import drawn, excite, information
 from stringcast.stages.extract import aligned_footage
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import joint_motion
@@ -307,7 +307,7 @@ def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
 
 def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_count(model, monkeypatch):
     """Against what sightings 10 ms apart say of the offset, all else but a lag unknown; drawn ones differ by half."""
-    monkeypatch.setattr("stringcast.stages.excite.CLOCKS", 1e6)
+    monkeypatch.setattr("stringcast.stages.align.excitation.excite.CLOCKS", 1e6)
     told, known = [], []
     for seed in range(6):
         angles, speeds = drawn(model.arm, np.random.default_rng(seed), duration=3.0, speed=2.0, highest=2.5, sines=3)

@@ -7,9 +7,9 @@ import pytest
 import yaml
 from omegaconf import OmegaConf
 
-from stringcast.pipeline.brought import extended_model
+from stringcast.pipeline.experiment import prepare
+from stringcast.pipeline.inherited import extended_model
 from stringcast.pipeline.settings import UserError, composed
-from stringcast.pipeline.world import world
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from tests.alignment.stand import OFF, stand
@@ -20,7 +20,7 @@ MEASURED = {"time_offset.offset": {"value": 0.012, "low": 0.0119, "high": 0.0122
 
 def made(known, effects=("time_offset",)):
     settings = OmegaConf.to_container(OmegaConf.create(composed()), resolve=True)
-    return world(settings | {"effects": list(effects), "known": known}, lambda block: f"conf/{block}")
+    return prepare(settings | {"effects": list(effects), "known": known}, lambda block: f"conf/{block}")
 
 
 def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():

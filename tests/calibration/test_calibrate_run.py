@@ -12,10 +12,10 @@ from studio import BOARD, SIZE, TILTED, picture, pose, tilted
 from stringcast.data import store
 from stringcast.data.calibration import Calibration
 from stringcast.pipeline import calibrate
-from stringcast.pipeline.brought import measured_camera, with_brought_settings
 from stringcast.pipeline.commands import board
+from stringcast.pipeline.experiment import prepare
+from stringcast.pipeline.inherited import measured_camera, with_inherited_settings
 from stringcast.pipeline.settings import UserError, build, composed
-from stringcast.pipeline.world import world
 from stringcast.stages.calibrate.views import look
 from stringcast.stages.model.camera import Camera
 
@@ -39,7 +39,7 @@ def settled(folders, *more):
     given |= dict(override.split("=", 1) for override in more)
     words = [f"{name}={value}" for name, value in given.items()]
     config = OmegaConf.create(composed(["+experiment=calibrate", "source=images", *words]))
-    return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+    return prepare(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
 
 
 def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):
@@ -66,8 +66,8 @@ def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_lin
     measured = {"width": 320, "height": 240, "px_per_m": 512.5, "origin_px": [1.5, 2.5], "fps": 50.0, "rotation": 0.01}
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(measured))
     config = OmegaConf.create(composed([f"calibrated={tmp_path}", "camera.fps=60"]))
-    assert with_brought_settings(config, {"calibrated", "camera.fps"})["camera"] == measured | {"fps": 60}
-    assert with_brought_settings(OmegaConf.create(composed()), set())["camera"]["width"] == 640
+    assert with_inherited_settings(config, {"calibrated", "camera.fps"})["camera"] == measured | {"fps": 60}
+    assert with_inherited_settings(OmegaConf.create(composed()), set())["camera"]["width"] == 640
 
 
 def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):

@@ -9,7 +9,7 @@ from conftest import specimen, swing
 from stringcast.data.artifacts import Film
 from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
 from stringcast.stages.diagnose.theory import candidates
-from stringcast.stages.execute import execute
+from stringcast.stages.execute.execute import execute
 from stringcast.stages.extract import extract, footage_of
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.lens import Lens

@@ -23,9 +23,9 @@ from stringcast.hardware.virtual.blind import LATEST, VERSIONS
 from stringcast.hardware.virtual.blind.bench import BlindBench
 from stringcast.hardware.virtual.blind.casts import Cast, performed, random_cast
 from stringcast.hardware.virtual.blind.scene import Scene
+from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.study.command import diagnosis
-from stringcast.pipeline.world import World, world
 from stringcast.stages.model.library import named
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -77,7 +77,7 @@ def main() -> None:
         print(rows[-1])
 
 
-def decided(seed: int, here: World) -> dict[str, object]:
+def decided(seed: int, here: Experiment) -> dict[str, object]:
     """A row of DECISIONS."""
     name = list(HIDDEN)[seed % len(HIDDEN)]
     rng = np.random.default_rng([seed, 41])
@@ -97,14 +97,14 @@ def decided(seed: int, here: World) -> dict[str, object]:
     return row | said(last, name, "after") | {"found": odds(last, name)}
 
 
-def configured() -> World:
+def configured() -> Experiment:
     """The default settings of a diagnosis."""
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         config = OmegaConf.to_container(compose("config", ["+experiment=blind_study"]), resolve=True)
-    return world(config, lambda block: f"conf/{block}")
+    return prepare(config, lambda block: f"conf/{block}")
 
 
-def slow_scene(here: World, rng: np.random.Generator) -> Scene:
+def slow_scene(here: Experiment, rng: np.random.Generator) -> Scene:
     """Two casts of string B."""
     base = yaml.safe_load((ROOT / "conf/specimen/B.yaml").read_text())
     casts = tuple(random_cast(here.arm, rng, here.camera.fps, SLOW) for _ in range(2))
@@ -112,7 +112,7 @@ def slow_scene(here: World, rng: np.random.Generator) -> Scene:
     return Scene(here.arm, here.camera, base["length"], base["parameters"], casts, s, SIGMA, VERSIONS[LATEST])
 
 
-def proposed(first: Diagnosis, scene: Scene, here: World, rng: np.random.Generator) -> Cast:
+def proposed(first: Diagnosis, scene: Scene, here: Experiment, rng: np.random.Generator) -> Cast:
     """The motion that a diagnosis asks for, performed and filmed with as much rest around it as was foretold."""
     tick, angles = scene.arm.tick, first.commands[list(JOINTS)].to_numpy()
     before, after = (round(here.config["diagnose"]["design"][rest] / tick) for rest in ("before", "after"))
@@ -128,7 +128,7 @@ def observed(scene: Scene, name: str, rng: np.random.Generator) -> np.ndarray:
     return SIGMA * (clean + rng.standard_normal(clean.shape))
 
 
-def diagnosed(scene: Scene, points: np.ndarray, here: World) -> Diagnosis:
+def diagnosed(scene: Scene, points: np.ndarray, here: Experiment) -> Diagnosis:
     """What is said of these points (N, S, 2) in a scene's casts."""
     bench = BlindBench(0, "effect", scene, (), {}, {}, np.nan, points, told_sigma=True)
     with tempfile.TemporaryDirectory() as folder:

@@ -13,7 +13,7 @@ from rig import driver, movement
 
 from stringcast.hardware.serial.firmware import Firmware
 from stringcast.hardware.serial.protocol import VERSION, Command, Kind, encode_command
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 FOLDER = Path(__file__).resolve().parents[2] / "hardware" / "serial" / "device"
 POSE = (0.5, 0.25, -1.0)

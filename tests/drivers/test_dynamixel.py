@@ -36,7 +36,7 @@ from stringcast.hardware.dynamixel.registers import (
 )
 from stringcast.hardware.emulated.joints import STEP
 from stringcast.hardware.emulated.terminal import _talk
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 sdk = pytest.importorskip("dynamixel_sdk")
 

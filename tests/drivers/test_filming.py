@@ -14,8 +14,8 @@ from stringcast.hardware.camera.schedule import fitted
 from stringcast.hardware.camera.source import Frame
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.frames import dropped
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError
 
 CAMERA = Camera(32, 24, 50.0, (16.0, 12.0), 50.0)  # slow: a busy machine is late by some milliseconds
 CONTROLS = {"AUTO_EXPOSURE": 1, "EXPOSURE": 10, "GAIN": 2}

@@ -15,7 +15,7 @@ from stringcast.hardware.arm.limits import Workspace, check_movement
 from stringcast.hardware.arm.loop import Guard, blank
 from stringcast.hardware.arm.record import performance
 from stringcast.hardware.serial.protocol import FrameError, Report, State, decode_answer, encode_answer
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 BAD = [float("nan"), float("inf"), -float("inf")]
 

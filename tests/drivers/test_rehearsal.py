@@ -13,9 +13,9 @@ from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
 from stringcast.hardware.virtual.obstacles import Obstacles
 from stringcast.hardware.virtual.render import Look
 from stringcast.hardware.virtual.servo import Servo
-from stringcast.stages.execute import execute
-from stringcast.stages.rehearse import dry, slow, slowed
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.dry_run import dry, slow, slowed
+from stringcast.stages.execute.execute import execute
+from stringcast.stages.execute.interfaces import HardwareError
 
 START = [-0.9, 0.6, 0.4]
 

@@ -14,9 +14,9 @@ from stringcast.hardware.camera import FilmingCamera, VideoFile
 from stringcast.hardware.camera.played import Played
 from stringcast.hardware.serial.lab import open_lab
 from stringcast.hardware.serial.wire import SerialWire
-from stringcast.stages.execute import execute
+from stringcast.stages.execute.execute import execute
+from stringcast.stages.execute.interfaces import HardwareError, Recording
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.roles import HardwareError, Recording
 
 CAMERA = Camera(64, 48, 50.0, (32.0, 24.0), 100.0)
 LINK = {"baud": 1_000_000, "driving": DRIVING, "most_lost": 0.02}

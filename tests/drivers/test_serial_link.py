@@ -20,7 +20,7 @@ from stringcast.hardware.arm.record import performance
 from stringcast.hardware.serial.emulator.device import KINDS
 from stringcast.hardware.serial.protocol import VERSION
 from stringcast.hardware.serial.wire import SerialWire
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 # From the watchdog's last word to standstill: the wires swing out. Measured 0.05 s on the device's own clock.
 SWINGS_OUT = 0.15

@@ -24,7 +24,7 @@ from stringcast.hardware.serial.protocol import (
 )
 from stringcast.hardware.serial.protocol import Limits as LimitsAnswer
 from stringcast.hardware.serial.wire import SerialWire, check_latency
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 LIMITS = (*(4.0,) * 3, *(300.0,) * 3, 5000, 25)  # [rad/s], [rad/s^2], [us], [ms]
 POSE = (0.5, 0.25, -1.0)

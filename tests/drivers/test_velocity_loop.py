@@ -12,7 +12,7 @@ from stringcast.hardware.arm import Answer, Driving, VelocityArm
 from stringcast.hardware.arm.clock import undisturbed
 from stringcast.hardware.arm.loop import blank
 from stringcast.hardware.arm.record import performance
-from stringcast.stages.roles import HardwareError
+from stringcast.stages.execute.interfaces import HardwareError
 
 
 class Script:

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import MASKS, READINGS, Observation
+from stringcast.pipeline.experiment import with_effects
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.world import with_effects
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.forward import case
 from stringcast.stages.estimate.matching import Matching

@@ -18,7 +18,7 @@ from stringcast.data.store import write_table
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from tests.faults.kills import Command, Forked, rounds
 from tests.faults.strike import KINDS, strike
-from tests.faults.toy import contents, toy_run, toy_world
+from tests.faults.toy import contents, toy_experiment, toy_run
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "results" / "survival"
 STRIKES = Table(
@@ -67,7 +67,7 @@ def main() -> None:
 
 def killed(place: Path, toy: int, real: int, seed: int) -> pd.DataFrame:
     """Rows of KILLS."""
-    runs = {"toy": (Forked(toy_world(2, pause=0.01)), toy), "command line": (Command(*QUICK), real)}
+    runs = {"toy": (Forked(toy_experiment(2, pause=0.01)), toy), "command line": (Command(*QUICK), real)}
     rows = [
         {"run": name} | row
         for name, (run, count) in runs.items()
@@ -80,7 +80,7 @@ def killed(place: Path, toy: int, real: int, seed: int) -> pd.DataFrame:
 def struck(place: Path) -> pd.DataFrame:
     """Rows of STRIKES."""
     os.fsync = lambda handle: None  # type: ignore[assignment]
-    here = toy_world(1)
+    here = toy_experiment(1)
     toy_run(place / "whole", here)
     whole = contents(place / "whole")
     rows = []

@@ -92,7 +92,7 @@ class Sweep:
         return {"runs": runs, "table": table.to_json()}
 
 
-def toy_world(*given):
+def toy_experiment(*given):
     return replace(REAL(*given), stages=STAGES)
 
 
@@ -204,7 +204,7 @@ def struck_by(place, *asked):
 KINDS = {"run": Run(), "sweep": Sweep()}
 
 if __name__ == "__main__":
-    REAL, job.world = job.world, toy_world
+    REAL, job.prepare = job.prepare, toy_experiment
     shell.main.__wrapped__.__module__ = "__main__"  # as Hydra finds it when it is run
     Attempt._process = process
     import_module("stringcast.pipeline.report")  # so that no child has to

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from stringcast.data.schema import DataError
-from stringcast.pipeline import keep
+from stringcast.pipeline import run_folder
 from tests.faults.kills import Forked, rounds
 from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
-from tests.faults.toy import ROOT, contents, toy_run, toy_world
+from tests.faults.toy import ROOT, contents, toy_experiment, toy_run
 
 CLOCKS = {"time", "time_ns", "now", "utcnow", "today", "st_mtime", "st_mtime_ns", "st_ctime", "getmtime", "getctime"}
 
@@ -34,14 +34,14 @@ def _in_memory(monkeypatch):
 def whole(tmp_path_factory):
     """What an uninterrupted run of two casts leaves."""
     folder = tmp_path_factory.mktemp("whole")
-    assert toy_run(folder, toy_world())[0] == [*STEPS.values()] * 2
+    assert toy_run(folder, toy_experiment())[0] == [*STEPS.values()] * 2
     return contents(folder)
 
 
 @pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.long), 11])
 def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(tmp_path, monkeypatch, every):
     """Every operation of a cast, or every eleventh, the four kinds of fault in turn."""
-    here, struck = toy_world(1, steps=["generate", "execute", "extract"]), []
+    here, struck = toy_experiment(1, steps=["generate", "execute", "extract"]), []
     toy_run(tmp_path / "whole", here)
     unharmed = contents(tmp_path / "whole")
     for n in range(0, 1000, every):
@@ -55,14 +55,14 @@ def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(tmp_path, mo
 
 
 def test_killed_processes_lose_nothing_they_had_finished(tmp_path, whole):
-    rows = rounds(Forked(toy_world(2, pause=0.01)), tmp_path, 5, range(2))
+    rows = rounds(Forked(toy_experiment(2, pause=0.01)), tmp_path, 5, range(2))
     assert contents(tmp_path / "whole") == whole
     assert sum(row["killed"] for row in rows) >= 3
     assert any(0 < row["steps"] < 8 for row in rows if row["killed"])
 
 
 def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
-    here = toy_world()
+    here = toy_experiment()
     toy_run(tmp_path / "run", here)
     tables = sorted((tmp_path / "run").glob("iterations/*/*/*.parquet"))
     assert len(tables) == 34
@@ -76,12 +76,12 @@ def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
 
 def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(tmp_path, whole, monkeypatch):
     """Killed at any operation: its dataset is the same (at first it was written anew, beginning with one trial)."""
-    toy_run(tmp_path / "run", toy_world())
+    toy_run(tmp_path / "run", toy_experiment())
     for n in range(2, 30, 3):
         with monkeypatch.context() as patch:
             faults = Faults(patch, n, Killed(), True)
             with suppress(Killed):
-                toy_run(tmp_path / "run", toy_world())
+                toy_run(tmp_path / "run", toy_experiment())
         assert contents(tmp_path / "run") == whole
         if faults.struck is None:
             return
@@ -90,7 +90,7 @@ def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(tmp_path, 
 
 def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
     """run.json goes before the first step that it no longer describes."""
-    here = toy_world()
+    here = toy_experiment()
     toy_run(tmp_path / "run", here)
     (tmp_path / "run" / "iterations/02/estimate/fit.parquet").unlink()
 
@@ -98,7 +98,7 @@ def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
         raise DataError("the estimation broke")
 
     with pytest.raises(DataError, match="broke"):
-        toy_run(tmp_path / "run", toy_world(estimate_by=broken))
+        toy_run(tmp_path / "run", toy_experiment(estimate_by=broken))
     assert not (tmp_path / "run" / "run.json").exists()
     assert (tmp_path / "run" / "failed.txt").read_text() == "the estimation broke\n"
     assert toy_run(tmp_path / "run", here)[0] == ["estimate"]
@@ -109,8 +109,8 @@ def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
 HOLDER = """
 import sys, time; sys.path.insert(0, {root!r})
 from pathlib import Path
-from stringcast.pipeline import keep
-with keep.alone(Path({folder!r})):
+from stringcast.pipeline import run_folder
+with run_folder.alone(Path({folder!r})):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -121,12 +121,12 @@ def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path):
     holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     assert holder.stdout.readline() == "held\n"
     with pytest.raises(DataError, match="another process is working in this folder"):
-        toy_run(tmp_path, toy_world(1))
+        toy_run(tmp_path, toy_experiment(1))
     assert not (tmp_path / "config.json").exists()
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     assert (tmp_path / ".lock").exists()
-    assert toy_run(tmp_path, toy_world(1))[0] == [*STEPS.values()]
+    assert toy_run(tmp_path, toy_experiment(1))[0] == [*STEPS.values()]
 
 
 def test_no_clock_decides_anything(tmp_path, monkeypatch, whole):
@@ -138,11 +138,11 @@ def test_no_clock_decides_anything(tmp_path, monkeypatch, whole):
         def now(cls, zone):
             return datetime.fromtimestamp(rng.uniform(0, 4e9), UTC)
 
-    monkeypatch.setattr(keep, "datetime", Jumping)
-    toy_run(tmp_path / "run", toy_world())
+    monkeypatch.setattr(run_folder, "datetime", Jumping)
+    toy_run(tmp_path / "run", toy_experiment())
     for path in (tmp_path / "run").rglob("*"):
         os.utime(path, (rng.uniform(0, 4e9),) * 2)
-    assert toy_run(tmp_path / "run", toy_world())[0] == []
+    assert toy_run(tmp_path / "run", toy_experiment())[0] == []
     assert contents(tmp_path / "run") == whole
 
 
@@ -152,12 +152,12 @@ def test_only_what_is_for_information_reads_the_wall_clock():
         for file in (ROOT / room).rglob("*.py"):
             calls = [n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.Attribute)]
             found |= {file.name for node in calls if node.attr in CLOCKS and ast.unparse(node.value) != "past"}
-    assert found == {"keep.py"}, "only `made at` in a footer may be a time of day; nothing reads it but people"
+    assert found == {"run_folder.py"}, "only `made at` in a footer may be a time of day; nothing reads it but people"
 
 
 def refused(folder):
-    with keep.alone(folder), keep.failing(folder):
-        keep.begin(toy_world(), folder)
+    with run_folder.alone(folder), run_folder.failing(folder):
+        run_folder.begin(toy_experiment(), folder)
         raise ValueError("refused")
 
 
@@ -166,18 +166,18 @@ def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
         refused(tmp_path / "run")
     assert not (tmp_path / "run").exists()
     (tmp_path / "run").mkdir()
-    keep.forget(tmp_path / "run")
+    run_folder.forget(tmp_path / "run")
     assert not (tmp_path / "run").exists()
-    toy_run(tmp_path / "run", toy_world(1))
-    keep.forget(tmp_path / "run")
+    toy_run(tmp_path / "run", toy_experiment(1))
+    run_folder.forget(tmp_path / "run")
     assert (tmp_path / "run" / "run.json").exists()
 
 
 HOLDING = """
 import sys
 from pathlib import Path
-from stringcast.pipeline import keep
-with keep.alone(Path(sys.argv[1])):
+from stringcast.pipeline import run_folder
+with run_folder.alone(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -195,8 +195,8 @@ def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
             other.kill()
             other.wait()
         with pytest.raises(DataError, match="another process" if working else "other settings"):
-            toy_run(tmp_path, toy_world(1))
-        keep.forget(tmp_path)
+            toy_run(tmp_path, toy_experiment(1))
+        run_folder.forget(tmp_path)
         assert {file.name for file in tmp_path.iterdir()} - {"failed.txt", "run.log"} == {"config.json", ".lock"}
     finally:
         other.kill()
@@ -204,8 +204,8 @@ def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
 
 
 def test_a_study_may_be_asked_for_more_in_its_folder_but_not_for_something_else(tmp_path):
-    keep.begin(toy_world(study={"benches": 2, "first": 0, "processes": 1}), tmp_path)
-    keep.begin(toy_world(study={"benches": 5, "first": 2, "processes": 0}), tmp_path)
+    run_folder.begin(toy_experiment(study={"benches": 2, "first": 0, "processes": 1}), tmp_path)
+    run_folder.begin(toy_experiment(study={"benches": 5, "first": 2, "processes": 0}), tmp_path)
     assert json.loads((tmp_path / "config.json").read_text())["study"] == {"benches": 5, "first": 2, "processes": 0}
     with pytest.raises(DataError, match="other settings"):
-        keep.begin(toy_world(memory=4, study={"benches": 5, "first": 2, "processes": 0}), tmp_path)
+        run_folder.begin(toy_experiment(memory=4, study={"benches": 5, "first": 2, "processes": 0}), tmp_path)

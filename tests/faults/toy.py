@@ -18,9 +18,9 @@ from rich.console import Console
 from stringcast.data import store
 from stringcast.data.artifacts import Estimate, Motion, Points, Trial
 from stringcast.pipeline import report
-from stringcast.pipeline.folder import LOG
+from stringcast.pipeline.experiment import prepare
+from stringcast.pipeline.layout import LOG
 from stringcast.pipeline.perform import perform
-from stringcast.pipeline.world import world
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = ("+experiment=quick", "camera.width=16", "camera.height=16", "camera.px_per_m=8", "camera.origin_px=[6,10]")
@@ -31,10 +31,10 @@ CALLS = []  # what was made, in order
 def composed(*overrides):
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         config = compose("config", [*overrides])
-    return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+    return prepare(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
 
 
-def toy_world(casts=2, pause=0.0, estimate_by=None, **changed):
+def toy_experiment(casts=2, pause=0.0, estimate_by=None, **changed):
     """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead of the toy estimation. changed:
     settings, whole blocks."""
     whole = composed(*TINY, f"manipulations={casts}")

@@ -11,10 +11,15 @@ from omegaconf import OmegaConf
 
 from stringcast.data.schema import DataError
 from stringcast.pipeline import targets
-from stringcast.pipeline.brought import extended_model, measured_camera, refuse_brought_limits, with_brought_settings
 from stringcast.pipeline.commands import command
+from stringcast.pipeline.experiment import prepare
+from stringcast.pipeline.inherited import (
+    extended_model,
+    measured_camera,
+    refuse_inherited_limits,
+    with_inherited_settings,
+)
 from stringcast.pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
-from stringcast.pipeline.world import world
 from stringcast.stages.model import kernel
 
 
@@ -96,7 +101,7 @@ def test_an_extended_model_runs_no_code(settings, canary, tmp_path, place):
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump(made))
     config = OmegaConf.create({**settings, "extended": str(tmp_path)})
     with pytest.raises(UserError, match=place):
-        world(with_brought_settings(config, set()), lambda block: "extended.yaml")
+        prepare(with_inherited_settings(config, set()), lambda block: "extended.yaml")
     assert not canary.exists()
 
 
@@ -105,7 +110,7 @@ def test_stored_trials_run_no_code(settings, canary, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps(poisoned(settings, "estimate", poison)))
     config = OmegaConf.create({**settings, "trials": str(tmp_path), "steps": ["estimate"]})
     with pytest.raises(UserError, match=r"estimate\._target_"):
-        world(with_brought_settings(config, set()), lambda block: "config.json")
+        prepare(with_inherited_settings(config, set()), lambda block: "config.json")
     assert not canary.exists()
 
 
@@ -128,7 +133,13 @@ def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tm
     (tmp_path / "config.json").write_text(json.dumps({**settings, "estimate": {"beta": "${oc.env:HOME}"}}))
     config = OmegaConf.create({**settings, "trials": str(tmp_path)})
     with pytest.raises(DataError, match=r"estimate\.beta holds"):
-        with_brought_settings(config, set())
+        with_inherited_settings(config, set())
+
+
+def test_settings_of_stored_runs_may_call_what_there_is_by_its_old_name():
+    roles = {name: role for role, names in targets.ROLES.items() for name in names}
+    for old, new in targets.MOVED.items():
+        assert loaded(old, roles[new], "config.json") is loaded(new, roles[new], "")
 
 
 def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
@@ -154,15 +165,15 @@ def test_a_real_arm_does_not_move_by_limits_of_others(settings):
     real = resolved("hardware=serial")
     faster = {**real, "arm": {**real["arm"], "hand_speed": 99.0}}
     with pytest.raises(UserError, match=r"arm\.hand_speed: 21\.8 here, 99\.0 there\n.*accept_limits=true"):
-        refuse_brought_limits(faster, real, "trials=x")
-    refuse_brought_limits(faster, {**real, "accept_limits": True}, "trials=x")
-    refuse_brought_limits({**faster, "steps": ["estimate"]}, real, "trials=x")
-    refuse_brought_limits(real, real, "trials=x")
+        refuse_inherited_limits(faster, real, "trials=x")
+    refuse_inherited_limits(faster, {**real, "accept_limits": True}, "trials=x")
+    refuse_inherited_limits({**faster, "steps": ["estimate"]}, real, "trials=x")
+    refuse_inherited_limits(real, real, "trials=x")
 
 
 def test_a_virtual_arm_asks_nobody(settings):
     faster = {**settings, "arm": {**settings["arm"], "hand_speed": 99.0}}
-    refuse_brought_limits(faster, settings, "trials=x")
+    refuse_inherited_limits(faster, settings, "trials=x")
 
 
 def test_resume_of_a_real_arm_asks_for_a_word(settings, tmp_path):

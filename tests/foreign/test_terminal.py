@@ -9,8 +9,8 @@ from conftest import ROOT
 from rich.table import Table
 from rich.text import Text
 
+from stringcast.pipeline.console import bars
 from stringcast.pipeline.log import LINE
-from stringcast.pipeline.show import bars
 from stringcast.pipeline.sweep.ledger import Job
 from stringcast.pipeline.sweep.show import line
 from stringcast.pipeline.terminal import Terminal

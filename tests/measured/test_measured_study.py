@@ -9,12 +9,12 @@ import pytest
 from omegaconf import OmegaConf
 
 from stringcast.data.dataset import read
-from stringcast.pipeline.brought import with_brought_settings
+from stringcast.pipeline.experiment import prepare
+from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.measured.diagnosed import families
 from stringcast.pipeline.measured.scores import SETS
 from stringcast.pipeline.measured.study import WHERE, Job, Measured, run, settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
-from stringcast.pipeline.world import world
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "measured"
 STUDY = "+experiment=measured_study"
@@ -72,7 +72,7 @@ def config(tmp_path):
     place = "measured.families.cables.settings"
     less = [f"{place}.estimate.{name}=1" for name in ("starts", "screening", "iterations")]
     less += [f"{place}.string.points=6", f"{place}.string.largest_step=2e-3", "measured.strings=[red]"]
-    found = with_brought_settings(OmegaConf.create(composed([STUDY, f"trials={source}", *less])), set())
+    found = with_inherited_settings(OmegaConf.create(composed([STUDY, f"trials={source}", *less])), set())
     found["measured"]["families"] = {"cables": found["measured"]["families"]["cables"]}
     found["measured"]["families"]["cables"]["sets"] = {"viscous": {"effects": ["rest_curvature"]}}
     return found
@@ -86,7 +86,7 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
     by_hand += ["effects=[rest_curvature]", "own=[rest_curvature]", "memory=all", "leave=[]"]
     by_hand += ["string.points=6", "string.largest_step=2e-3"]
     by_hand += [f"estimate.{name}=1" for name in ("starts", "screening", "iterations")]
-    person = with_brought_settings(OmegaConf.create(composed(by_hand)), names_given(by_hand))
+    person = with_inherited_settings(OmegaConf.create(composed(by_hand)), names_given(by_hand))
     assert settings(Job("cables", "red", "viscous"), config, tmp_path / "dataset") == person
 
 
@@ -95,7 +95,7 @@ def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, 
     folder = tmp_path / "study"
     quick = composed(["estimate=random_search"])["estimate"] | {"candidates": 8, "together": 8}
     config["measured"]["families"]["cables"]["settings"]["estimate"] = quick
-    here = world(config, lambda block: block)
+    here = prepare(config, lambda block: block)
     monkeypatch.setattr("stringcast.pipeline.measured.study.workers", Here)
     sentence = run(here, folder, lambda share: None)
     assert sentence.startswith("1 sets of effects on 1 strings")
@@ -135,10 +135,10 @@ class Here:
 def test_a_string_that_is_not_there_is_named(config, tmp_path):
     config["measured"]["strings"] = ["green"]
     with pytest.raises(UserError, match="there is no green; there are red"):
-        run(World(config), tmp_path, lambda share: None)
+        run(Experiment(config), tmp_path, lambda share: None)
 
 
-class World:
+class Experiment:
     """Settings alone."""
 
     def __init__(self, config):

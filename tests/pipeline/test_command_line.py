@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from stringcast.data import store
-from stringcast.pipeline import brought, settings
+from stringcast.pipeline import inherited, settings
 
 BARE = "leave=[frames]"  # no report, where nobody asks for it
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
@@ -27,7 +27,7 @@ def quick(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "quick"
     done = pipeline("-v", "+experiment=quick", "manipulations=2", f"hydra.run.dir={folder}")
     assert done.returncode == 0, done.stderr
-    assert "pipeline.keep: iterations/02/motion made in" in done.stderr
+    assert "pipeline.run_folder: iterations/02/motion made in" in done.stderr
     return folder
 
 
@@ -64,7 +64,9 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert page.count("<img alt=") >= 7
     assert ended["sentence"] in page
     log = (quick / "run.log").read_text()
-    assert re.search(r"^20\d\d-\d\d-\d\d \S+ INFO +stringcast.pipeline.keep: iterations/01/estimate made in", log, re.M)
+    assert re.search(
+        r"^20\d\d-\d\d-\d\d \S+ INFO +stringcast.pipeline.run_folder: iterations/01/estimate made in", log, re.M
+    )
     assert re.search(r"pipeline.run: estimate 1: E 0\.\d+ to 0\.\d+, rms", log)
     assert "cast 1: the tip came within" in log
 
@@ -214,7 +216,7 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
 
     def used(folder, *more):
         config = OmegaConf.create(settings.composed([f"trials={folder}", "steps=[estimate]", *more]))
-        return brought.with_brought_settings(config, settings.names_given([f"trials={folder}", *more]))["string"]
+        return inherited.with_inherited_settings(config, settings.names_given([f"trials={folder}", *more]))["string"]
 
     assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.45, 10)
     assert (used(tmp_path, "string=fine")["length"], used(tmp_path, "string=fine")["points"]) == (0.45, 29)
@@ -255,11 +257,11 @@ def composed(*overrides):
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from stringcast.pipeline.world import world
+    from stringcast.pipeline.experiment import prepare
 
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         config = compose("config", list(overrides))
-    return world(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
+    return prepare(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)

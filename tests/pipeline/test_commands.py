@@ -15,13 +15,13 @@ import pytest
 from stringcast.data import store
 from stringcast.data.artifacts import Points
 from stringcast.pipeline import __main__ as shell
-from stringcast.pipeline import commands, fresh
+from stringcast.pipeline import commands, staleness
 from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.commands.verify import verify
 from stringcast.pipeline.compare import differences
+from stringcast.pipeline.experiment import MEASURED, STUDIES
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.world import MEASURED, STUDIES
-from tests.faults.toy import contents, toy_run, toy_world
+from tests.faults.toy import contents, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")
 
@@ -32,8 +32,8 @@ def finished(tmp_path_factory):
     outputs = tmp_path_factory.mktemp("outputs")
     patch = pytest.MonkeyPatch()
     patch.setattr(os, "fsync", lambda handle: None)
-    toy_run(outputs / "day" / "a", toy_world())
-    toy_run(outputs / "day" / "b", toy_world(seed=3))
+    toy_run(outputs / "day" / "a", toy_experiment())
+    toy_run(outputs / "day" / "b", toy_experiment(seed=3))
     patch.undo()
     return outputs
 
@@ -70,7 +70,7 @@ def change(run, step, table, column, row, value):
 
 def test_a_whole_run_is_verified_and_not_touched(run, tmp_path):
     before = {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run.rglob("*")}
-    outcome = verified(run, tmp_path, toy_world())
+    outcome = verified(run, tmp_path, toy_experiment())
     assert outcome.same
     assert len(outcome.lines) == 10
     assert all(line.endswith("the same to the bit") for line in outcome.lines)
@@ -79,7 +79,7 @@ def test_a_whole_run_is_verified_and_not_touched(run, tmp_path):
 
 def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
     change(run, "02/points", Points.TABLES["points"], "x", 1, lambda x: np.nextafter(x, 1e9))
-    outcome = verified(run, tmp_path, toy_world())
+    outcome = verified(run, tmp_path, toy_experiment())
     assert not outcome.same
     at = outcome.lines.index("iterations/02/points: DIFFERS")
     assert re.search(
@@ -94,21 +94,21 @@ def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
     image = run / "iterations/01/trial/images/0.png"
     shutil.copy(image.with_name("1.png"), image)
     (run / "run.json").write_text((run / "run.json").read_text().replace('"hit": false', '"hit": true', 1))
-    lines = "\n".join(verified(run, tmp_path, toy_world()).lines)
+    lines = "\n".join(verified(run, tmp_path, toy_experiment()).lines)
     assert "images/0.png: 256 pixels differ, at most by 1 grey levels" in lines
     assert "it says something else than the steps" in lines
     shutil.rmtree(run / "iterations/02/points")
     shutil.rmtree(tmp_path / "aside")
-    outcome = verified(run, tmp_path, toy_world())
+    outcome = verified(run, tmp_path, toy_experiment())
     assert not outcome.same
     assert outcome.lines[-2:] == ["iterations/02/points: DIFFERS", "    it has not been made yet"]
 
 
 def real_arm():
     """The toy world with an arm that is not the virtual lab's."""
-    here = toy_world()
+    here = toy_experiment()
     hardware = {**here.config["hardware"], "_target_": "hardware.serial.lab.open_lab"}
-    return toy_world(hardware=hardware)
+    return toy_experiment(hardware=hardware)
 
 
 def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, monkeypatch):
@@ -118,7 +118,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
     assert outcome.lines[1] == "iterations/01/trial: measured with a real arm and camera, cannot be computed again"
     before = contents(tmp_path / "run")
     with monkeypatch.context() as patch:
-        patch.setattr(fresh, "sources", lambda settings: {"stages/generate/generate.py": "changed"})
+        patch.setattr(staleness, "sources", lambda settings: {"stages/generate/generate.py": "changed"})
         made, said = toy_run(tmp_path / "run", real_arm())
     assert made == ["extract", "estimate"]  # the last, after which no arm has moved
     assert "iterations/01/motion is stale" in said
@@ -143,13 +143,15 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
 )
 def test_only_steps_that_use_a_source_are_made_again(run, monkeypatch, what, steps):
     """And what comes out the same makes nothing after it stale."""
-    real = fresh.sources
+    real = staleness.sources
     changed = {what: "changed"}
-    monkeypatch.setattr(fresh, "sources", lambda settings: {k: changed.get(k, v) for k, v in real(settings).items()})
-    made, said = toy_run(run, toy_world())
+    monkeypatch.setattr(
+        staleness, "sources", lambda settings: {k: changed.get(k, v) for k, v in real(settings).items()}
+    )
+    made, said = toy_run(run, toy_experiment())
     assert set(made) == steps
     assert (f"source {what} has changed" in said) == bool(steps)
-    assert toy_run(run, toy_world())[0] == []
+    assert toy_run(run, toy_experiment())[0] == []
 
 
 def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):
@@ -170,9 +172,9 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     status, said = asked(capsys, "why", run / "iterations/01/estimate")
     assert "input iterations/01/points has another content" in said
     assert "motion" not in said
-    real = fresh.origin
+    real = staleness.origin
     monkeypatch.setattr(
-        fresh, "origin", lambda *given: real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
+        staleness, "origin", lambda *given: real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
     )
     assert re.search(r"package numpy was [\d.]+, is 9\.9", asked(capsys, "why", run)[1])
 
@@ -336,6 +338,6 @@ def test_the_examples_of_the_page_run_in_duckdb(finished, tmp_path, monkeypatch,
 @pytest.mark.parametrize("steps", [*STUDIES, MEASURED])
 def test_a_study_has_no_steps_to_ask_for(steps, tmp_path):
     """Its trials, where it has any, are not read as a dataset."""
-    study = replace(toy_world(), config={**toy_world().config, "steps": steps, "trials": str(tmp_path)})
+    study = replace(toy_experiment(), config={**toy_experiment().config, "steps": steps, "trials": str(tmp_path)})
     with pytest.raises(UserError, match="a study has no steps of its own"):
         walk(study, tmp_path, lambda name, past: None)

@@ -16,9 +16,9 @@ from omegaconf import OmegaConf
 from stringcast.data.artifacts import Diagnosis, Motion
 from stringcast.data.store import content_hash, load, origin_of
 from stringcast.hardware.virtual.blind import VERSIONS, draw
-from stringcast.pipeline import keep
+from stringcast.pipeline import run_folder
+from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.run import diagnose
-from stringcast.pipeline.world import world
 from tests.conftest import swing
 
 COARSE = ("camera.width=320", "camera.height=320", "camera.px_per_m=170.0", "camera.origin_px=[125.5,193.5]")
@@ -55,11 +55,11 @@ def decide(data, folder, experiment="decide"):
     with initialize_config_dir(str(Path("conf").resolve()), version_base="1.3"):
         overrides = [f"+experiment={experiment}", f"trials={data}", "string.length=0.33", *COARSE]
         config = OmegaConf.to_container(compose("config", overrides), resolve=True)
-    here = world(config, lambda block: f"conf/{block}")
+    here = prepare(config, lambda block: f"conf/{block}")
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
-    result = diagnose(here, folder, data, keep.Keeper(here, folder, silent, print))
-    keep.end(result)
+    result = diagnose(here, folder, data, run_folder.RunFolder(here, folder, silent, print))
+    run_folder.end(result)
     return result
 
 

@@ -13,13 +13,13 @@ from omegaconf import OmegaConf
 
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.virtual.bench import Bench, VirtualArm
-from stringcast.pipeline.hitting.desk import PointDesk, measured
+from stringcast.pipeline.experiment import prepare
+from stringcast.pipeline.hitting.desk import PointExecutor, measured
 from stringcast.pipeline.hitting.job import settings
 from stringcast.pipeline.hitting.lessons import lessons, model_found
 from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
 from stringcast.pipeline.settings import composed
-from stringcast.pipeline.world import world
-from stringcast.stages.judge import judge
+from stringcast.stages.hit_test import hit_test
 
 
 def test_points_are_those_of_the_bench_with_noise_of_the_size_told(arm, camera):
@@ -118,27 +118,27 @@ def turned():
     """A desk whose bench has a camera that is rolled by more than the target is wide."""
     config = OmegaConf.to_container(OmegaConf.create(composed(["+experiment=quick"])), resolve=True)
     hidden = {"specimen": {"hidden": {"camera_rotation": {"angle": 0.1}}}}
-    here = world(settings(config, hidden, {}, 0, 1), lambda block: f"conf/{block}")
-    return PointDesk(here, noise=1e-6)
+    here = prepare(settings(config, hidden, {}, 0, 1), lambda block: f"conf/{block}")
+    return PointExecutor(here, noise=1e-6)
 
 
 def test_what_really_became_of_a_cast_is_told_whatever_the_camera_says(turned):
     taught = lessons(turned, 1)[0]
     duration = float(taught.done["execute"].arm["t"].iloc[-1]) - 0.2
-    seen = judge(taught.done["extract"], turned.world.target, (), duration)
+    seen = hit_test(taught.done["extract"], turned.experiment.target, (), duration)
     real = turned.real(1, duration)
-    away = np.hypot(turned.world.target.x, turned.world.target.y)
+    away = np.hypot(turned.experiment.target.x, turned.experiment.target.y)
     assert abs(seen.distance - real.distance) > 0.2 * 0.1 * away
     bench = turned.benches[1]
     t = np.linspace(0, duration, 2000)
-    true = np.hypot(*(bench.string_at(t)[:, -1] - [turned.world.target.x, turned.world.target.y]).T).min()
+    true = np.hypot(*(bench.string_at(t)[:, -1] - [turned.experiment.target.x, turned.experiment.target.y]).T).min()
     assert real.distance == pytest.approx(true, abs=1e-4)
 
 
 def test_lessons_are_first_casts_that_differ_and_are_the_same_again(turned):
     one, two = lessons(turned, 2)
     assert not one.done["execute"].arm.equals(two.done["execute"].arm)
-    again = lessons(PointDesk(turned.world, noise=1e-6), 1)[0]
+    again = lessons(PointExecutor(turned.experiment, noise=1e-6), 1)[0]
     pd.testing.assert_frame_equal(again.observation.points, one.observation.points)
 
 
@@ -154,6 +154,6 @@ def test_a_diagnosis_of_the_lessons_makes_the_model_that_casts(turned, monkeypat
 
     monkeypatch.setattr("stringcast.stages.diagnose.diagnose.diagnose", diagnose)
     taught = lessons(turned, 2)
-    config = {**turned.world.config, "diagnose": {"_target_": "stages.diagnose.diagnose.diagnose"}}
-    assert model_found(world(config, lambda block: f"conf/{block}"), taught) == said
+    config = {**turned.experiment.config, "diagnose": {"_target_": "stages.diagnose.diagnose.diagnose"}}
+    assert model_found(prepare(config, lambda block: f"conf/{block}"), taught) == said
     assert asked == [["t01", "t02"]]

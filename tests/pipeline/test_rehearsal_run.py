@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from stringcast.data.dataset import read
-from stringcast.stages.roles import HardwareError
-from tests.faults.toy import CALLS, toy_run, toy_world
+from stringcast.stages.execute.interfaces import HardwareError
+from tests.faults.toy import CALLS, toy_experiment, toy_run
 
 REASON = "rehearsal with the arm disabled"
 
@@ -50,7 +50,7 @@ class Absent:
 
 
 def test_what_is_wrong_with_arm_and_camera_is_told_together_before_anything_is_planned(tmp_path):
-    here = toy_world(1)
+    here = toy_experiment(1)
 
     def with_lab(arm, camera):
         lab = {"hardware": lambda *_, **__: SimpleNamespace(arm=arm, camera=camera)}

@@ -5,13 +5,13 @@ from omegaconf import OmegaConf
 
 from stringcast.data.about import about
 from stringcast.data.schema import DataError
-from stringcast.pipeline import brought, settings
+from stringcast.pipeline import inherited, settings
 
 
 def composed(folder, string, *more):
     (folder / "dataset.yaml").write_text(f"format: 1\nstring: {string}\n")
     given = [f"trials={folder}", "steps=[estimate]", *more]
-    return brought.with_brought_settings(OmegaConf.create(settings.composed(given)), settings.names_given(given))
+    return inherited.with_inherited_settings(OmegaConf.create(settings.composed(given)), settings.names_given(given))
 
 
 def test_what_hangs_at_the_tip_is_known(tmp_path):

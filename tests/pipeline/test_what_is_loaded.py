@@ -10,7 +10,7 @@ import pytest
 
 from stringcast.pipeline.sources import closure, home
 from stringcast.pipeline.targets import ROLES
-from tests.faults.toy import toy_run, toy_world
+from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = {"cv2", "jinja2", "matplotlib", "numba", "scipy"}  # 0.1 to 0.5 s each
@@ -40,7 +40,7 @@ def test_a_question_loads_little(words, light):
 
 
 def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):
-    toy_run(tmp_path / "run", toy_world(1))
+    toy_run(tmp_path / "run", toy_experiment(1))
     assert not HEAVY & loaded("index", tmp_path)
 
 

@@ -9,11 +9,11 @@ from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, FRAMES, POINTS
 from stringcast.data.images import png
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline import keep
+from stringcast.pipeline import run_folder
+from stringcast.pipeline.experiment import LEFT, _check_run
 from stringcast.pipeline.run import Iteration, Result
 from stringcast.pipeline.settings import UserError, composed
 from stringcast.pipeline.sweep.show import left
-from stringcast.pipeline.world import LEFT, _check_run
 
 
 def test_the_time_left_is_at_the_pace_so_far():
@@ -43,9 +43,9 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
     assert dataset.read(tmp_path).films
     ended = Result(tmp_path, (Iteration(1, {"execute": SimpleNamespace()}),), "")
-    keep.without_frames(on("hardware.serial.lab.open_lab"), ended)
+    run_folder.without_frames(on("hardware.serial.lab.open_lab"), ended)
     assert place.exists()  # nobody can film them again
-    keep.without_frames(on("hardware.virtual.open_lab"), ended)
+    run_folder.without_frames(on("hardware.virtual.open_lab"), ended)
     assert not place.exists()
     again = dataset.read(tmp_path)
     assert not again.films

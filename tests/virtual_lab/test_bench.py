@@ -8,7 +8,7 @@ from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
 from stringcast.hardware.virtual.obstacles import Box, Obstacles
 from stringcast.hardware.virtual.render import Look, render, scenery
 from stringcast.hardware.virtual.servo import Servo
-from stringcast.stages.execute import execute
+from stringcast.stages.execute.execute import execute
 
 
 def test_the_velocity_loop_has_the_bandwidth_it_states():

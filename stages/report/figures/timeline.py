@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from stringcast.stages.judge import LONGEST_GAP
+from stringcast.stages.hit_test import LONGEST_GAP
 from stringcast.stages.report.picture import LIGHT, MM
 from stringcast.stages.report.record import Cast
 

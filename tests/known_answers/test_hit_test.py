@@ -6,7 +6,7 @@ import pytest
 
 from stringcast.data.artifacts import MASKS, POINTS, Points
 from stringcast.stages.generate import Box
-from stringcast.stages.judge import judge
+from stringcast.stages.hit_test import hit_test
 
 BOX = Box(0.5, 0.5, 0.02, 0.04)
 
@@ -18,7 +18,7 @@ def seen(t, x, y, points=None):
 
 def test_a_tip_that_flies_through_between_two_frames_hits():
     t = np.arange(0, 0.1, 0.005) + 0.0005
-    verdict = judge(seen(t, 0.5 + 20 * (t - 0.0505), 0.5 + 0 * t), BOX, (), 0.1)
+    verdict = hit_test(seen(t, 0.5 + 20 * (t - 0.0505), 0.5 + 0 * t), BOX, (), 0.1)
     assert verdict.hit
     assert verdict.t == pytest.approx(0.0505, abs=5e-4)
     assert verdict.distance < 0.006
@@ -29,7 +29,7 @@ def test_a_tip_that_flies_through_between_two_frames_hits():
 )
 def test_the_box_is_0_02_by_0_04(dx, dy, hit):
     t = np.arange(0, 0.1, 0.005)
-    verdict = judge(seen(t, 0.5 + dx + 0 * t, 0.5 + dy + 0 * t), BOX, (), 0.1)
+    verdict = hit_test(seen(t, 0.5 + dx + 0 * t, 0.5 + dy + 0 * t), BOX, (), 0.1)
     assert verdict.hit == hit
     assert verdict.distance == pytest.approx(np.hypot(dx, dy), abs=1e-9)
 
@@ -37,29 +37,29 @@ def test_the_box_is_0_02_by_0_04(dx, dy, hit):
 def test_only_the_movement_counts():
     t = np.arange(-0.2, 0.4, 0.005)
     inside = np.where((t < -0.05) | (t > 0.25), 0.5, 0.8)
-    assert not judge(seen(t, inside, 0.5 + 0 * t), BOX, (), 0.2).hit
+    assert not hit_test(seen(t, inside, 0.5 + 0 * t), BOX, (), 0.2).hit
 
 
 def test_nothing_is_guessed_in_a_gap():
     t = np.arange(0, 0.1, 0.005)
     x = 0.3 + 4 * t
     x[(x > 0.4) & (x < 0.6)] = np.nan
-    verdict = judge(seen(t, x, 0.5 + 0 * t), BOX, (), 0.1)
+    verdict = hit_test(seen(t, x, 0.5 + 0 * t), BOX, (), 0.1)
     assert not verdict.hit
     assert verdict.distance > 0.09
-    assert not judge(seen(t[:1], x[:1], t[:1]), BOX, (), 0.1).hit
+    assert not hit_test(seen(t[:1], x[:1], t[:1]), BOX, (), 0.1).hit
 
 
 def test_a_tip_seen_only_outside_the_movement_has_no_distance():
     t = np.array([0.3, 0.305, 0.31])
-    verdict = judge(seen(t, t, t), BOX, (), 0.2)
+    verdict = hit_test(seen(t, t, t), BOX, (), 0.2)
     assert not verdict.hit
     assert np.isnan(verdict.distance)
 
 
 def test_a_slow_camera_can_see_a_hit():
     t = np.arange(0, 1, 1 / 30)
-    assert judge(seen(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, (), 1.0).hit
+    assert hit_test(seen(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, (), 1.0).hit
 
 
 def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
@@ -68,18 +68,18 @@ def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
     x = 0.5 + 4 * (t - 0.08)
     rows = [{"t": a, "s": s, "x": b, "y": 0.5 - s} for a, b in zip(t, x, strict=True) for s in (0.0, 0.1, 0.2)]
     wall = Box(0.38, 0.35, 0.021, 0.02)  # between two of the points
-    struck = judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (wall,), 0.1)
+    struck = hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (wall,), 0.1)
     assert (struck.hit, struck.touched) == (False, 1)
-    behind = judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (Box(0.57, 0.35, 0.021, 0.02),), 0.1)
+    behind = hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (Box(0.57, 0.35, 0.021, 0.02),), 0.1)
     assert (behind.hit, behind.touched) == (True, 1)  # only after it had hit
-    assert judge(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1).hit
+    assert hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1).hit
 
 
 def crossing(moment):
     """A tip that enters the box between the fine times 94 and 95, and a string that touches an obstacle at a moment."""
     t = np.arange(201) * 0.0005
     rows = pd.DataFrame([{"t": moment(t), "s": s, "x": 0.2 + s, "y": 0.0} for s in (0.0, 0.1)])
-    return judge(seen(t, 0.301 + 4 * t, 0.5 + 0 * t, rows), BOX, (Box(0.25, 0.0, 0.02, 0.02),), 0.1)
+    return hit_test(seen(t, 0.301 + 4 * t, 0.5 + 0 * t, rows), BOX, (Box(0.25, 0.0, 0.02, 0.02),), 0.1)
 
 
 @pytest.mark.parametrize(

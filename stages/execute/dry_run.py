@@ -10,8 +10,8 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stringcast.stages.execute import distrusted, execute, filmed, padded
-from stringcast.stages.roles import ArmDevice, CameraDevice
+from stringcast.stages.execute.execute import distrusted, execute, filmed, padded
+from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice
 
 
 def dry(

@@ -42,13 +42,13 @@ FROM_TRIALS = (
 )  # settings that stored trials bring along
 
 
-def with_brought_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
+def with_inherited_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
     """All settings. Folders of trials, of a model and of a calibration bring some along, and the later of these stands.
 
     given: names on the command line, which stand above all.
     """
     whole = OmegaConf.create(OmegaConf.to_container(config))  # unresolved: what refers to a setting follows it
-    brought = {} if config.trials is None else brought_along(Path(config.trials), given)
+    brought = {} if config.trials is None else inherited(Path(config.trials), given)
     for name, value in brought.items():
         OmegaConf.update(whole, name, value, merge=False)
     if config.extended is not None:
@@ -78,7 +78,7 @@ def _hang(folder: Path, whole: Any) -> None:
     whole.known = {"tip_mass.ratio": weighed, **whole.known}  # what was said of it elsewhere stands above
 
 
-def refuse_brought_limits(settings: Any, own: Any, source: str, word: str = "accept_limits=true") -> None:
+def refuse_inherited_limits(settings: Any, own: Any, source: str, word: str = "accept_limits=true") -> None:
     """Refuse to move a real arm by what a folder says of its limits, unless a person has agreed to it.
 
     settings: of the run; own: as they are configured here. word: how to agree. Raises UserError with what differs.
@@ -125,7 +125,7 @@ def _left(folder: Path, file: str, setting: str, remedy: str) -> dict[str, Any]:
         raise UserError(f"{setting}={folder}: {error} {remedy}") from error
 
 
-def brought_along(folder: Path, given: set[str]) -> dict[str, Any]:
+def inherited(folder: Path, given: set[str]) -> dict[str, Any]:
     """Settings of stored trials, by name: those of a run of ours, or what another's dataset.yaml says.
 
     given: names on the command line; a group that is chosen there is not brought along, but for the string's length.

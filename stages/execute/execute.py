@@ -10,7 +10,7 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stringcast.stages.roles import ArmDevice, CameraDevice, HardwareError, Recording
+from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError, Recording
 
 
 def execute(

@@ -31,12 +31,12 @@ from stringcast.stages.align.fit import ALWAYS, SOUGHT, Problem, measuring
 from stringcast.stages.align.grasp import at_hand
 from stringcast.stages.align.lookalike import LAG, OFFSET
 from stringcast.stages.align.sightings import Sighted
+from stringcast.stages.common import Progress
 from stringcast.stages.generate.generate import arm_faults
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
-from stringcast.stages.progress import Progress
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm

@@ -24,7 +24,7 @@ Where = Callable[[str], str]
 
 
 @dataclass(frozen=True)
-class World:
+class Experiment:
     """All that a run works with; `stages` are functions with their settings bound."""
 
     config: Mapping[str, Any]
@@ -54,7 +54,7 @@ class World:
         return int(self.config["seed"])
 
 
-def world(config: Mapping[str, Any], where: Where) -> World:
+def prepare(config: Mapping[str, Any], where: Where) -> Experiment:
     """Check everything before anything moves or is written. where: the file of a block."""
     _check_run(config, where)
     arm = build(Arm, config["arm"], "arm", where("arm"))
@@ -68,7 +68,7 @@ def world(config: Mapping[str, Any], where: Where) -> World:
     if "generate" in config["steps"]:
         check_reach(target, arm, string.length)
     boxes = config["obstacles"]["boxes"]
-    return World(
+    return Experiment(
         config,
         model,
         target,

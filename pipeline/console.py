@@ -15,7 +15,7 @@ from rich.text import Text
 
 from stringcast.pipeline.run import Iteration, Result
 from stringcast.pipeline.terminal import Terminal
-from stringcast.stages.progress import Progress as Report
+from stringcast.stages.common import Progress as Report
 
 Bar = Callable[[str], AbstractContextManager[Report]]
 

@@ -1,14 +1,26 @@
-"""The way of each place on the string through the frames, from points that need not be at the same places in all."""
+"""What several stages share: how far one is, how widely numbers scatter, and the way of places on a string."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+Progress = Callable[[float], object]  # is told the share of a stage that is done
+NORMAL = 1.4826  # standard deviation over median magnitude, of a normal distribution
 PLACE = 1e-3  # [m] points of two frames so near along the string are of one place
 FULL = 0.9  # of the frames have no more points than a full one
 AGAIN = 0.3  # of the steps along a place's way that take as many frames as those before them, where places are fixed
+
+
+def part(progress: Progress, number: int, count: int) -> Progress:
+    """The progress of one of so many parts that take as long as each other."""
+    return lambda share: progress((number + share) / count)
+
+
+def mad_sigma(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """Robust standard deviation about zero, of all values (...) or along an axis, from their median magnitude."""
+    return NORMAL * np.asarray(np.median(np.abs(values), axis=axis), dtype=float)
 
 
 def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:

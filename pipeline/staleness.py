@@ -14,7 +14,7 @@ from typing import Any
 
 from stringcast.data import store
 from stringcast.data.schema import DataError
-from stringcast.pipeline.folder import place_of
+from stringcast.pipeline.layout import place_of
 from stringcast.pipeline.origin import origin
 from stringcast.pipeline.settings import UserError, leaves
 from stringcast.pipeline.sources import sources

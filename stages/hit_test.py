@@ -1,4 +1,4 @@
-"""Judge: did the real tip enter the target box during the movement, with the string clear of obstacles?"""
+"""Hit test: did the real tip enter the target box during the movement, with the string clear of obstacles?"""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Verdict:
     touched: int = 0
 
 
-def judge(seen: Points, target: Box, obstacles: Sequence[Box], duration: float) -> Verdict:
+def hit_test(seen: Points, target: Box, obstacles: Sequence[Box], duration: float) -> Verdict:
     """Follow the tip between frames (a cubic through the readings) for 0 <= t <= duration [s].
 
     At 20 m/s and 200 frames a second the tip moves 100 mm from frame to frame, so frames

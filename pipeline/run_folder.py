@@ -22,15 +22,15 @@ from stringcast.data.artifacts import Diagnosis, Points, Trial
 from stringcast.data.errors import remedy_for
 from stringcast.data.images import Fresh
 from stringcast.data.schema import DataError
-from stringcast.pipeline.brought import EXTENDED, FROM_DATASETS
-from stringcast.pipeline.folder import ENDED, FAILED, LOCK, LOG, place_of
-from stringcast.pipeline.fresh import Found, look, made_now, performed, repeatable
+from stringcast.pipeline.console import Bar
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.inherited import EXTENDED, FROM_DATASETS
+from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
 from stringcast.pipeline.make import make
 from stringcast.pipeline.origin import origin
 from stringcast.pipeline.run import Iteration, Result, in_numbers
-from stringcast.pipeline.show import Bar
+from stringcast.pipeline.staleness import Found, look, made_now, performed, repeatable
 from stringcast.pipeline.steps import STEPS, Past
-from stringcast.pipeline.world import World
 
 log = logging.getLogger(__name__)
 
@@ -43,17 +43,17 @@ HOW_MANY = {  # no row depends on it
 
 
 @dataclass(frozen=True)
-class Keeper:
+class RunFolder:
     """The desk at which a run works. say: tells the user of a step that is made again."""
 
-    world: World
+    experiment: Experiment
     folder: Path
     bar: Bar
     say: Callable[[str], object]
 
     def step(self, name: str, past: Past) -> Any:
         """Read a step's artifact if it is there and fresh, else make and store it."""
-        found = look(self.world.config, self.folder, name, past)
+        found = look(self.experiment.config, self.folder, name, past)
         if found.artifact is not None and not found.reasons:
             log.info("%s is there, and fresh", place_of(past.number, name))
             return found.artifact
@@ -70,11 +70,11 @@ class Keeper:
         finished run is to see fewer of them."""
         made_of = trial_hashes(self.folder, iterations)
         if not published(self.folder, made_of):
-            publish(self.world, made_of, self.folder, iterations)
+            publish(self.experiment, made_of, self.folder, iterations)
 
     def _stays(self, found: Found, name: str, number: int) -> bool:
         """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
-        stays = performed(self.world.config, self.folder, name, number)
+        stays = performed(self.experiment.config, self.folder, name, number)
         if stays and found.artifact is None:
             raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
         kept = "The arm has moved by it: it stays." if stays else "It is made again."
@@ -87,9 +87,9 @@ class Keeper:
         """Make and store a step, and return it; its footers also say when, and how long it took."""
         with self.bar(f"{past.number}. {name}") as progress:
             at, begun = datetime.now(UTC), time.monotonic()
-            made = make(name, self.world, past, progress)
+            made = make(name, self.experiment, past, progress)
             took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
-            store.save(made, place, made_now(self.world.config, self.folder, name, past) | took)
+            store.save(made, place, made_now(self.experiment.config, self.folder, name, past) | took)
             log.info("%s made in %.1f s", place_of(past.number, name), took["made"]["seconds"])
             return made
 
@@ -124,10 +124,10 @@ def _names(folder: Path) -> set[str]:
     return {file.name for file in folder.iterdir()}
 
 
-def begin(world: World, folder: Path) -> None:
+def begin(experiment: Experiment, folder: Path) -> None:
     """Note the settings in the run's folder, or see that it is this one; a study may be asked for more than before."""
     path = folder / "config.json"
-    text = json.dumps(world.config, indent=2, sort_keys=True)
+    text = json.dumps(experiment.config, indent=2, sort_keys=True)
     before = path.read_text(encoding="utf-8") if path.exists() else None
     if before is not None and before != text and _rows_alike(dataset.settings(path)) != _rows_alike(json.loads(text)):
         raise DataError(
@@ -158,10 +158,10 @@ def end(result: Result) -> None:
     store.write_text(result.folder / ENDED, json.dumps(in_numbers(result), indent=2))
 
 
-def without_frames(world: World, result: Result) -> None:
+def without_frames(experiment: Experiment, result: Result) -> None:
     """Remove the frames of a run that has ended; all that was read in them stays. A real camera's are kept: nobody can
     film them again."""
-    if not repeatable(world.config, "execute"):
+    if not repeatable(experiment.config, "execute"):
         return
     for made in (result.folder / place_of(i.number, "execute") for i in result.iterations if "execute" in i.done):
         for inside in (path for path in made.iterdir() if path.is_dir()):
@@ -195,20 +195,20 @@ def forget(folder: Path) -> None:
         folder.rmdir()
 
 
-def publish(world: World, made_of: Mapping[str, str], to: Path, iterations: list[Iteration]) -> None:
+def publish(experiment: Experiment, made_of: Mapping[str, str], to: Path, iterations: list[Iteration]) -> None:
     """Write the trials of a run as a dataset to a folder. made_of: `trial_hashes`."""
     trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
-    camera = {k: world.config["camera"][k] for k in FROM_DATASETS["camera"] if k in world.config["camera"]}
+    camera = {k: experiment.config["camera"][k] for k in FROM_DATASETS["camera"] if k in experiment.config["camera"]}
     about = {
-        "name": world.config["name"],
-        "string": {"length": world.string.length},
-        "arm": {"links": list(world.arm.links), "base": list(world.arm.base)},
+        "name": experiment.config["name"],
+        "string": {"length": experiment.string.length},
+        "arm": {"links": list(experiment.arm.links), "base": list(experiment.arm.base)},
         "camera": camera,
     }
     refused = {i.name: {"invalid": i.refused} for i in iterations if i.refused}
     about |= {"trials": refused} if refused else {}
     places = {i.name: place_of(i.number, "execute") for i in iterations}
-    dataset.publish(to, trials, places, about, origin(world.config, "dataset", world.seed, made_of))
+    dataset.publish(to, trials, places, about, origin(experiment.config, "dataset", experiment.seed, made_of))
 
 
 def published(folder: Path, made_of: Mapping[str, str]) -> bool:

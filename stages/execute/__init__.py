@@ -1,0 +1,1 @@
+"""Execute: perform a motion with an arm and film it with a camera, or rehearse that."""
