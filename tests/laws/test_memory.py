@@ -37,6 +37,7 @@ def moments(name, path, lapse=1e-3, **values):
     laws, held, found = library()[name].laws(), 0.0, []
     state, moment = next((state, moment) for state, moment in STATES.items() if state in laws)
     own = {**KNOWN[name], **values}
+    own |= library()[name].derived(**own)
     for change in np.diff(path, prepend=0.0):
         held = laws[state](**taken(laws[state], {"held": held, "change": change, "dt": lapse, **own}))
         found.append(laws[moment](**taken(laws[moment], {"held": held, **own})))
@@ -190,7 +191,7 @@ def test_the_step_knows_how_stiff_a_hinge_is_where_it_turns_back(name, times, wh
 
 def test_laws_take_what_their_slots_give():
     for effect in HOLDING:
-        own = {p.name for p in effect.parameters}
+        own = {*KNOWN[effect.name], *effect.derived(**KNOWN[effect.name])}
         for state in STATES.keys() & effect.laws().keys():
             assert set(arguments(effect.laws()[state])) - own <= {"held", "change", "dt"}
 

@@ -28,12 +28,17 @@ class DahlFriction(StringEffect):
         return f"bending rubs, with {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod
-    def held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:
-        end, x = np.copysign(slip, change), abs(change) / slip
-        # exp(x), within a step to the last digit, by products: a division by 3 stays one in the loop
-        fading = 1.0 + x * (1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0))))
-        return end + (held - end) / fading
+    def derived(cap: Quantity, slip: Quantity) -> dict[str, Quantity]:
+        """Its stiffness from rest [m4/s2], and one over the curvature [m]."""
+        return {"sticking": cap / slip, "per_slip": 1 / slip}
 
     @staticmethod
-    def held_moment(held: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
-        return cap * held / slip
+    def held(held: Quantity, change: Quantity, per_slip: Quantity) -> Quantity:
+        x = abs(change) * per_slip
+        # (exp(x) - 1) / x, within a step to the last digit, by products: a division by 3 stays one in the loop
+        rise = 1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0)))
+        return (held + change * rise) / (1.0 + x * rise)
+
+    @staticmethod
+    def held_moment(held: Quantity, sticking: Quantity) -> Quantity:
+        return sticking * held

@@ -30,9 +30,15 @@ class MaxwellSlip(StringEffect):
         return f"bending sticks and slips, with {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod
-    def held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:
-        return np.minimum(np.maximum(held + change, -slip), slip)
+    def derived(cap: Quantity, slip: Quantity) -> dict[str, Quantity]:
+        """Its stiffness while it sticks [m4/s2]."""
+        return {"sticking": cap / slip}
 
     @staticmethod
-    def held_moment(held: Quantity, cap: Quantity, slip: Quantity) -> Quantity:
-        return cap * held / slip
+    def held(held: Quantity, change: Quantity, slip: Quantity) -> Quantity:
+        wanted = held + change  # cut off by sizes: np.clip looks for NaN, which costs the loop a tenth
+        return 0.5 * (abs(wanted + slip) - abs(wanted - slip))
+
+    @staticmethod
+    def held_moment(held: Quantity, sticking: Quantity) -> Quantity:
+        return sticking * held
