@@ -21,6 +21,7 @@ from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.string import String
 
 Where = Callable[[str], str]
+FLOAT64 = {"_target_": "stages.model.precision.Double"}  # as runs say that were stored while it was a setting
 
 
 @dataclass(frozen=True)
@@ -154,18 +155,22 @@ def _range(name: str, value: float, low: float, high: float, where: str) -> tupl
 
 def _string(block: Mapping[str, Any], where: str) -> String:
     """The string model, with the ranges of its parameters."""
-    parts = {part: _part(block[part], f"string.{part}", where) for part in ("integrator", "precision")}
-    settings = {key: value for key, value in block.items() if key not in ("ranges", "tolerance", *parts)}
+    if block.get("precision", FLOAT64) != FLOAT64:
+        raise UserError(f"string.precision ({where}): motion is computed in float64 only. Take this setting out.")
+    apart = ("ranges", "tolerance", "integrator", "precision")
+    settings = {key: value for key, value in block.items() if key not in apart}
     plain = build(String, settings, "string", where)
     known = {p.name: p for p in plain.parameters}
-    return replace(plain, ranges=_ranges(block["ranges"], known, where), **parts)
+    return replace(
+        plain, ranges=_ranges(block["ranges"], known, where), integrator=_integrator(block["integrator"], where)
+    )
 
 
-def _part(block: Mapping[str, Any], place: str, where: str) -> Any:
-    """The integrator or the precision; neither has settings."""
-    kind = loaded(block["_target_"], place, where)
+def _integrator(block: Mapping[str, Any], where: str) -> Any:
+    """The integrator, which has no settings."""
+    kind = loaded(block["_target_"], "string.integrator", where)
     if len(block) > 1:
-        raise UserError(f"{place} = {dict(block)} ({where}): it must hold `_target_` and nothing else. Change it.")
+        raise UserError(f"string.integrator = {dict(block)} ({where}): it must hold only `_target_`. Change it.")
     return kind()
 
 

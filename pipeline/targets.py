@@ -35,7 +35,6 @@ ROLES: Mapping[str, tuple[str, ...]] = {
         "stages.model.integrator.RungeKutta4",
         "stages.model.implicit.ImplicitLeapfrog",
     ),
-    "precision": ("stages.model.precision.Double", "stages.model.precision.Single"),
     "launcher": (
         "pipeline.sweep.launchers.serial.launch",
         "pipeline.sweep.launchers.joblib.launch",

@@ -9,6 +9,7 @@ import numpy as np
 from numba import get_num_threads
 
 from stringcast.stages.estimate.forward import Case
+from stringcast.stages.model import kernel
 from stringcast.stages.model.hand import HandMotion, rested
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.simulate import simulate
@@ -22,7 +23,7 @@ def seen_together(model: Model, cases: Sequence[Case], values: np.ndarray) -> li
     """What the camera reports of candidates (C, P) in each trial, (C, F, n, 2) [m]; NaN where a run was rejected."""
     result: dict[int, np.ndarray] = {}
     for alike in _alike(cases):
-        lanes = len(values) / model.string.precision.width
+        lanes = len(values) / kernel.WIDTH
         for chosen in _batches([_seconds(cases[i]) for i in alike], lanes / get_num_threads()):
             numbers = [alike[place] for place in chosen]
             result |= zip(numbers, _seen(model, [cases[i] for i in numbers], values), strict=True)

@@ -43,17 +43,17 @@ import numpy as np
 
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.integrator import Integrator
-from stringcast.stages.model.precision import Precision
 from stringcast.stages.model.slots import HELD, HIDDEN, PER, arguments
 from stringcast.stages.model.threads import side_by_side
 
+WIDTH = 16  # candidates side by side: 128 bytes of each quantity, two cache lines
 BEYOND = 2  # points after the tip that nothing is written to, for what looks further than the string goes
 
 ROWS = (
     *("X", "Y", "VX", "VY", "ANGLE", "SX", "SY", "INERTIA", "WEIGHT"),
     *("TX", "TY", "INVERSE", "PULL", "OMEGA", "MOMENT", "FX", "FY"),
     *("HA", "HW", "SET"),
-)  # and after them those of the precision and of the integrator
+)  # and after them those of the integrator
 
 # What a law's argument is in the text of the loop.
 EXPRESSIONS = {
@@ -67,12 +67,12 @@ EXPRESSIONS = {
     "hinge_drag": {},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
     "load": {
-        **{"x": "atx", "y": "aty", "vx": "qx", "vy": "qy", "ux": "(qx - airx)", "uy": "(qy - airy)"},
+        **{"x": "px", "y": "py", "vx": "qx", "vy": "qy", "ux": "(qx - airx)", "uy": "(qy - airy)"},
         **{"tx": "lx", "ty": "ly", "s": "s_point<<longer>>", "t": "t", "dt": "dt"},
     },
-    "acceleration": {"x": "atx", "y": "aty", "t": "t"},
-    "flow": {"x": "atx", "y": "aty", "t": "t"},
-    "rest_curvature": {"s": "s_hinge<<longer>>", "length": "(number(n) - 1.0) * length<<longer>>"},
+    "acceleration": {"x": "px", "y": "py", "t": "t"},
+    "flow": {"x": "px", "y": "py", "t": "t"},
+    "rest_curvature": {"s": "s_hinge<<longer>>", "length": "(float(n) - 1.0) * length<<longer>>"},
 }
 
 Run = Callable[..., None]
@@ -80,15 +80,13 @@ Slots = Mapping[str, Sequence[type[StringEffect]]]
 
 
 @cache
-def kernel_for(
-    effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator, precision: Precision
-) -> Run:
+def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator) -> Run:
     """The compiled step loop for these effects.
 
     names: of the rows of parameters, as `String.rows`. Returns `run(buffers, P, H, ...)`, see the generated text, for
     all blocks, on as many threads as Numba is set to use.
     """
-    some = loaded(source(effects, names, integrator, precision)).run
+    some = loaded(source(effects, names, integrator)).run
 
     def run(buffers: np.ndarray, **given: Any) -> None:
         side_by_side(lambda first, last: some(first, last, buffers, **given), len(buffers))
@@ -96,14 +94,11 @@ def kernel_for(
     return run
 
 
-def source(
-    effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator, precision: Precision
-) -> str:
+def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator) -> str:
     """The module's text."""
     slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
-    width = precision.width
-    constants = {name: kind * width for name, kind in kinds(integrator, precision, effects).items()}
-    constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
+    constants = {name: kind * WIDTH for name, kind in kinds(integrator, effects).items()}
+    constants |= {"NEXT": len(constants) * WIDTH} | {f"H{i}": i * WIDTH for i in range(12)}
     per = [slot for slot in PER if slots[slot]]
 
     def at(slot: str, argument: str) -> str:
@@ -130,9 +125,6 @@ def source(
         "acceleration": _vector(slots, "acceleration", names, "fall"),
         "weight": "B[WEIGHT + p]" if heavy else "1.0",
         "over": f"over = {over}" if over else "",
-        "apart": "\n".join(precision.segment),
-        "kink": precision.kink,
-        "place": "\n".join(precision.place),
         "velocity": "\n".join(integrator.velocity),
         "update": "\n".join(integrator.update),
     }
@@ -143,13 +135,10 @@ def source(
         "turned": integrator.turned,
         "solver": integrator.solver,
         "solve": integrator.solve,
-        "record": precision.record,
-        "number": precision.number.__name__,
-        "W": str(width),
+        "W": str(WIDTH),
         **{name: _fill(text, pieces) for name, text in PIECES.items()},
     }
-    text = _fill(TEMPLATE, fill).replace("<<longer>>", f" * {longer}" if longer else "")
-    return precision.text(text)
+    return _fill(TEMPLATE, fill).replace("<<longer>>", f" * {longer}" if longer else "")
 
 
 def _held_moments(slots: Slots, slot: str, names: Sequence[str]) -> list[str]:
@@ -171,31 +160,28 @@ def _memory(slots: Slots, slot: str, names: Sequence[str], passes: int) -> Itera
     yield f"B[CURVED + k] = {kept.format(new='curvature', old='B[CURVED + k]')}"
 
 
-def kinds(integrator: Integrator, precision: Precision, effects: Sequence[type[StringEffect]]) -> dict[str, int]:
+def kinds(integrator: Integrator, effects: Sequence[type[StringEffect]]) -> dict[str, int]:
     """Which of a point's rows is which, by name; the last are what its hinge was bent to and each effect holds."""
     holding = max(sum(slot in e.laws() for e in effects) for slot, _, _ in HELD.values())
     memory = ("CURVED", *(f"HELD{i}" for i in range(holding))) if holding else ()
-    return {name: number for number, name in enumerate((*ROWS, *precision.rows, *integrator.rows, *memory))}
+    return {name: number for number, name in enumerate((*ROWS, *integrator.rows, *memory))}
 
 
-def rows(
-    blocks: int, points: int, integrator: Integrator, precision: Precision, effects: Sequence[type[StringEffect]]
-) -> np.ndarray:
-    """Zeros for the rows of every point, (blocks, points + BEYOND, kinds, W)."""
-    kind = len(kinds(integrator, precision, effects))
-    return aligned((blocks, points + BEYOND, kind, precision.width), precision.number)
+def rows(blocks: int, points: int, integrator: Integrator, effects: Sequence[type[StringEffect]]) -> np.ndarray:
+    """Zeros for the rows of every point, (blocks, points + BEYOND, kinds, WIDTH)."""
+    return aligned((blocks, points + BEYOND, len(kinds(integrator, effects)), WIDTH))
 
 
-def aligned(shape: tuple[int, ...], number: type[np.floating] = np.float64) -> np.ndarray:
+def aligned(shape: tuple[int, ...]) -> np.ndarray:
     """Zeros whose first number begins a cache line.
 
     numpy aligns to 16 bytes only; a vector of 64 that crosses a line is read and written twice.
     """
     line = 64
-    size = np.dtype(number).itemsize * math.prod(shape)
+    size = np.dtype(np.float64).itemsize * math.prod(shape)
     memory = np.zeros(size + line, dtype=np.uint8)
     first = -memory.ctypes.data % line
-    return memory[first : first + size].view(number).reshape(shape)
+    return memory[first : first + size].view(np.float64).reshape(shape)
 
 
 def _law_text(effect: type[StringEffect], slot: str) -> str:
@@ -304,7 +290,11 @@ def _ours_alone(folder: Path) -> bool:
 PIECES = {
     "segment": """
 <<over>>
-<<apart>>
+ex = B[X + k + NEXT] - B[X + k]
+ey = B[Y + k + NEXT] - B[Y + k]
+angle = B[ANGLE + k] + turned(B[SX + k] * ey - B[SY + k] * ex, B[SX + k] * ex + B[SY + k] * ey)
+B[SX + k] = ex
+B[SY + k] = ey
 wx = B[VX + k + NEXT] - B[VX + k]
 wy = B[VY + k + NEXT] - B[VY + k]
 size = np.sqrt(ex * ex + ey * ey)
@@ -322,13 +312,13 @@ B[OMEGA + k] = omega
 B[PULL + k] = <<tension>>
 """,
     "grasped": """
-curvature = angle - B[HA + j]<<kink>> - <<set>>
+curvature = angle - B[HA + j] - <<set>>
 bend = omega - B[HW + j]
 <<grasp_held>>
 B[MOMENT + k] = <<grasp_moment>>
 """,
     "hinge": """
-curvature = (angle - B[ANGLE + p]<<kink>>) * over - (<<rest>>)
+curvature = (angle - B[ANGLE + p]) * over - (<<rest>>)
 bend = (omega - B[OMEGA + p]) * over
 <<held>>
 <<per>>
@@ -345,7 +335,6 @@ B[FY + p] = fy
     "point": """
 px = B[X + p]
 py = B[Y + p]
-<<place>>
 <<velocity>>
 lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
 ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
@@ -369,7 +358,6 @@ import numpy as np
 from numba import njit
 
 LAW = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True}
-number = np.<<number>>
 NODES = <<nodes>>
 W = np.uintp(<<W>>)
 ONE = np.uintp(1)
@@ -414,9 +402,9 @@ def along(B, P, n, length, dt, t, stage):
         <<hinge>>
         <<force>>
     for i in range(TWO, n - ONE):
-        s_middle = (number(i) + 0.5) * length
-        s_hinge = number(i) * length
-        s_point = (number(i) - 1.0) * length
+        s_middle = (float(i) + 0.5) * length
+        s_hinge = float(i) * length
+        s_point = (float(i) - 1.0) * length
         for j in range(W):
             k = i * NEXT + j
             p = k - NEXT
@@ -424,13 +412,13 @@ def along(B, P, n, length, dt, t, stage):
             <<hinge>>
             <<force>>
             <<point>>
-    s_point = (number(n) - 2.0) * length
+    s_point = (float(n) - 2.0) * length
     for j in range(W):
         p = (n - TWO) * NEXT + j
         couple = 0.0
         <<force>>
         <<point>>
-    s_point = (number(n) - 1.0) * length
+    s_point = (float(n) - 1.0) * length
     for j in range(W):
         p = (n - ONE) * NEXT + j
         B[TX + p] = B[TX + p - NEXT]
@@ -443,30 +431,38 @@ def along(B, P, n, length, dt, t, stage):
 <<solver>>
 
 
-<<record>>
+@njit(**LAW)
+def record(B, n, now, alive):
+    # Positions at a tick; a lane that is no longer finite is given up.
+    for i in range(n):
+        for j in range(W):
+            now[0, i, j] = B[X + i * NEXT + j]
+            now[1, i, j] = B[Y + i * NEXT + j]
+    for j in range(W):
+        size = abs(B[X + (n - ONE) * NEXT + j]) + abs(B[Y + (n - ONE) * NEXT + j])
+        alive[j] = alive[j] and size < 1e3
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
 def run(first, last, buffers, P, H, per_block, points, length, steps, tick, start, out, alive):
     # Blocks first to last - 1. buffers (blocks, size), P (blocks, parameters * W), H (ticks, blocks or 1, 12 * W),
-    # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W). What tells the time,
-    # and out, is float64 always.
+    # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W).
     for b in range(first, last):
         B = buffers[b]
         n = np.uintp(points)
         dt = tick / steps[b]
-        record(B, n, out[b, 0], out[b, 0], alive[b])
+        record(B, n, out[b, 0], alive[b])
         for c in range(H.shape[0]):
             hand = H[c, b * per_block]
             for q in range(steps[b]):
                 for stage in range(len(NODES)):
                     u = (q + NODES[stage]) / steps[b]
                     t = start + (c + u) * tick
-                    grasp(B, hand, number(u), number(tick))
-                    along(B, P[b], n, number(length), number(dt), number(t), stage)
+                    grasp(B, hand, u, tick)
+                    along(B, P[b], n, length, dt, t, stage)
                     <<solve>>
-            grasp(B, hand, number(1), number(tick))
-            record(B, n, out[b, c], out[b, c + 1], alive[b])
+            grasp(B, hand, 1.0, tick)
+            record(B, n, out[b, c + 1], alive[b])
             if not alive[b].any():
                 break
 """

@@ -113,10 +113,9 @@ def _run(
     initial: State | None,
 ) -> np.ndarray:
     """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2), of no meaning once one is lost."""
-    width, number = string.precision.width, string.precision.number
-    count, blocks = len(material), -(-len(material) // width)
+    width, count, blocks = kernel.WIDTH, len(material), -(-len(material) // kernel.WIDTH)
     index = np.minimum(np.arange(blocks * width), count - 1)
-    parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1), dtype=number)
+    parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1))
     own = pose if len(pose) == 1 else pose[index]
     start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
     angles, lengths, velocity, hung = (part[index] for part in start)
@@ -126,7 +125,7 @@ def _run(
     further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung)}
     positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further)
     shared = len(pose) == 1
-    cubic = string.precision.hand(_cubic(own, rate if shared else rate[index], hand.tick))
+    cubic = _cubic(own, rate if shared else rate[index], hand.tick)
     if shared:
         cubic = np.repeat(cubic, width, axis=2)  # as wide as the lanes, so that the kernel loads vectors
     cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
@@ -134,7 +133,7 @@ def _run(
     out[:, 0] = positions.reshape(blocks, width, -1, 2).transpose(0, 3, 2, 1)
     alive = np.ones((blocks, width), dtype=bool)
     run = partial(
-        kernel.kernel_for(string.effects, string.rows, string.integrator, string.precision),
+        kernel.kernel_for(string.effects, string.rows, string.integrator),
         **{"P": parameters.reshape(blocks, -1), "per_block": 0 if shared else 1, "start": hand.start},
         **{"points": string.points, "length": string.segment},
     )
@@ -186,11 +185,11 @@ def _set_back(
 
     With a the steps by which they are behind the positions, v(-a dt) = v(0) - a (v(dt) - v(0)).
     """
-    width, blocks = string.precision.width, len(buffers)
-    first = (cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)).astype(cubic.dtype)
+    width, blocks = kernel.WIDTH, len(buffers)
+    first = cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)
     after, alive = buffers.copy(), np.ones((blocks, width), dtype=bool)
     run(after, H=first, steps=np.ones(blocks, dtype=int), tick=dt, out=out, alive=alive)
-    kinds = kernel.kinds(string.integrator, string.precision, string.effects)
+    kinds = kernel.kinds(string.integrator, string.effects)
     rows = [kinds["VX"], kinds["VY"]]
     now, then = (each.reshape(blocks, -1, len(kinds), width) for each in (buffers, after))
     now[:, :, rows] -= string.integrator.behind * (then[:, :, rows] - now[:, :, rows])
@@ -210,22 +209,26 @@ def _buffers(
     velocity: of the points, (C, n, 2) [m/s]. constants: further rows, of the integrator and of
     hinges with a memory, (C, 1 to n) each.
     """
-    width = string.precision.width
+    width = kernel.WIDTH
     blocks = len(material) // width
     vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     positions = np.cumsum(np.concatenate([np.zeros((len(material), 1, 2)), vectors], axis=1), axis=1)
     positions = positions + (pose[:, None, :2])
     masses, cells = string.masses(material)
     rows = {
-        **string.precision.start(positions, vectors, angles, pose[:, 2]),
+        "X": positions[..., 0],
+        "Y": positions[..., 1],
+        "ANGLE": angles,
+        "SX": vectors[..., 0],
+        "SY": vectors[..., 1],
         "INERTIA": 1.0 / masses,
         "WEIGHT": cells / masses,
         "VX": velocity[..., 0],
         "VY": velocity[..., 1],
         "SET": grasp_set(string, material),
     }
-    buffers = kernel.rows(blocks, string.points, string.integrator, string.precision, string.effects)
-    kinds = kernel.kinds(string.integrator, string.precision, string.effects)
+    buffers = kernel.rows(blocks, string.points, string.integrator, string.effects)
+    kinds = kernel.kinds(string.integrator, string.effects)
     for name, data in {**rows, **constants}.items():
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
         buffers[:, : data.shape[1], kinds[name]] = lanes

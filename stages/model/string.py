@@ -26,7 +26,6 @@ from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
 from stringcast.stages.model.integrator import Integrator, SemiImplicitEuler
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.precision import Double, Precision
 from stringcast.stages.model.slots import HELD, HIDDEN, Law, arguments, taken
 
 BASE: tuple[type[StringEffect], ...] = (
@@ -52,8 +51,7 @@ class String:
     second-order accurate in the number of points. grasp_cell: share of a segment's bending
     compliance that lies in the hinge at the grasp; 0 is Eq. 1, 1/2 second-order accurate.
     ranges: parameters whose range or start differ from the effect's own, by name.
-    largest_step: step allowed for accuracy [s]; stability may ask for less. precision: the
-    numbers in which motion is computed; rest and stability are found in float64 always.
+    largest_step: step allowed for accuracy [s]; stability may ask for less.
     """
 
     length: float
@@ -65,7 +63,6 @@ class String:
     ranges: Mapping[str, Parameter] = field(default_factory=dict)
     integrator: Integrator = SemiImplicitEuler()
     largest_step: float = 2.0e-4
-    precision: Precision = Double()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated."""

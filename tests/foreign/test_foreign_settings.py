@@ -47,15 +47,14 @@ def poisons(canary):
             "_target_": "stages.model.kernel.loaded",
             "text": f"import os; os.mkdir({str(canary)!r})",
         },
-        "string.precision": {"_target_": "numpy.load", "file": str(pickled), "allow_pickle": True},
         "estimate": {"_target_": "builtins.open", "file": str(canary), "mode": "w"},
         "hardware": {"_target_": "pathlib.Path.write_text", "self": str(canary), "data": ""},
-        "generate": {"_target_": "os.mkdir", "path": str(canary)},
+        "generate": {"_target_": "numpy.load", "file": str(pickled), "allow_pickle": True},
         "source": {"_target_": "os.mkdir", "path": str(canary)},
     }
 
 
-PLACES = tuple(place for place in ("string.integrator", "string.precision", "estimate", "hardware", "generate"))
+PLACES = ("string.integrator", "estimate", "hardware", "generate")
 
 
 def resolved(*overrides):
@@ -94,13 +93,11 @@ def test_index_builds_no_model(settings, tmp_path, monkeypatch):
     assert command("index").main([str(tmp_path)]) == 0
 
 
-@pytest.mark.parametrize("place", ["string.integrator", "string.precision"])
-def test_an_extended_model_runs_no_code(settings, canary, tmp_path, place):
-    _, part = place.split(".")
-    made = {"string": {part: poisons(canary)[place]}}
+def test_an_extended_model_runs_no_code(settings, canary, tmp_path):
+    made = {"string": {"integrator": poisons(canary)["string.integrator"]}}
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump(made))
     config = OmegaConf.create({**settings, "extended": str(tmp_path)})
-    with pytest.raises(UserError, match=place):
+    with pytest.raises(UserError, match=r"string\.integrator"):
         prepare(with_inherited_settings(config, set()), lambda block: "extended.yaml")
     assert not canary.exists()
 
@@ -217,7 +214,7 @@ def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch,
 
 def test_numpy_would_have_run_the_pickle(canary):
     """The control: the poison is one."""
-    np.load(poisons(canary)["string.precision"]["file"], allow_pickle=True)
+    np.load(poisons(canary)["generate"]["file"], allow_pickle=True)
     assert canary.exists()
 
 

@@ -245,7 +245,7 @@ def many(finished, tmp_path):
     config = outputs / "day/stale/config.json"
     config.write_text(config.read_text().replace('"points": 31', '"points": 30'))
     old = outputs / "day/old/config.json"
-    old.write_text(old.read_text().replace('"precision"', '"width"'))
+    old.write_text(old.read_text().replace('"integrator"', '"method"'))
     return outputs
 
 
@@ -267,7 +267,7 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     assert runs.loc["day/a", "outcome"] == "missed"
     assert runs.loc["day/failed", "said"] == "the camera is not there"
     assert runs.loc["day/stale", "stale"] == "iterations/01/points: setting extract.points was 31, is 30"
-    assert "width._target_" in runs.loc["day/old", "stale"]  # as it was called before it was precision
+    assert "method._target_" in runs.loc["day/old", "stale"]  # a setting of another name
     assert (runs.drop(["day/stale", "day/old"])["stale"] == "").all()
     fits = [pd.read_parquet(many / f"day/a/iterations/{n}/estimate/fit.parquet")["after"][0] for n in ("01", "02")]
     assert runs.loc["day/a", "best_E"] == max(fits)

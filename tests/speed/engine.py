@@ -58,6 +58,6 @@ def point_steps(string: String, hand: HandMotion, values: np.ndarray, times: np.
 
 
 def _copied(buffers: np.ndarray) -> np.ndarray:
-    copy = kernel.aligned(buffers.shape, buffers.dtype.type)
+    copy = kernel.aligned(buffers.shape)
     copy[:] = buffers
     return copy

@@ -76,7 +76,7 @@ def loops(limit: limits.Limits) -> list[Row]:
         calls[f"engine {points}"], work[f"engine {points}"] = loop, loop.point_steps
     work |= {"scalar": work["engine 10"] / 64, "hand-fused": work["engine 10"]}
     each = in_turns(calls, ROUNDS) / pd.Series(work) * NS
-    least = limit.of(limits.work(kernel.source(string.effects, string.names, string.integrator, string.precision))) * NS
+    least = limit.of(limits.work(kernel.source(string.effects, string.names, string.integrator))) * NS
     per, own = "ns per mass-point-step and core", {"threads": 1, "batch": 64}
     rows = [seen(per, "engine, step loop", each[f"engine {points}"], "ns", points=points, **own) for points in SIZES]
     rows += [

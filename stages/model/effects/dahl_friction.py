@@ -1,7 +1,5 @@
 """Strands that rub on one another: bending hysteresis with memory and round corners."""
 
-import numpy as np
-
 from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
 
 

@@ -1,7 +1,5 @@
 """Strands that stick to one another until they slip: bending hysteresis with memory."""
 
-import numpy as np
-
 from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
 
 
