@@ -14,7 +14,7 @@ from stringcast.data.artifacts import PREDICTED
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.run import Result
-from stringcast.stages.estimate.settle import MODES
+from stringcast.stages.inference.initial_modes import MODES
 
 SETS = Table(
     "sets",

@@ -12,10 +12,10 @@ import numpy as np
 
 from stringcast.stages.diagnose.evidence import SHORTER, Evidence, torn, with_shorter_steps
 from stringcast.stages.diagnose.fit import Fit
-from stringcast.stages.estimate.forward import Case
-from stringcast.stages.estimate.result import values_of
-from stringcast.stages.estimate.settle import settled, slopes
+from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.initial_modes import settled, slopes
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import values_of
 
 
 def move_at_first(evidence: Evidence) -> bool:

@@ -9,9 +9,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from stringcast.stages.estimate.forward import Case
 from stringcast.stages.generate.curves import Curves, first_curves
 from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model

@@ -9,8 +9,8 @@ import numpy as np
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import Fit, fitted, newton_step, ranked, shortened
 from stringcast.stages.diagnose.predictive import cost_of_unseen
+from stringcast.stages.inference.likelihood import time_blocks
 
-BLOCK = 0.05  # [s] of time taken as one independent piece
 SHOWN = 10.0  # of the log-likelihood that a cause must gain on other trials to be shown by them
 AGAIN = 3  # steps of a fit without one trial
 
@@ -66,12 +66,7 @@ def _without(evidence: Evidence, fit: Fit, left_out: int) -> list[Fit]:
 
 def blocks(evidence: Evidence) -> np.ndarray:
     """Number of the piece of time of each residual, (N,), counted through all trials."""
-    pieces, first = [], 0
-    for case in evidence.cases:
-        _, own = np.unique(np.floor(case.times[case.frame] / BLOCK).astype(int), return_inverse=True)
-        pieces.append(np.repeat(first + own, 2))
-        first += own.max() + 1
-    return np.concatenate(pieces)
+    return time_blocks(evidence.cases)
 
 
 def moved(evidence: Evidence, one: Fit, other: Fit) -> np.ndarray:

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
-from stringcast.stages.diagnose.together import seen_together
-from stringcast.stages.estimate.forward import Case
-from stringcast.stages.estimate.result import values_of
+from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import values_of
+from stringcast.stages.model.sampling import measured
 
 LOST = 1e3  # residual of a run that was rejected, in standard deviations
 DOUBT = 1.5  # the simulation's own error may be this much more than two pairs of numbers of segments differ
@@ -109,7 +109,7 @@ class Evidence:
         seen = _tried_again(divided, self.cases, values, seen_together(divided, self.cases, values))
         length = divided.string.segment
         pairs = zip(seen, self.cases, strict=True)
-        return [_along(points, case.frame, case.s / length) for points, case in pairs]
+        return [measured(points, case.frame, case.s / length) for points, case in pairs]
 
     def doubted(self, model: Model, chi: np.ndarray, segments: tuple[int, ...]) -> Evidence:
         """With sigma raised by the error of the simulation itself, as another two numbers of segments show it."""
@@ -144,22 +144,3 @@ def torn(points: np.ndarray, length: float) -> np.ndarray:
 def _doubted(case: Case, here: np.ndarray, there: np.ndarray) -> Case:
     error = DOUBT * np.nan_to_num(np.linalg.norm(here - there, axis=-1), nan=LOST)
     return replace(case, sigma=np.hypot(case.sigma, error))
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _along(points: np.ndarray, frame: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Points between mass points, by a cubic through four. points: (C, F, n, 2); place: (N,) in segments."""
-    count, wanted, last = len(points), len(place), points.shape[2] - 1
-    result = np.empty((count, wanted, 2))
-    for c in range(count):
-        for k in range(wanted):
-            at = min(max(place[k], 0.0), float(last))
-            first = min(max(int(at) - 1, 0), last - 3)
-            x = at - first
-            w0, w1 = -(x - 1) * (x - 2) * (x - 3) / 6, x * (x - 2) * (x - 3) / 2
-            w2, w3 = -x * (x - 1) * (x - 3) / 2, x * (x - 1) * (x - 2) / 6
-            line = points[c, frame[k]]
-            for axis in range(2):
-                ends = w0 * line[first, axis] + w3 * line[first + 3, axis]
-                result[c, k, axis] = w1 * line[first + 1, axis] + w2 * line[first + 2, axis] + ends
-    return result

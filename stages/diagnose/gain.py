@@ -15,10 +15,10 @@ from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import fitted
 from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
 from stringcast.stages.diagnose.prepare import Ground
-from stringcast.stages.estimate.forward import Case
 from stringcast.stages.estimate.matching import Matching, targets
-from stringcast.stages.estimate.result import values_of
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import values_of
 from stringcast.stages.model.state import State
 from stringcast.stages.model.string import String
 

@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 from stringcast.data.dataset import FRAMES_NEEDED
 from stringcast.stages.common import mad_sigma, tracked
 from stringcast.stages.diagnose.evidence import Evidence
-from stringcast.stages.estimate.forward import Case
+from stringcast.stages.inference.forward import Case
 
 FEWEST = 30  # second differences from which a noise can be told
 CLEAR = 4.0  # standard deviations that noise alone may reach somewhere, averaged over neighbouring frames

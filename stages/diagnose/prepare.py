@@ -20,7 +20,7 @@ from stringcast.stages.diagnose.ranges import widened, with_ranges
 from stringcast.stages.diagnose.resolve import SEGMENTS, refined
 from stringcast.stages.diagnose.search import searched
 from stringcast.stages.diagnose.theory import Theory, candidates, whole
-from stringcast.stages.estimate.forward import Case, case
+from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model

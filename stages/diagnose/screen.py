@@ -16,10 +16,10 @@ from stringcast.data.later import Later
 from stringcast.stages.diagnose.evidence import LOST, Evidence
 from stringcast.stages.diagnose.fit import PRIOR, Fit
 from stringcast.stages.diagnose.theory import Theory, joined
-from stringcast.stages.estimate.forward import Case
-from stringcast.stages.estimate.result import values_of
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.effect import Effect, components, placed
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import values_of
 
 stats = Later("scipy.stats")
 

@@ -26,12 +26,12 @@ from stringcast.stages.diagnose.foretell import DECIDED, Outlook, Prospect, Rehe
 from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses, carried
 from stringcast.stages.diagnose.resolve import SEGMENTS, finer
 from stringcast.stages.diagnose.verdict import Judgement
-from stringcast.stages.estimate.forward import Case
-from stringcast.stages.estimate.result import values_of
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import commands_of, control_points_of
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.parameter import values_of
 
 RIVAL = 0.02  # of the likeliest: sets of causes at least as likely are worth an experiment
 TOGETHER = 16  # motions simulated at once

@@ -14,11 +14,10 @@ from typing import cast
 import numpy as np
 
 from stringcast.stages.diagnose.evidence import Evidence
-from stringcast.stages.estimate.result import values_of
 from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parameter import Parameter, values_of
 from stringcast.stages.model.stability import load
 
 HAND = 300  # places on the hand's way at which it is asked whether something stands there

@@ -13,8 +13,8 @@ from numba import njit
 from pydantic import Field
 
 from stringcast.data.artifacts import Observation
-from stringcast.stages.estimate.forward import Case, case
 from stringcast.stages.extract.score import rasterise, score_map
+from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.threads import side_by_side
 

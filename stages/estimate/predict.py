@@ -1,7 +1,8 @@
 """How far a model is off in a trial that nothing was fitted to.
 
-Of the trial itself are only the state in which it begins, corrected as in a fit (`settle`), and the values of effects
-that differ from one recording to another, such as a set: they are read from the frames in which the string rests.
+Of the trial itself are only the state in which it begins, corrected as in a fit (`initial_modes`), and the values of
+effects that differ from one recording to another, such as a set: they are read from the frames in which the string
+rests.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import pandas as pd
 
 from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction
 from stringcast.data.later import Later
-from stringcast.stages.estimate.forward import Case, case
-from stringcast.stages.estimate.settle import MODES, settled
+from stringcast.stages.inference.forward import Case, case
+from stringcast.stages.inference.initial_modes import MODES, settled
 from stringcast.stages.model.model import Model
 
 optimize = Later("scipy.optimize")
@@ -34,7 +35,7 @@ def predict(model: Model, estimate: Estimate, observation: Observation, own: Col
     if len(places) and still is not None:
         values, free = _read(still, values, places), free + len(places)
     _, motion = next(ready.simulate(values[None]))
-    found = ready.at_measured(motion)[0]
+    found = ready.at_measured(motion.points)[0]
     squares, tip = np.sum((found - ready.points) ** 2, axis=-1), ready.s == ready.s.max()
     score = {"trial": ready.name, "free": free, "rms": np.sqrt(squares.mean()), "tip": np.sqrt(squares[tip].mean())}
     rows = {"trial": ready.name, "t": ready.times[ready.frame], "s": ready.s}
@@ -68,7 +69,8 @@ def _read(still: Case, values: np.ndarray, places: np.ndarray) -> np.ndarray:
 
     def off(chi: np.ndarray) -> np.ndarray:
         _, motion = next(still.simulate(placed(chi)[None]))
-        return np.nan_to_num(((still.at_measured(motion)[0] - still.points) / still.sigma[:, None]).ravel(), nan=1e6)
+        found = still.at_measured(motion.points)[0]
+        return np.nan_to_num(((found - still.points) / still.sigma[:, None]).ravel(), nan=1e6)
 
     start = [np.clip(p.chi(values[place]), STEP, 1 - STEP) for p, place in zip(parameters, places, strict=True)]
     return placed(optimize.least_squares(off, start, bounds=(0, 1), diff_step=STEP).x)

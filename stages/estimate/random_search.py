@@ -12,8 +12,9 @@ from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.estimate.least_squares import possible
 from stringcast.stages.estimate.matching import Matching, matching_rate, targets
-from stringcast.stages.estimate.result import Search, estimate_of, start_chi, unmoved, values_of
+from stringcast.stages.estimate.result import Search, estimate_of, start_chi, unmoved
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import values_of
 
 
 def estimate(

@@ -11,7 +11,7 @@ import pandas as pd
 from stringcast.data.artifacts import CANDIDATES, DRAWS, FIT, MATCHING, PARAMETERS, Estimate
 from stringcast.data.schema import DataError
 from stringcast.stages.estimate.matching import Target, matching_rate
-from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parameter import Parameter, values_of
 
 NEAR = 0.01  # candidates within this much of the best E are as good as it
 BROAD = 0.5  # an undetermined parameter's good values spread over this share of its range
@@ -58,11 +58,6 @@ def start_chi(parameters: Sequence[Parameter], previous: Estimate | None) -> np.
     """Where the search begins: the previous manipulation's estimate, else the start values, (P,)."""
     known = {} if previous is None else previous.values()
     return np.array([float(p.chi(np.asarray(known.get(p.name, p.start)))) for p in parameters])
-
-
-def values_of(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
-    """Parameter values at exponents (C, P), Eq. 3."""
-    return np.stack([p.value(chi[:, i]) for i, p in enumerate(parameters)], axis=-1)
 
 
 def estimate_of(

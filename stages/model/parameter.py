@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,3 +46,24 @@ class Parameter:
         else:
             position = np.maximum((value - self.low) / (self.high - self.low), 0.0) ** (1 / self.root)
         return np.clip(position, 0.0, 1.0)
+
+    def slope(self, chi: np.ndarray) -> np.ndarray:
+        """How steeply values rise with exponents in [0, 1]. Any shape."""
+        if self.low > 0:
+            return np.log(self.high / self.low) * self.value(chi)
+        return (self.high - self.low) * self.root * np.asarray(chi) ** (self.root - 1)
+
+
+def values_of(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
+    """Parameter values at exponents (..., P), Eq. 3."""
+    return np.stack([p.value(chi[..., i]) for i, p in enumerate(parameters)], axis=-1)
+
+
+def chi_of(parameters: Sequence[Parameter], values: np.ndarray) -> np.ndarray:
+    """Exponents of parameter values (..., P), within [0, 1]."""
+    return np.stack([p.chi(values[..., i]) for i, p in enumerate(parameters)], axis=-1)
+
+
+def slopes_of(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
+    """How steeply parameter values rise with exponents (..., P), likewise."""
+    return np.stack([p.slope(chi[..., i]) for i, p in enumerate(parameters)], axis=-1)

@@ -85,6 +85,29 @@ def between(points: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def measured(points: np.ndarray, frame: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Where the measured places are, by the cubic through the four mass points nearest, (C, N, 2).
+
+    points: (C, F, n, 2). frame: (N,) in which each is measured; place: (N,) in numbers of points.
+    """
+    count, last = len(points), points.shape[2] - 1
+    nodes = min(ALONG, last + 1)
+    result = np.zeros((count, len(place), 2))
+    for c in range(count):
+        for k in range(len(place)):
+            at = min(max(place[k], 0.0), float(last))
+            first = min(max(int(at) - 1, 0), last + 1 - nodes)
+            for i in range(nodes):
+                weight = 1.0
+                for m in range(nodes):
+                    if m != i:
+                        weight *= (at - first - m) / (i - m)
+                result[c, k, 0] += weight * points[c, frame[k], first + i, 0]
+                result[c, k, 1] += weight * points[c, frame[k], first + i, 1]
+    return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def _interpolate(
     ticks: np.ndarray, position: np.ndarray, last: np.ndarray, width: int, one: int, end: int, result: np.ndarray
 ) -> None:

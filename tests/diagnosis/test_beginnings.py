@@ -10,9 +10,9 @@ from stringcast.stages.diagnose import beginning
 from stringcast.stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stringcast.stages.diagnose.evidence import SHORTER, Evidence
 from stringcast.stages.diagnose.theory import Theory
-from stringcast.stages.diagnose.together import _batches, seen_together
-from stringcast.stages.estimate.forward import Case
 from stringcast.stages.generate.curves import plain_cast
+from stringcast.stages.inference.batch import _batches, seen_together
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from stringcast.stages.diagnose.chance import by_chance
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.prepare import RESTING, awake
-from stringcast.stages.estimate.forward import Case
+from stringcast.stages.inference.forward import Case
 
 FRAMES, ALONG = 2000, 5
 TIMES = np.arange(FRAMES) * 0.05 + 0.01  # each in a piece of time of its own

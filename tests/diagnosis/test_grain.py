@@ -14,7 +14,7 @@ from stringcast.stages.diagnose.fit import fitted
 from stringcast.stages.diagnose.prepare import Ground, Raw, literal
 from stringcast.stages.diagnose.theory import Theory, joined
 from stringcast.stages.diagnose.verdict import COARSE
-from stringcast.stages.estimate.forward import Case
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.library import library
 

@@ -14,9 +14,9 @@ from stringcast.stages.diagnose.fit import Fit, fitted
 from stringcast.stages.diagnose.hypotheses import SHORTLIST, Hypotheses
 from stringcast.stages.diagnose.leads import beginnings, follow, leads
 from stringcast.stages.diagnose.theory import Theory, joined
-from stringcast.stages.estimate.forward import case
 from stringcast.stages.generate.curves import first_curves
 from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.inference.forward import case
 from stringcast.stages.model.effects.arm_lag import ArmLag
 from stringcast.stages.model.library import library
 

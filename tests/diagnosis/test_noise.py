@@ -17,7 +17,7 @@ from stringcast.stages.diagnose.noise import (
     systematic,
     tracks,
 )
-from stringcast.stages.estimate.forward import Case
+from stringcast.stages.inference.forward import Case
 
 S = np.linspace(0.1, 0.3, 5)
 T = np.arange(0, 1.5, 0.005)

@@ -18,9 +18,9 @@ from stringcast.stages.diagnose.diagnose import coarse
 from stringcast.stages.diagnose.gain import FRAMES, _rate, _wider, thinned
 from stringcast.stages.diagnose.missing import _ridge
 from stringcast.stages.diagnose.prepare import usable
-from stringcast.stages.estimate.forward import case
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves
+from stringcast.stages.inference.forward import case
 
 S = np.array([0.1, 0.2, 0.3])
 FINE = Matching(dilations=20, step_px=1, tip_step_px=1.0, delta_w=0.25)

@@ -23,8 +23,8 @@ from stringcast.stages.diagnose.resolve import SEGMENTS, refined
 from stringcast.stages.diagnose.screen import followed, screened
 from stringcast.stages.diagnose.theory import Theory, candidates, joined, whole
 from stringcast.stages.diagnose.verdict import judged, weighed
-from stringcast.stages.estimate.forward import Case
 from stringcast.stages.generate.curves import Curves
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.library import library
 

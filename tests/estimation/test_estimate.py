@@ -8,9 +8,9 @@ from conftest import threads
 
 from stringcast.data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
 from stringcast.stages.estimate import cma_es, least_squares, random_search
-from stringcast.stages.estimate.forward import case
 from stringcast.stages.estimate.matching import Matching, match, targets
 from stringcast.stages.extract.score import rasterise, score_map
+from stringcast.stages.inference.forward import case
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.simulate import simulate

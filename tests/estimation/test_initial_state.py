@@ -11,10 +11,10 @@ from stringcast.data import dataset
 from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.estimate import least_squares
-from stringcast.stages.estimate.forward import case
-from stringcast.stages.estimate.initial import initial_state, kinematics
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.estimate.settle import MODES, settled, slopes
+from stringcast.stages.inference.forward import case
+from stringcast.stages.inference.initial_modes import MODES, settled, slopes
+from stringcast.stages.inference.initial_state import initial_state, kinematics
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model

@@ -11,8 +11,8 @@ import yaml
 from stringcast.data.artifacts import MASKS, PARAMETERS, READINGS, SCORE, Estimate, Observation, Prediction
 from stringcast.data.schema import DataError
 from stringcast.pipeline.run import estimate_again, in_numbers
-from stringcast.stages.estimate.forward import case
 from stringcast.stages.estimate.predict import predict, resting
+from stringcast.stages.inference.forward import case
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.library import named

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import get_num_threads
 
-from stringcast.stages.estimate.forward import Case
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model import kernel
 from stringcast.stages.model.hand import HandMotion, rested
 from stringcast.stages.model.model import Model

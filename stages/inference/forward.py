@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
-from stringcast.stages.estimate.initial import initial_state, kinematics
+from stringcast.stages.inference.initial_state import initial_state, kinematics
 from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.sampling import measured
 from stringcast.stages.model.simulate import StringMotion
 from stringcast.stages.model.state import State
 
@@ -45,19 +45,9 @@ class Case:
             begin = None if self.initial is None else self.initial.of(some)
             yield some, self.model.seen(self.motion, values[some], self.times, begin)
 
-    @cached_property
-    def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mass point before each measured point, and the share of the way to the next."""
-        string = self.model.string
-        position = np.clip(self.s / string.segment, 0, string.points - 1 - 1e-9)
-        return position.astype(int), position % 1
-
-    def at_measured(self, motion: StringMotion) -> np.ndarray:
-        """Simulated positions at the measured arc lengths and times, (C, N, 2) [m]."""
-        before, share = self.places
-        low = motion.points[:, self.frame, before]
-        high = motion.points[:, self.frame, before + 1]
-        return low + share[None, :, None] * (high - low)
+    def at_measured(self, points: np.ndarray) -> np.ndarray:
+        """Where strings (C, F, n, 2) are at the measured arc lengths and times, (C, N, 2) [m]."""
+        return measured(points, self.frame, self.s / self.model.string.segment)
 
     def until(self, share: float) -> Case:
         """The first part of the trial: `share` of its time."""
@@ -70,7 +60,7 @@ class Case:
     def off(self, values: np.ndarray) -> tuple[float, float]:
         """Mean square distance of one candidate (P,) from the measured points, and from those nearest the tip [m2]."""
         _, motion = next(self.simulate(values[None]))
-        squares = np.sum((self.at_measured(motion)[0] - self.points) ** 2, axis=-1)
+        squares = np.sum((self.at_measured(motion.points)[0] - self.points) ** 2, axis=-1)
         return float(squares.mean()), float(squares[self.s == self.s.max()].mean())
 
 

@@ -1,0 +1,94 @@
+"""The state in which a trial begins, corrected by how the string then moves.
+
+A few frames tell velocities to 0.1 m/s, which after half a swing is centimetres. Once parameters are
+known about well enough, the motion that follows tells more: shape and turning rates are corrected
+by smooth modes of a string that is held at one end, as far as the first part of the trial asks for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stringcast.stages.common import mad_sigma
+from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.huber import LIMIT
+from stringcast.stages.inference.solver import LOST, fitted
+from stringcast.stages.model.parameter import Parameter, values_of
+from stringcast.stages.model.state import State
+
+SPAN = 0.5  # [s] of the trial's beginning that is looked at
+MODES = 6
+TURN = 0.1  # [rad] by which a mode of the shape may well be off
+RATE = 3.0  # [rad/s] by which a mode of the rates may
+STEP = 1e-3  # of those, for the differences
+FARTHEST = 20.0  # of those, that a mode may be off
+TRIES = 20  # iterations at most; it mostly takes 5
+COEFFICIENTS = tuple(Parameter(f"mode_{k}", "1", "", -FARTHEST, FARTHEST, 0.0) for k in range(2 * MODES))
+BESIDE = np.concatenate([np.zeros((1, 2 * MODES)), STEP * np.eye(2 * MODES)])  # changes for the differences
+
+
+def settled(ready: Case, values: np.ndarray, span: float = SPAN) -> Case:
+    """The case with the initial state that suits these parameters (P,) best; as it is where it begins at rest, or where
+    the string cannot be simulated with them."""
+    if ready.initial is None:
+        return ready
+    early = ready.until(min(span / float(np.ptp(ready.times)), 1.0))
+    noise = float(mad_sigma(_residuals(early, values, BESIDE[:1])[0])) + 1e-12
+    if not np.isfinite(noise):
+        return ready
+    beginning = _Beginning(replace(early, sigma=noise * early.sigma), values)
+    found = fitted(beginning, np.full((1, 2 * MODES), 0.5), TRIES)
+    change = values_of(COEFFICIENTS, found.chi[0])
+    return replace(ready, initial=_changed(ready.initial, change, ready.model.string.length))
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """Modes of one trial's initial state, each expected within one, as the solver's problem."""
+
+    early: Case
+    values: np.ndarray
+    parameters: Sequence[Parameter] = COEFFICIENTS
+    limit: float = LIMIT
+
+    def residuals(self, chi: np.ndarray) -> np.ndarray:
+        """Of changes (C, 2 MODES) in exponents, and the changes themselves: (C, 2 N + 2 MODES)."""
+        changes = values_of(self.parameters, chi)
+        return np.nan_to_num(np.hstack([_residuals(self.early, self.values, changes), changes]), nan=LOST)
+
+
+def modes(trials: Sequence[Case], values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """How each trial's points move over sigma with its modes, (2 N, M): no columns where it begins at rest; none at all
+    where all do."""
+    if all(trial.initial is None for trial in trials):
+        return ()
+    return tuple(slopes(trial, values) / np.repeat(trial.sigma, 2)[:, None] for trial in trials)
+
+
+def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
+    """How the measured points move with the modes of the state in which the trial begins, a column each, (2 N, M) [m];
+    none where it begins at rest, nor for what cannot be simulated. values: (P,)."""
+    if ready.initial is None:
+        return np.empty((2 * len(ready.points), 0))
+    here, *beside = _residuals(replace(ready, sigma=np.ones(len(ready.points))), values, BESIDE)
+    columns = (np.stack(beside, axis=1) - here[:, None]) / STEP
+    return columns[:, np.isfinite(columns).all(axis=0)]
+
+
+def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    """Simulated less measured over sigma, (C, 2 N), with each of the changes (C, M) of the state at the beginning."""
+    assert ready.initial is not None
+    moved = replace(ready, initial=_changed(ready.initial, changes, ready.model.string.length))
+    _, motion = next(moved.simulate(np.repeat(values[None], len(changes), axis=0)))
+    return ((moved.at_measured(motion.points) - ready.points) / ready.sigma[:, None]).reshape(len(changes), -1)
+
+
+def _changed(state: State, change: np.ndarray, length: float) -> State:
+    """The state with modes added: sin((k - 1/2) pi s / L) of the angles and of the rates. change: (2 MODES,), or one
+    for each candidate, (C, 2 MODES)."""
+    modes = np.sin((np.arange(MODES)[:, None] + 0.5) * np.pi * state.s / length)
+    turn, rate = TURN * change[..., :MODES] @ modes, RATE * change[..., MODES:] @ modes
+    return replace(state, angle=state.angle + turn, rate=state.rate + rate)

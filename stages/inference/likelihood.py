@@ -1,0 +1,98 @@
+"""What trials say of candidates: how far they are from what was measured, in standard deviations and white.
+
+    residual_k = V_k^(-1/2) (simulated - measured) / sigma,        V_k = 1 + U_k U_k'
+
+for trial k, whose points may also move by U_k a with unknown a ~ N(0, 1), such as by another state in the beginning.
+Integrated over a, that is noise of covariance V_k: what U_k could explain counts for less, and what is found is sure
+only of the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.solver import LOST
+from stringcast.stages.inference.whitening import LowRank
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter, values_of
+
+CHUNK = 128  # candidates simulated at once: keeps memory in hand, whatever their number
+BLOCK = 0.05  # [s] of time taken as one independent piece
+STILL = 0.01  # of the string's length, from which the hand has moved
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Trials that one model explains together.
+
+    scale: times the points' own sigma, the noise, or noise [m] where no sigma is known. nuisance: U of each trial, over
+    sigma, (2 n, M), or of none. limit: standard deviations from which a residual counts less (Huber), or infinite.
+    """
+
+    model: Model
+    trials: tuple[Case, ...]
+    scale: float = 1.0
+    nuisance: tuple[np.ndarray, ...] = ()
+    limit: float = np.inf
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Of the model."""
+        return self.model.parameters
+
+    def residuals(self, chi: np.ndarray) -> np.ndarray:
+        """Of candidates (C, P), (C, N): both coordinates of each point of each trial; LOST in a trial that could not be
+        simulated."""
+        values, parts = values_of(self.parameters, chi), []
+        for first in range(0, len(values), CHUNK):
+            seen = seen_together(self.model, self.trials, values[first : first + CHUNK])
+            parts.append(np.concatenate([self._white(k, points) for k, points in enumerate(seen)], axis=1))
+        return np.nan_to_num(np.concatenate(parts), copy=False, nan=LOST)
+
+    def until(self, seconds: float) -> Likelihood:
+        """The beginning of each trial: so long after its hand moved, or after it began moving."""
+        trials = tuple(_until(trial, seconds) for trial in self.trials)
+        nuisance = tuple(u[: 2 * len(trial.s)] for u, trial in zip(self.nuisance, trials, strict=False))
+        return replace(self, trials=trials, nuisance=nuisance)
+
+    def _white(self, k: int, points: np.ndarray) -> np.ndarray:
+        """White residuals (C, 2 n) of a trial. points: of its strings, (C, F, n, 2)."""
+        trial = self.trials[k]
+        off = (trial.at_measured(points) - trial.points) / (self.scale * trial.sigma[:, None])
+        residual = off.reshape(len(points), -1)
+        return self._whiten[k](residual) if self.nuisance else residual
+
+    @cached_property
+    def _whiten(self) -> list[LowRank]:
+        return [LowRank.of(u / self.scale) for u in self.nuisance]
+
+
+def time_blocks(trials: Sequence[Case]) -> np.ndarray:
+    """Number of the block of time of each residual, (N,), counted through all trials."""
+    pieces, first = [], 0
+    for trial in trials:
+        _, own = np.unique(np.floor(trial.times[trial.frame] / BLOCK).astype(int), return_inverse=True)
+        pieces.append(np.repeat(first + own, 2))
+        first += own.max() + 1
+    return np.concatenate(pieces)
+
+
+def _until(trial: Case, seconds: float) -> Case:
+    """The first part of a trial, of at least two frames."""
+    last = max(_begins(trial) + seconds, trial.times[:2][-1])
+    return trial.until((last - trial.times[0]) / max(float(np.ptp(trial.times)), 1e-9))
+
+
+def _begins(trial: Case) -> float:
+    """When a trial's string begins to move, with its hand or before [s]."""
+    if trial.initial is not None:
+        return float(trial.times[0])
+    hand, length = trial.motion.really(trial.model.arm, ()), trial.model.string.length
+    away = np.abs((hand.pose[0] - hand.pose[0, 0]) * [1.0, 1.0, length]).max(axis=1)
+    return hand.start + hand.tick * float(np.argmax(away > STILL * length))

@@ -1,0 +1,100 @@
+"""The most likely parameters from nothing: many starts, and a horizon that widens.
+
+A string that is swung forgets where it came from, so that a whole trial has many local minima. Its beginning is fitted
+first, then more of it, while the better half of the starts goes on; those that have come to the same go on as one. What
+another initial state could explain counts for little from the beginning, so that no start is lost by that. In the end
+initial states, noise and parameters are found in turns, and outliers count less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.stages.common import Progress, mad_sigma
+from stringcast.stages.inference.huber import LIMIT
+from stringcast.stages.inference.initial_modes import SPAN, modes, settled
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.solver import fitted
+from stringcast.stages.model.parameter import values_of
+from stringcast.stages.model.statics import GRAVITY
+
+FIRST = np.pi / 2.405  # sqrt(L/g), fitted first: a quarter of the time in which a limp string swings to and fro
+FEWEST = 10  # numbers measured for each parameter, at least, in the first horizon: as of any regression
+GROWTH = 1.75  # of the horizon, from one to the next
+NEARLY = 0.8  # of the longest trial: a horizon beyond that is all there is
+FINALISTS = 8  # starts that go on to the end, if they have come to different places
+SAME = 0.1  # of what is left, root mean square: runs that differ by less have come to the same place
+CONVERGE = 60  # iterations at most on all there is; it mostly takes fewer than ten
+ROUNDS = 3  # in which initial states, noise and parameters are found
+TINY = 1e-9  # of the noise: of exact data something is left, too
+
+
+def screened(likelihood: Likelihood, chi: np.ndarray, count: int) -> np.ndarray:
+    """Those candidates (C, P) that are best at the first horizon, best first, (count, P)."""
+    some = likelihood.until(horizons(likelihood)[0])
+    misfit = np.mean(some.residuals(chi) ** 2, axis=1)
+    return chi[np.argsort(misfit, kind="stable")[:count]]
+
+
+def horizons(likelihood: Likelihood) -> list[float]:
+    """Beginnings of trials that are fitted one after the other [s]; the last is all there is."""
+    length = likelihood.model.string.length
+    spans = [max(float(np.ptp(trial.times)), TINY) for trial in likelihood.trials]
+    rate = sum(2 * len(trial.s) / span for trial, span in zip(likelihood.trials, spans, strict=True))
+    found = [max(FIRST * np.sqrt(length / GRAVITY), FEWEST * len(likelihood.parameters) / rate)]
+    while found[-1] * GROWTH < NEARLY * max(spans):
+        found.append(found[-1] * GROWTH)
+    return [*found, np.inf]
+
+
+def searched(
+    likelihood: Likelihood, starts: np.ndarray, most: int, progress: Progress = lambda share: None
+) -> np.ndarray:
+    """The best parameters (P,) from these starts (K, P), the best first. most: iterations of each before the last
+    horizon."""
+    chi, ahead = starts, horizons(likelihood)
+    few = max(most // max(len(ahead) - 1, 1), 1)
+    for number, horizon in enumerate(ahead):
+        some = with_noise(likelihood.until(horizon), chi[0])
+        fits = fitted(some, chi, few if np.isfinite(horizon) else CONVERGE)
+        chi = fits.chi[_survivors(fits.residual, fits.loss)]
+        progress((number + 1) / len(ahead))
+    return chi[0]
+
+
+def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
+    """Runs that go on, best first: the better half of those that have come to different places. residual: (K, N).
+    loss: (K,)."""
+    kept: list[int] = []
+    for run in np.argsort(loss, kind="stable")[: max(len(loss) // 2, FINALISTS)]:
+        apart = [np.mean((residual[run] - residual[other]) ** 2) for other in kept]
+        if all(each > SAME**2 * loss[run] for each in apart):
+            kept.append(int(run))
+    return kept
+
+
+def refined(likelihood: Likelihood, chi: np.ndarray) -> tuple[Likelihood, np.ndarray]:
+    """The likelihood with noise and initial states as they are at its maximum, and the parameters there, from near ones
+    chi (P,)."""
+    span = SPAN
+    for _ in range(ROUNDS):
+        likelihood = with_initial_states(likelihood, chi, span)
+        chi, span = fitted(likelihood, chi[None], CONVERGE).chi[0], np.inf
+    return with_initial_states(likelihood, chi, span), chi
+
+
+def with_initial_states(likelihood: Likelihood, chi: np.ndarray, span: float = np.inf) -> Likelihood:
+    """With the initial states that suit parameters (P,), and outliers that count less. span: of each trial's beginning
+    that the states are found from [s]."""
+    values = values_of(likelihood.parameters, chi)
+    trials = tuple(settled(trial, values, span) for trial in likelihood.trials)
+    return replace(with_noise(replace(likelihood, trials=trials), chi), limit=LIMIT)
+
+
+def with_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
+    """With the noise that parameters (P,) leave, and what other initial states could explain counting for little."""
+    plain = replace(likelihood, scale=1.0, nuisance=())
+    scale = float(mad_sigma(plain.residuals(chi[None]))) + TINY
+    return replace(plain, scale=scale, nuisance=modes(plain.trials, values_of(likelihood.parameters, chi)))
