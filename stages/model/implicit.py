@@ -106,50 +106,48 @@ B[DVX + k] = d22 * rx - d12 * ry
 B[DVY + k] = d11 * ry - d12 * rx
 """
 
-SOLVER = f"""
-@njit(**LAW)
-def settle(B, n, dt):
-    # Change of all velocities under averaged linear forces, then of all positions.
-    for i in range(n - ONE):
-        for j in range(W):
-            k = i * NEXT + j
-            tx = B[TX + k]
-            ty = B[TY + k]
-            inverse = B[INVERSE + k]
-            pull = B[PULL + k] if B[PULL + k] > 0.0 else 0.0
-            along = B[AXIAL + j]
-            across = (0.25 * dt * dt * pull + (B[BEND + k] + B[BEND + k + NEXT]) * inverse) * inverse
-            B[EX + k] = -ty * inverse
-            B[EY + k] = tx * inverse
-            B[S11 + k] = along * tx * tx + across * ty * ty
-            B[S12 + k] = (along - across) * tx * ty
-            B[S22 + k] = along * ty * ty + across * tx * tx
+SOLVE = f"""
+# Change of all velocities under averaged linear forces, then of all positions.
+for i in range(n - ONE):
     for j in range(W):
-        k = NEXT + j
-        p = j
-        turn = 0.0
-        spin = 0.0
-{indent(ELIMINATED, 8 * " ")}
-    for i in range(TWO, n):
-        for j in range(W):
-            k = i * NEXT + j
-            p = k - NEXT
-{indent(BEHIND + ELIMINATED, 12 * " ")}
-    for i in range(ONE, n):
-        for j in range(W):
-            k = (n - i) * NEXT + j
-            m = k + NEXT
-            turn = B[BEND + m] * (B[EX + m] * B[DVX + m + NEXT] + B[EY + m] * B[DVY + m + NEXT])
-            dvx = B[DVX + k] - B[Q11 + k] * B[DVX + m] - B[Q12 + k] * B[DVY + m] - turn * B[ZX + k]
-            dvy = B[DVY + k] - B[Q21 + k] * B[DVX + m] - B[Q22 + k] * B[DVY + m] - turn * B[ZY + k]
-            vx = B[VX + k] + dvx
-            vy = B[VY + k] + dvy
-            B[DVX + k] = dvx
-            B[DVY + k] = dvy
-            B[VX + k] = vx
-            B[VY + k] = vy
-            B[X + k] += dt * vx
-            B[Y + k] += dt * vy
+        k = i * NEXT + j
+        tx = B[TX + k]
+        ty = B[TY + k]
+        inverse = B[INVERSE + k]
+        pull = B[PULL + k] if B[PULL + k] > 0.0 else 0.0
+        along = B[AXIAL + j]
+        across = (0.25 * dt * dt * pull + (B[BEND + k] + B[BEND + k + NEXT]) * inverse) * inverse
+        B[EX + k] = -ty * inverse
+        B[EY + k] = tx * inverse
+        B[S11 + k] = along * tx * tx + across * ty * ty
+        B[S12 + k] = (along - across) * tx * ty
+        B[S22 + k] = along * ty * ty + across * tx * tx
+for j in range(W):
+    k = NEXT + j
+    p = j
+    turn = 0.0
+    spin = 0.0
+{indent(ELIMINATED, 4 * " ")}
+for i in range(TWO, n):
+    for j in range(W):
+        k = i * NEXT + j
+        p = k - NEXT
+{indent(BEHIND + ELIMINATED, 8 * " ")}
+for i in range(ONE, n):
+    for j in range(W):
+        k = (n - i) * NEXT + j
+        m = k + NEXT
+        turn = B[BEND + m] * (B[EX + m] * B[DVX + m + NEXT] + B[EY + m] * B[DVY + m + NEXT])
+        dvx = B[DVX + k] - B[Q11 + k] * B[DVX + m] - B[Q12 + k] * B[DVY + m] - turn * B[ZX + k]
+        dvy = B[DVY + k] - B[Q21 + k] * B[DVX + m] - B[Q22 + k] * B[DVY + m] - turn * B[ZY + k]
+        vx = B[VX + k] + dvx
+        vy = B[VY + k] + dvy
+        B[DVX + k] = dvx
+        B[DVY + k] = dvy
+        B[VX + k] = vx
+        B[VY + k] = vy
+        B[X + k] += dt * vx
+        B[Y + k] += dt * vy
 """
 
 
@@ -166,8 +164,7 @@ class ImplicitLeapfrog(Integrator):
     velocity: tuple[str, ...] = ("qx = B[VX + p] + 0.5 * B[DVX + p]", "qy = B[VY + p] + 0.5 * B[DVY + p]")
     averaged: tuple[str, ...] = ("hinge_stiffness", "hinge_drag", "held_moment", "grasp_held_moment")
     turned: str = field(default=turn.ANY, repr=False)
-    solver: str = field(default=SOLVER, repr=False)
-    solve: str = "settle(B, n, dt)"
+    solve: str = field(default=SOLVE, repr=False)
 
     def explicit(self, steepest: np.ndarray, gentlest: np.ndarray) -> np.ndarray:
         """What exceeds the linear part."""

@@ -3,7 +3,7 @@
 A step is one or more passes over the string. `update` is source text that the kernel
 generator places where the acceleration (ax, ay) of a point is known; it sees its position
 px, py, its velocity qx, qy, the step dt, and rows of its own to keep things in. A method that
-moves the points together only keeps the acceleration, and moves them after the pass (`solver`).
+moves the points together only keeps the acceleration, and moves them after the pass (`solve`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Integrator:
     are behind the positions, in steps. rows: names of rows of its own. velocity: source text of the
     velocity qx, qy that loads see. averaged: slots of what is per curvature or its rate that bound
     no step, since `hinge` averages them as they are. turned: how a segment's turn in a step is
-    measured. solver: source text of what runs after each pass, and solve: its call."""
+    measured. solve: source text of what runs after each pass."""
 
     name: str
     nodes: tuple[float, ...]
@@ -38,8 +38,7 @@ class Integrator:
     velocity: tuple[str, ...] = ("qx = B[VX + p]", "qy = B[VY + p]")
     averaged: tuple[str, ...] = ()
     turned: str = field(default=turn.SMALL, repr=False)
-    solver: str = field(default="", repr=False)
-    solve: str = ""
+    solve: str = field(default="", repr=False)
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
         """Largest stable step [s], (C,).

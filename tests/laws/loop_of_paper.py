@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-LAW = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True}
+BARE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # nothing but this module calls what is inlined
+LAW = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True, **BARE}
 NODES = (0.0,)
 W = np.uintp(16)
 ONE = np.uintp(1)
@@ -115,251 +116,121 @@ def turned(cross, dot):
 
 
 @njit(**LAW)
-def grasp(B, H, u, tick):
+def grasp(B, H, j, u, tick):
     # Pose and rate of the grasp at fraction u of a tick, from the tick's cubic coefficients H (12 rows).
-    for j in range(W):
-        x1, x2, x3 = H[H1 + j], H[H2 + j], H[H3 + j]
-        y1, y2, y3 = H[H5 + j], H[H6 + j], H[H7 + j]
-        a1, a2, a3 = H[H9 + j], H[H10 + j], H[H11 + j]
-        B[X + j] = H[j] + u * (x1 + u * (x2 + u * x3))
-        B[Y + j] = H[H4 + j] + u * (y1 + u * (y2 + u * y3))
-        B[HA + j] = H[H8 + j] + u * (a1 + u * (a2 + u * a3))
-        B[VX + j] = (x1 + u * (2.0 * x2 + 3.0 * u * x3)) / tick
-        B[VY + j] = (y1 + u * (2.0 * y2 + 3.0 * u * y3)) / tick
-        B[HW + j] = (a1 + u * (2.0 * a2 + 3.0 * u * a3)) / tick
+    x1, x2, x3 = H[H1 + j], H[H2 + j], H[H3 + j]
+    y1, y2, y3 = H[H5 + j], H[H6 + j], H[H7 + j]
+    a1, a2, a3 = H[H9 + j], H[H10 + j], H[H11 + j]
+    B[X + j] = H[j] + u * (x1 + u * (x2 + u * x3))
+    B[Y + j] = H[H4 + j] + u * (y1 + u * (y2 + u * y3))
+    B[HA + j] = H[H8 + j] + u * (a1 + u * (a2 + u * a3))
+    B[VX + j] = (x1 + u * (2.0 * x2 + 3.0 * u * x3)) / tick
+    B[VY + j] = (y1 + u * (2.0 * y2 + 3.0 * u * y3)) / tick
+    B[HW + j] = (a1 + u * (2.0 * a2 + 3.0 * u * a3)) / tick
+
+
+# The parts of a pass: k is the row of the segment that is measured, p = k - NEXT that of the
+# segment whose forces are then known, and of the point at its start, which then moves.
+@njit(**LAW)
+def segment(B, P, j, k, over, s_middle):
+
+    ex = B[X + k + NEXT] - B[X + k]
+    ey = B[Y + k + NEXT] - B[Y + k]
+    angle = B[ANGLE + k] + turned(B[SX + k] * ey - B[SY + k] * ex, B[SX + k] * ex + B[SY + k] * ey)
+    B[SX + k] = ex
+    B[SY + k] = ey
+    wx = B[VX + k + NEXT] - B[VX + k]
+    wy = B[VY + k + NEXT] - B[VY + k]
+    size = np.sqrt(ex * ex + ey * ey)
+    inverse = 1.0 / size
+    tx = ex * inverse
+    ty = ey * inverse
+    omega = (tx * wy - ty * wx) * inverse
+    stretch = size * over - 1.0
+    rate = (tx * wx + ty * wy) * over
+    B[ANGLE + k] = angle
+    B[TX + k] = tx
+    B[TY + k] = ty
+    B[INVERSE + k] = inverse
+    B[OMEGA + k] = omega
+    B[PULL + k] = axial_spring_tension(stretch, P[np.uintp(0) * W + j]) + axial_damper_tension(
+        rate, P[np.uintp(1) * W + j]
+    )
+    return angle, omega
 
 
 @njit(**LAW)
-def along(B, P, n, length, dt, t, stage):
-    # One pass: from the grasp to the tip, moving each point once both its segments are known.
-    over = 1.0 / length
-    s_middle = 0.5 * length
-    for j in range(W):
-        k = j
+def grasped(B, P, j, k, angle, omega, dt, stage):
+    curvature = angle - B[HA + j] - 0.0
+    bend = omega - B[HW + j]
 
-        ex = B[X + k + NEXT] - B[X + k]
-        ey = B[Y + k + NEXT] - B[Y + k]
-        angle = B[ANGLE + k] + turned(B[SX + k] * ey - B[SY + k] * ex, B[SX + k] * ex + B[SY + k] * ey)
-        B[SX + k] = ex
-        B[SY + k] = ey
-        wx = B[VX + k + NEXT] - B[VX + k]
-        wy = B[VY + k + NEXT] - B[VY + k]
-        size = np.sqrt(ex * ex + ey * ey)
-        inverse = 1.0 / size
-        tx = ex * inverse
-        ty = ey * inverse
-        omega = (tx * wy - ty * wx) * inverse
-        stretch = size * over - 1.0
-        rate = (tx * wx + ty * wy) * over
-        B[ANGLE + k] = angle
-        B[TX + k] = tx
-        B[TY + k] = ty
-        B[INVERSE + k] = inverse
-        B[OMEGA + k] = omega
-        B[PULL + k] = axial_spring_tension(stretch, P[np.uintp(0) * W + j]) + axial_damper_tension(
-            rate, P[np.uintp(1) * W + j]
-        )
+    B[MOMENT + k] = grasp_spring_grasp_moment(curvature, P[np.uintp(6) * W + j]) + grasp_damper_grasp_moment(
+        bend, P[np.uintp(7) * W + j]
+    )
 
-        curvature = angle - B[HA + j] - 0.0
-        bend = omega - B[HW + j]
 
-        B[MOMENT + k] = grasp_spring_grasp_moment(curvature, P[np.uintp(6) * W + j]) + grasp_damper_grasp_moment(
-            bend, P[np.uintp(7) * W + j]
-        )
+@njit(**LAW)
+def hinge(B, P, j, k, p, angle, omega, n, length, over, s_hinge, dt, stage):
 
-    s_middle = 1.5 * length
-    s_hinge = length
-    for j in range(W):
-        p = j
-        k = NEXT + j
+    curvature = (angle - B[ANGLE + p]) * over - (0.0)
+    bend = (omega - B[OMEGA + p]) * over
 
-        ex = B[X + k + NEXT] - B[X + k]
-        ey = B[Y + k + NEXT] - B[Y + k]
-        angle = B[ANGLE + k] + turned(B[SX + k] * ey - B[SY + k] * ex, B[SX + k] * ex + B[SY + k] * ey)
-        B[SX + k] = ex
-        B[SY + k] = ey
-        wx = B[VX + k + NEXT] - B[VX + k]
-        wy = B[VY + k + NEXT] - B[VY + k]
-        size = np.sqrt(ex * ex + ey * ey)
-        inverse = 1.0 / size
-        tx = ex * inverse
-        ty = ey * inverse
-        omega = (tx * wy - ty * wx) * inverse
-        stretch = size * over - 1.0
-        rate = (tx * wx + ty * wy) * over
-        B[ANGLE + k] = angle
-        B[TX + k] = tx
-        B[TY + k] = ty
-        B[INVERSE + k] = inverse
-        B[OMEGA + k] = omega
-        B[PULL + k] = axial_spring_tension(stretch, P[np.uintp(0) * W + j]) + axial_damper_tension(
-            rate, P[np.uintp(1) * W + j]
-        )
+    couple = hinge_spring_moment(curvature, P[np.uintp(2) * W + j]) + hinge_damper_moment(bend, P[np.uintp(3) * W + j])
+    B[MOMENT + k] = couple
+    return couple
 
-        curvature = (angle - B[ANGLE + p]) * over - (0.0)
-        bend = (omega - B[OMEGA + p]) * over
 
-        couple = hinge_spring_moment(curvature, P[np.uintp(2) * W + j]) + hinge_damper_moment(
-            bend, P[np.uintp(3) * W + j]
-        )
-        B[MOMENT + k] = couple
+@njit(**LAW)
+def force(B, p, couple):
+    twist = (couple - B[MOMENT + p]) * B[INVERSE + p]
+    fx = -B[PULL + p] * B[TX + p] - twist * B[TY + p]
+    fy = -B[PULL + p] * B[TY + p] + twist * B[TX + p]
+    B[FX + p] = fx
+    B[FY + p] = fy
+    return fx, fy
 
-        twist = (couple - B[MOMENT + p]) * B[INVERSE + p]
-        fx = -B[PULL + p] * B[TX + p] - twist * B[TY + p]
-        fy = -B[PULL + p] * B[TY + p] + twist * B[TX + p]
-        B[FX + p] = fx
-        B[FY + p] = fy
 
-    for i in range(TWO, n - ONE):
-        s_middle = (float(i) + 0.5) * length
-        s_hinge = float(i) * length
-        s_point = (float(i) - 1.0) * length
-        for j in range(W):
-            k = i * NEXT + j
-            p = k - NEXT
-
-            ex = B[X + k + NEXT] - B[X + k]
-            ey = B[Y + k + NEXT] - B[Y + k]
-            angle = B[ANGLE + k] + turned(B[SX + k] * ey - B[SY + k] * ex, B[SX + k] * ex + B[SY + k] * ey)
-            B[SX + k] = ex
-            B[SY + k] = ey
-            wx = B[VX + k + NEXT] - B[VX + k]
-            wy = B[VY + k + NEXT] - B[VY + k]
-            size = np.sqrt(ex * ex + ey * ey)
-            inverse = 1.0 / size
-            tx = ex * inverse
-            ty = ey * inverse
-            omega = (tx * wy - ty * wx) * inverse
-            stretch = size * over - 1.0
-            rate = (tx * wx + ty * wy) * over
-            B[ANGLE + k] = angle
-            B[TX + k] = tx
-            B[TY + k] = ty
-            B[INVERSE + k] = inverse
-            B[OMEGA + k] = omega
-            B[PULL + k] = axial_spring_tension(stretch, P[np.uintp(0) * W + j]) + axial_damper_tension(
-                rate, P[np.uintp(1) * W + j]
-            )
-
-            curvature = (angle - B[ANGLE + p]) * over - (0.0)
-            bend = (omega - B[OMEGA + p]) * over
-
-            couple = hinge_spring_moment(curvature, P[np.uintp(2) * W + j]) + hinge_damper_moment(
-                bend, P[np.uintp(3) * W + j]
-            )
-            B[MOMENT + k] = couple
-
-            twist = (couple - B[MOMENT + p]) * B[INVERSE + p]
-            fx = -B[PULL + p] * B[TX + p] - twist * B[TY + p]
-            fy = -B[PULL + p] * B[TY + p] + twist * B[TX + p]
-            B[FX + p] = fx
-            B[FY + p] = fy
-
-            px = B[X + p]
-            py = B[Y + p]
-            qx = B[VX + p]
-            qy = B[VY + p]
-            lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
-            ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
-            airx = 0.0
-            airy = 0.0
-            load0x, load0y = air_drag_load((qx - airx), (qy - airy), P[np.uintp(4) * W + j], P[np.uintp(5) * W + j])
-            loadx = load0x
-            loady = load0y
-            fall0x, fall0y = gravity_acceleration()
-            fallx = fall0x
-            fally = fall0y
-            ax = (B[FX + p - NEXT] - fx) * B[INERTIA + p] + 1.0 * loadx + fallx
-            ay = (B[FY + p - NEXT] - fy) * B[INERTIA + p] + 1.0 * loady + fally
-            qx += dt * ax
-            qy += dt * ay
-            px += dt * qx
-            py += dt * qy
-            B[X + p] = px
-            B[Y + p] = py
-            B[VX + p] = qx
-            B[VY + p] = qy
-
-    s_point = (float(n) - 2.0) * length
-    for j in range(W):
-        p = (n - TWO) * NEXT + j
-        couple = 0.0
-
-        twist = (couple - B[MOMENT + p]) * B[INVERSE + p]
-        fx = -B[PULL + p] * B[TX + p] - twist * B[TY + p]
-        fy = -B[PULL + p] * B[TY + p] + twist * B[TX + p]
-        B[FX + p] = fx
-        B[FY + p] = fy
-
-        px = B[X + p]
-        py = B[Y + p]
-        qx = B[VX + p]
-        qy = B[VY + p]
-        lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
-        ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
-        airx = 0.0
-        airy = 0.0
-        load0x, load0y = air_drag_load((qx - airx), (qy - airy), P[np.uintp(4) * W + j], P[np.uintp(5) * W + j])
-        loadx = load0x
-        loady = load0y
-        fall0x, fall0y = gravity_acceleration()
-        fallx = fall0x
-        fally = fall0y
-        ax = (B[FX + p - NEXT] - fx) * B[INERTIA + p] + 1.0 * loadx + fallx
-        ay = (B[FY + p - NEXT] - fy) * B[INERTIA + p] + 1.0 * loady + fally
-        qx += dt * ax
-        qy += dt * ay
-        px += dt * qx
-        py += dt * qy
-        B[X + p] = px
-        B[Y + p] = py
-        B[VX + p] = qx
-        B[VY + p] = qy
-
-    s_point = (float(n) - 1.0) * length
-    for j in range(W):
-        p = (n - ONE) * NEXT + j
-        B[TX + p] = B[TX + p - NEXT]
-        B[TY + p] = B[TY + p - NEXT]
-        fx = 0.0
-        fy = 0.0
-
-        px = B[X + p]
-        py = B[Y + p]
-        qx = B[VX + p]
-        qy = B[VY + p]
-        lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
-        ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
-        airx = 0.0
-        airy = 0.0
-        load0x, load0y = air_drag_load((qx - airx), (qy - airy), P[np.uintp(4) * W + j], P[np.uintp(5) * W + j])
-        loadx = load0x
-        loady = load0y
-        fall0x, fall0y = gravity_acceleration()
-        fallx = fall0x
-        fally = fall0y
-        ax = (B[FX + p - NEXT] - fx) * B[INERTIA + p] + 1.0 * loadx + fallx
-        ay = (B[FY + p - NEXT] - fy) * B[INERTIA + p] + 1.0 * loady + fally
-        qx += dt * ax
-        qy += dt * ay
-        px += dt * qx
-        py += dt * qy
-        B[X + p] = px
-        B[Y + p] = py
-        B[VX + p] = qx
-        B[VY + p] = qy
+@njit(**LAW)
+def point(B, P, j, p, fx, fy, s_point, dt, t, stage):
+    px = B[X + p]
+    py = B[Y + p]
+    qx = B[VX + p]
+    qy = B[VY + p]
+    lx = 0.5 * (B[TX + p - NEXT] + B[TX + p])
+    ly = 0.5 * (B[TY + p - NEXT] + B[TY + p])
+    airx = 0.0
+    airy = 0.0
+    load0x, load0y = air_drag_load((qx - airx), (qy - airy), P[np.uintp(4) * W + j], P[np.uintp(5) * W + j])
+    loadx = load0x
+    loady = load0y
+    fall0x, fall0y = gravity_acceleration()
+    fallx = fall0x
+    fally = fall0y
+    ax = (B[FX + p - NEXT] - fx) * B[INERTIA + p] + 1.0 * loadx + fallx
+    ay = (B[FY + p - NEXT] - fy) * B[INERTIA + p] + 1.0 * loady + fally
+    qx += dt * ax
+    qy += dt * ay
+    px += dt * qx
+    py += dt * qy
+    B[X + p] = px
+    B[Y + p] = py
+    B[VX + p] = qx
+    B[VY + p] = qy
 
 
 @njit(**LAW)
 def record(B, n, now, alive):
-    # Positions at a tick; a lane that is no longer finite is given up.
+    # Positions at a tick; a lane that is no longer finite is given up. Whether any is left.
     for i in range(n):
         for j in range(W):
             now[0, i, j] = B[X + i * NEXT + j]
             now[1, i, j] = B[Y + i * NEXT + j]
+    some = False
     for j in range(W):
         size = abs(B[X + (n - ONE) * NEXT + j]) + abs(B[Y + (n - ONE) * NEXT + j])
         alive[j] = alive[j] and size < 1e3
+        some |= alive[j]
+    return some
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
@@ -368,8 +239,10 @@ def run(first, last, buffers, P, H, per_block, points, length, steps, tick, star
     # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W).
     for b in range(first, last):
         B = buffers[b]
+        own = P[b]
         n = np.uintp(points)
         dt = tick / steps[b]
+        over = 1.0 / length
         record(B, n, out[b, 0], alive[b])
         for c in range(H.shape[0]):
             hand = H[c, b * per_block]
@@ -377,10 +250,37 @@ def run(first, last, buffers, P, H, per_block, points, length, steps, tick, star
                 for stage in range(len(NODES)):
                     u = (q + NODES[stage]) / steps[b]
                     t = start + (c + u) * tick
-                    grasp(B, hand, u, tick)
-                    along(B, P[b], n, length, dt, t, stage)
+                    for j in range(W):
+                        grasp(B, hand, j, u, tick)
+                    # One pass: from the grasp to the tip, moving each point once both its segments are known.
+                    for j in range(W):
+                        angle, omega = segment(B, own, j, j, over, 0.5 * length)
+                        grasped(B, own, j, j, angle, omega, dt, stage)
+                    for j in range(W):
+                        k = NEXT + j
+                        angle, omega = segment(B, own, j, k, over, 1.5 * length)
+                        force(B, j, hinge(B, own, j, k, j, angle, omega, n, length, over, length, dt, stage))
+                    for i in range(TWO, n - ONE):
+                        s_middle = (float(i) + 0.5) * length
+                        s_hinge = float(i) * length
+                        s_point = (float(i) - 1.0) * length
+                        for j in range(W):
+                            k = i * NEXT + j
+                            p = k - NEXT
+                            angle, omega = segment(B, own, j, k, over, s_middle)
+                            couple = hinge(B, own, j, k, p, angle, omega, n, length, over, s_hinge, dt, stage)
+                            fx, fy = force(B, p, couple)
+                            point(B, own, j, p, fx, fy, s_point, dt, t, stage)
+                    for j in range(W):
+                        p = (n - TWO) * NEXT + j
+                        fx, fy = force(B, p, 0.0)
+                        point(B, own, j, p, fx, fy, (float(n) - 2.0) * length, dt, t, stage)
+                        p += NEXT
+                        B[TX + p] = B[TX + p - NEXT]
+                        B[TY + p] = B[TY + p - NEXT]
+                        point(B, own, j, p, 0.0, 0.0, (float(n) - 1.0) * length, dt, t, stage)
 
-            grasp(B, hand, 1.0, tick)
-            record(B, n, out[b, c + 1], alive[b])
-            if not alive[b].any():
+            for j in range(W):
+                grasp(B, hand, j, 1.0, tick)
+            if not record(B, n, out[b, c + 1], alive[b]):
                 break

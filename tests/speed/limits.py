@@ -66,7 +66,8 @@ def work(module: str) -> Counter[str]:
     arithmetic, nor are multiplications by 1 and sums with 0, which the compiler drops.
     """
     functions = {f.name: f for f in ast.parse(module).body if isinstance(f, ast.FunctionDef)}
-    points = next(n for n in functions["along"].body if isinstance(n, ast.For) and len(n.iter.args) == 2)
+    loops = (node for node in ast.walk(functions["run"]) if isinstance(node, ast.For))
+    points = next(loop for loop in loops if ast.unparse(loop.iter) == "range(TWO, n - ONE)")
     lanes = next(n for n in points.body if isinstance(n, ast.For))
     count: Counter[str] = Counter()
     for statement in lanes.body[2:]:  # the first two are the row's indices
