@@ -13,7 +13,7 @@ from numba import njit
 from pydantic import Field
 
 from stringcast.data.artifacts import Observation
-from stringcast.stages.extract.score import rasterise, score_map
+from stringcast.stages.extract.score import rasterise, scores_near
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.threads import side_by_side
@@ -35,28 +35,34 @@ class Matching:
 
 @dataclass(frozen=True)
 class Target:
-    """One trial's images as score maps (F, height, width) uint8, its tips (F, 2) [px], and weights (F, n)."""
+    """One trial's images as scores, its tips (F, 2) [px], and weights (F, n).
+
+    scores: uint8, of each frame those near its string, row by row and frame after frame: a whole score map is nearly
+    all zeros. windows: (F, 5), where a frame's begin in them, its first row and column, and its height and width [px].
+    """
 
     case: Case
     matching: Matching
-    maps: np.ndarray
+    scores: np.ndarray
+    windows: np.ndarray
     tips: np.ndarray
     weights: np.ndarray
 
     def per_frame(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """E_f of each candidate and frame, (C, F), NaN where a run was rejected, and who stayed finite (C,)."""
-        scores = np.full((len(values), len(self.maps)), np.nan)
+        rates = np.full((len(values), len(self.windows)), np.nan)
         finite = np.zeros(len(values), dtype=bool)
         for some, motion in self.case.simulate(values):
             pixels = self.case.model.camera.pixels(motion.points)
-            args = (pixels, self.maps, self.tips, self.matching.tip_step_px, float(self.matching.dilations))
-            scores[some] = np.where(motion.finite[:, None], match(*args, self.weights), np.nan)
+            seen = (self.scores, self.windows, self.tips)
+            found = match(pixels, *seen, self.matching.tip_step_px, float(self.matching.dilations), self.weights)
+            rates[some] = np.where(motion.finite[:, None], found, np.nan)
             finite[some] = motion.finite
-        return scores, finite
+        return rates, finite
 
 
 def targets(model: Model, observations: Sequence[Observation], matching: Matching) -> list[Target]:
-    """Score maps of all observations."""
+    """Scores of all observations."""
     return [_target(case(model, o), o, matching) for o in observations]
 
 
@@ -66,15 +72,21 @@ def matching_rate(goals: Sequence[Target], values: np.ndarray) -> np.ndarray:
 
 
 def match(
-    pixels: np.ndarray, maps: np.ndarray, tips: np.ndarray, tip_step: float, most: float, weights: np.ndarray
+    pixels: np.ndarray,
+    scores: np.ndarray,
+    windows: np.ndarray,
+    tips: np.ndarray,
+    tip_step: float,
+    most: float,
+    weights: np.ndarray,
 ) -> np.ndarray:
     """E_f = sum p_i w_i / (p_max sum w_i) of candidates (C, F, n, 2) [px], (C, F) (Eq. 5).
 
-    A point scores the map's value at its pixel, 0 outside the picture; the tip scores p_max
-    less one for each `tip_step` pixels from the real tip. weights: w_i in each frame, (F, n).
+    A point scores what `Target.scores` have at its pixel, 0 outside a frame's window; the tip scores
+    p_max less one for each `tip_step` pixels from the real tip. weights: w_i in each frame, (F, n).
     """
     result = np.empty(pixels.shape[:2])
-    given = (pixels, maps, tips, tip_step, most, weights)
+    given = (pixels, scores, windows, tips, tip_step, most, weights)
     side_by_side(lambda first, last: _match(*given, first, last, result), len(pixels), PIECE)
     return result
 
@@ -82,7 +94,8 @@ def match(
 @njit(nogil=True, cache=True, error_model="numpy")
 def _match(
     pixels: np.ndarray,
-    maps: np.ndarray,
+    scores: np.ndarray,
+    windows: np.ndarray,
     tips: np.ndarray,
     tip_step: float,
     most: float,
@@ -96,27 +109,31 @@ def _match(
     for c in range(first, last):
         for f in range(frames):
             total = 0.0
+            begin, top, left, height, width = windows[f]
             for i in range(n - 1):
-                u = np.floor(pixels[c, f, i, 0] + 0.5)
-                v = np.floor(pixels[c, f, i, 1] + 0.5)
-                if 0 <= u < maps.shape[2] and 0 <= v < maps.shape[1]:
-                    total += maps[f, int(v), int(u)] * weights[f, i]
+                u = np.floor(pixels[c, f, i, 0] + 0.5) - left
+                v = np.floor(pixels[c, f, i, 1] + 0.5) - top
+                if 0 <= u < width and 0 <= v < height:
+                    total += scores[begin + int(v) * width + int(u)] * weights[f, i]
             away = np.hypot(pixels[c, f, n - 1, 0] - tips[f, 0], pixels[c, f, n - 1, 1] - tips[f, 1])
             total += max(most - np.floor(away / tip_step), 0.0) * weights[f, n - 1]
             result[c, f] = total / (most * weights[f].sum())
 
 
 def _target(ready: Case, observation: Observation, matching: Matching) -> Target:
-    """Score maps from the binary images, or from the measured points where there are none."""
+    """Scores from the binary images, or from the measured points where there are none."""
     images = dict(zip(observation.masks["t"], observation.masks["png"], strict=True)) if len(observation.masks) else {}
     camera = ready.model.camera
-    maps, tips = np.empty((len(ready.times), camera.height, camera.width), np.uint8), []
+    near, tips = [], []
     for number, t in enumerate(ready.times):
         line = camera.pixels(ready.points[ready.frame == number])
         mask = _decode(images[t]) if t in images else rasterise(line, (camera.height, camera.width), 3)
-        maps[number] = score_map(mask, matching.dilations, matching.step_px)
+        near.append(scores_near(mask, matching.dilations, matching.step_px))
         tips.append(line[np.argmax(ready.s[ready.frame == number])])
-    return Target(ready, matching, maps, np.array(tips), _weights(ready, matching.delta_w))
+    begins = np.cumsum([0, *(part.size for _, _, part in near)])
+    windows = np.array([[begin, *at, *part.shape] for begin, (*at, part) in zip(begins, near, strict=False)])
+    scores = np.concatenate([part.ravel() for _, _, part in near])
+    return Target(ready, matching, scores, windows, np.array(tips), _weights(ready, matching.delta_w))
 
 
 def _weights(ready: Case, delta_w: float) -> np.ndarray:

@@ -25,6 +25,7 @@ from stringcast.stages.extract.isolate import (
     half_width,
     half_widths,
     isolate,
+    packed,
     silhouette,
     uncovered,
 )
@@ -90,7 +91,7 @@ def _backdrop(footage: Footage, camera: Camera, string_length: float, arm_width:
     images, chosen = footage.images, samples(len(footage.images))
     frames = [image if image.dtype == np.uint8 else cv2.convertScaleAbs(image) for image in (images[i] for i in chosen)]
     bodies = np.zeros((len(footage.t), 0, 2)) if footage.body is None else camera.pixels(footage.body)
-    arms = [silhouette(frames[0].shape, bodies[i][None], arm_width * camera.px_per_m) for i in chosen]
+    arms = [packed(silhouette(frames[0].shape, bodies[i][None], arm_width * camera.px_per_m)) for i in chosen]
     low = darkest(frames)
     half = half_widths(frames, low, arms)
     scene = background(frames, arms, low, half)

@@ -76,7 +76,7 @@ def isolate(
 def background(frames: Sequence[np.ndarray], arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
     """The scene without string and arm, (height, width) float32.
 
-    frames: some, (height, width) uint8 each. arm: of each the pixels where the arm is, bool. low: `darkest` of
+    frames: some, (height, width) uint8 each. arm: of each the pixels where the arm is, `packed`. low: `darkest` of
     them. half: half the string's width [px]. What is bright in a few frames is string or arm; but where a shadow
     passes, the wall is what is bright in some, over more than the string's width.
     """
@@ -109,6 +109,7 @@ def _low_and_middle(stack: np.ndarray) -> np.ndarray:
 
 def _bare(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
     """How bright a pixel is in a few of the frames in which the arm does not cover it, (height, width) float32."""
+    arm = unpacked(arm, stack.shape[-1])
     ordered = _ordered(np.where(arm, 0, stack))
     covered = arm.sum(axis=0)
     place = covered + LIT * (len(stack) - 1 - covered)
@@ -116,11 +117,22 @@ def _bare(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
     return chosen[..., 0].astype(np.float32)
 
 
+def packed(mask: np.ndarray) -> np.ndarray:
+    """A mask (..., width) bool with eight pixels to a byte: masks of a whole film take a tenth of a gigabyte."""
+    return np.packbits(mask, axis=-1)
+
+
+def unpacked(mask: np.ndarray, width: int) -> np.ndarray:
+    """The mask again, (..., width) bool."""
+    return np.unpackbits(mask, axis=-1, count=width).view(bool)
+
+
 def half_widths(frames: Sequence[np.ndarray], scene: np.ndarray, arm: Sequence[np.ndarray]) -> float:
     """Half the width of what outshines the scene most [px], blurred as it may be in some frames: the string's."""
     widths = []
     for number in np.unique(np.linspace(0, len(frames) - 1, SAMPLES // 8).astype(int)):
-        above = np.where(cv2.dilate(arm[number].astype(np.uint8), np.ones((5, 5))) > 0, 0, frames[number] - scene)
+        covered = unpacked(arm[number], scene.shape[1]).astype(np.uint8)
+        above = np.where(cv2.dilate(covered, np.ones((5, 5))) > 0, 0, frames[number] - scene)
         widths.append(half_width(without_specks((above > above.max() / 2).astype(np.uint8))))
     return float(np.percentile(widths, 90))
 

@@ -12,16 +12,23 @@ def score_map(mask: np.ndarray, dilations: int, step_px: int) -> np.ndarray:
     Each dilation grows the string by `step_px` in the eight directions (a square element of
     2 step_px + 1), so that the score falls with the chessboard distance.
     """
+    top, left, near = scores_near(mask, dilations, step_px)
     scores = np.zeros(mask.shape, np.uint8)
+    scores[top : top + near.shape[0], left : left + near.shape[1]] = near
+    return scores
+
+
+def scores_near(mask: np.ndarray, dilations: int, step_px: int) -> tuple[int, int, np.ndarray]:
+    """The part of a `score_map` beyond which all is 0: its first row and column, and its scores."""
     left, top, width, height = cv2.boundingRect(mask)
     if not width:
-        return scores
-    reach = dilations * step_px  # beyond which all is 0
-    near = np.s_[max(top - reach, 0) : top + height + reach, max(left - reach, 0) : left + width + reach]
-    distance = cv2.distanceTransform((mask[near] == 0).astype(np.uint8), cv2.DIST_C, 3)
+        return 0, 0, np.zeros((0, 0), np.uint8)
+    reach = dilations * step_px
+    first, begin = max(top - reach, 0), max(left - reach, 0)
+    around = mask[first : top + height + reach, begin : left + width + reach]
+    distance = cv2.distanceTransform((around == 0).astype(np.uint8), cv2.DIST_C, 3)
     steps = np.ceil(distance / step_px - 1e-6)
-    scores[near] = np.maximum(dilations - steps, 0)
-    return scores
+    return first, begin, np.maximum(dilations - steps, 0).astype(np.uint8)
 
 
 def rasterise(points_px: np.ndarray, shape: tuple[int, int], width_px: float) -> np.ndarray:

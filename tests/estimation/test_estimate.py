@@ -63,7 +63,9 @@ def test_matching_rate_is_equations_5_and_6():
             p[i] = maps[f, v, u] if 0 <= u < 40 and 0 <= v < 30 else 0
         p[5] = max(7 - np.linalg.norm(pixels[c, f, 5] - tips[f]) // 3.0, 0)
         literal[c, f] = (p * weights[f]).sum() / (7 * weights[f].sum())
-    np.testing.assert_allclose(match(pixels, maps, tips, 3.0, 7.0, weights), literal, rtol=1e-12)
+    windows = np.array([[f * maps[f].size, 0, 0, *maps[f].shape] for f in range(len(maps))])
+    found = match(pixels, maps.ravel(), windows, tips, 3.0, 7.0, weights)
+    np.testing.assert_allclose(found, literal, rtol=1e-12)
 
 
 def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camera):
@@ -75,11 +77,14 @@ def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camer
     t = np.unique(seen.points["t"])[7]
     line = camera.pixels(seen.points[seen.points["t"] == t][["x", "y"]].to_numpy())
     mask = rasterise(line, (camera.height, camera.width), 3)
-    np.testing.assert_array_equal(goal.maps[7], score_map(mask, 6, 2))
-    assert set(np.unique(goal.maps[7])) == set(range(7))
+    begin, top, left, height, width = goal.windows[7]
+    whole = np.zeros(mask.shape, np.uint8)
+    whole[top : top + height, left : left + width] = goal.scores[begin:][: height * width].reshape(height, width)
+    np.testing.assert_array_equal(whole, score_map(mask, 6, 2))
+    assert set(np.unique(whole)) == set(range(7))
     rates, finite = goal.per_frame(STRING.start()[None])
     strings = camera.pixels(next(goal.case.simulate(STRING.start()[None]))[1].points[0, 7])
-    inside = [goal.maps[7][int(v + 0.5), int(u + 0.5)] for u, v in strings[:9]]
+    inside = [whole[int(v + 0.5), int(u + 0.5)] for u, v in strings[:9]]
     tip = max(6 - np.linalg.norm(strings[9] - line[9]) // 3.0, 0)
     weights = 1 + 0.5 * np.arange(10)
     assert finite.all()

@@ -23,7 +23,7 @@ from stringcast.pipeline.extraction_study.pictures import overview
 from stringcast.stages.extract import extract
 from stringcast.stages.extract.centreline import Line
 from stringcast.stages.extract.doubt import beside, longest
-from stringcast.stages.extract.isolate import background, darkest
+from stringcast.stages.extract.isolate import background, darkest, packed
 from stringcast.stages.extract.score import rasterise
 from stringcast.stages.extract.steady import steadied
 
@@ -127,7 +127,7 @@ def test_the_wall_behind_a_passing_shadow_is_bright():
     stack = np.full((20, 40, 40), 60, np.uint8)
     stack[3:7, :, 10:24] = 30
     stack[9:, 20, :] = 200  # a string at rest
-    arm = [np.zeros((40, 40), bool)] * 20
+    arm = [packed(np.zeros((40, 40), bool))] * 20
     scene = background(stack, arm, darkest(stack), half=1.0)
     assert scene[5, 17] == pytest.approx(60, abs=1)
     assert scene[20, 35] == pytest.approx(60, abs=1)
