@@ -1,31 +1,33 @@
 """The fit: what is seen of the arm against where the joints say that it is.
 
 The forward model does it all: rotation, origin and scale of the picture and the offset of the clocks are its effects,
-and so are the others that are looked for. Robust least squares (Huber); the covariance is a jackknife over blocks of
-time, for what neighbouring frames get wrong they get wrong together (Künsch 1989), of one Newton step each.
+and so are the others that are looked for. Solver, robust loss and covariance are those of every fit (`inference`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import stdtrit
 
 from stringcast.stages.align.sightings import Sighted
 from stringcast.stages.common import mad_sigma
+from stringcast.stages.inference import solver
+from stringcast.stages.inference.covariance import Covariance, jackknife
+from stringcast.stages.inference.huber import LIMIT, loss, weights
 from stringcast.stages.model.effect import components
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter, chi_of, values_of
 
 ALWAYS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
 SOUGHT = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
 BLOCKS = 20  # pieces into which the time is cut
 STEP = 1e-4  # of a parameter's range, for the central difference
-HUBER = 2.0  # robust scales beyond which a residual counts less
+STEPS = 60  # iterations of the solver at most; it mostly takes five
+ENOUGH = 1e-3  # of the log-likelihood: an improvement that ends them, for deviances are compared
 ROUNDS = 3  # in which the robust scale settles
 SURE = 9.0  # deviance that an effect must explain to be seen: by chance 1 in 400
 LAGGING = 0.004  # [s] from which a lag is sought: at none it cannot be told from an offset
@@ -96,13 +98,36 @@ class Problem:
 
 
 @dataclass(frozen=True)
+class Sought:
+    """Some parameters of a problem, as the solver asks for them. held: values of others."""
+
+    problem: Problem
+    names: tuple[str, ...]
+    held: Mapping[str, float]
+    limit: float
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those that are sought, evenly in their ranges."""
+        low, high = self.problem.ranges(self.names)
+        return tuple(Parameter(n, "", "", a, b, 0.0) for n, a, b in zip(self.names, low, high, strict=True))
+
+    def residuals(self, chi: np.ndarray) -> np.ndarray:
+        """Of candidates (C, P), (C, N) over sigma."""
+        values = values_of(self.parameters, chi)
+        others = np.broadcast_to(np.array(list(self.held.values())), (len(chi), len(self.held)))
+        return self.problem.off((*self.names, *self.held), np.hstack([values, others])) / self.problem.sigma
+
+
+@dataclass(frozen=True)
 class Fit:
-    """Parameters that fit. effects: those at work. x: (P,) values. residual: (N,) over sigma. slope: (N, P). limit:
-    size from which a residual counts less. deviance: twice Huber's cost."""
+    """Parameters that fit. effects: those at work. x: (P,) values; width: (P,) of their ranges. residual: (N,) over
+    sigma. slope: (N, P). limit: size from which a residual counts less. deviance: twice Huber's cost."""
 
     effects: tuple[str, ...]
     names: tuple[str, ...]
     x: np.ndarray
+    width: np.ndarray
     residual: np.ndarray
     slope: np.ndarray
     limit: float
@@ -117,31 +142,22 @@ class Fit:
     @cached_property
     def weight(self) -> np.ndarray:
         """(N,) Huber's."""
-        return np.minimum(1.0, self.limit / np.maximum(np.abs(self.residual), 1e-300))
+        return weights(self.residual, self.limit)
 
     @cached_property
+    def _sure(self) -> Covariance:
+        """Of the places in the ranges."""
+        return jackknife((self.slope * self.width).T, self.residual, self.weight, self.blocks)
+
+    @property
     def covariance(self) -> np.ndarray:
-        """(P, P) by leaving out each block of time in turn."""
-        weighted = self.weight[:, None] * self.slope
-        numbers = np.unique(self.blocks)
-        inside = [self.blocks == number for number in numbers]
-        normal = weighted.T @ self.slope
-        moves = np.stack(
-            [
-                np.linalg.lstsq(
-                    normal - weighted[own].T @ self.slope[own], weighted[own].T @ self.residual[own], rcond=None
-                )[0]
-                for own in inside
-            ]
-        )
-        moves = moves - moves.mean(axis=0)
-        return (len(numbers) - 1) / len(numbers) * moves.T @ moves
+        """(P, P)."""
+        return self._sure.matrix * np.outer(self.width, self.width)
 
-    @cached_property
+    @property
     def reach(self) -> np.ndarray:
         """(P,) half widths of the 95 % intervals."""
-        free = max(len(np.unique(self.blocks)) - 1, 1)
-        return stdtrit(free, 0.975) * np.sqrt(np.diag(self.covariance))
+        return self._sure.reach * self.width
 
     @cached_property
     def inflation(self) -> float:
@@ -164,27 +180,18 @@ def fitted(
     """
     held = held or {}
     names = tuple(name for name in problem.parameters(effects) if name not in held)
-    low, high = problem.ranges(names)
-    x = np.clip([(start or {}).get(name, 0.0) for name in names], low, high)
-    fixed = np.array(list(held.values()))
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        return problem.off((*names, *held), np.concatenate([x, fixed])[None])[0] / problem.sigma
-
-    def slope(x: np.ndarray) -> np.ndarray:
-        return problem.slopes((*names, *held), np.concatenate([x, fixed]))[:, : len(names)]
-
+    sought = Sought(problem, names, held, limit or np.inf)
+    chi = chi_of(sought.parameters, np.array([(start or {}).get(name, 0.0) for name in names]))
     for _ in range(ROUNDS if limit is None else 1):
-        scale = limit or HUBER * robust(residual(x))
-        found = least_squares(
-            residual, x, slope, (low - 1e-12, high + 1e-12), x_scale="jac", loss="huber", f_scale=scale
-        )
-        x = found.x
-    scale = limit or HUBER * robust(residual(x))
-    own = residual(x)
-    within = np.minimum(np.abs(own), scale)
-    deviance = float(np.sum(within * (2 * np.abs(own) - within)))
-    return Fit(tuple(effects), names, x, own, slope(x), scale, deviance, problem.blocks)
+        scale = limit or LIMIT * robust(sought.residuals(chi[None]))
+        chi = solver.fitted(replace(sought, limit=scale), chi[None], STEPS, ENOUGH).chi[0]
+    residual = sought.residuals(chi[None])[0]
+    scale = limit or LIMIT * robust(residual)
+    low, high = problem.ranges(names)
+    x = values_of(sought.parameters, chi)
+    slope = problem.slopes((*names, *held), np.array([*x, *held.values()]))[:, : len(names)]
+    deviance = len(residual) * float(loss(residual, scale))
+    return Fit(tuple(effects), names, x, high - low, residual, slope, scale, deviance, problem.blocks)
 
 
 def robust(residual: np.ndarray) -> float:

@@ -1,7 +1,7 @@
 """Least squares on the centre-line, which also says how certain each parameter is.
 
 Of random strings the best are refined side by side on a widening horizon (`inference.search`); outliers count less. The
-intervals are those of the sandwich covariance over blocks of time (`inference.covariance`).
+intervals are those of a jackknife over blocks of time (`inference.covariance`).
 """
 
 from __future__ import annotations

@@ -8,21 +8,20 @@ rests.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction
-from stringcast.data.later import Later
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import MODES, settled
+from stringcast.stages.inference.solver import LOST, fitted
 from stringcast.stages.model.model import Model
-
-optimize = Later("scipy.optimize")
+from stringcast.stages.model.parameter import Parameter, chi_of, values_of
 
 RESTING = 0.005  # of the string's length: a hand that takes the tip no further rests; a marker's noise, 2 to 4 mm
-STEP = 1e-4  # of a parameter's chi, for the differences
+STEPS = 60  # iterations of the solver at most; it mostly takes five
 
 
 def predict(model: Model, estimate: Estimate, observation: Observation, own: Collection[str]) -> Prediction:
@@ -60,17 +59,33 @@ def resting(ready: Case) -> Case | None:
 
 def _read(still: Case, values: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values (P,) of which some, at these places, suit a string at rest best."""
-    parameters = [still.model.parameters[place] for place in places]
+    at_rest = _AtRest(still, values, places)
+    start = chi_of(at_rest.parameters, values[places])
+    return at_rest.values_at(fitted(at_rest, start[None], STEPS).chi)[0]
 
-    def placed(chi: np.ndarray) -> np.ndarray:
-        changed = values.copy()
-        changed[places] = [float(p.value(c)) for p, c in zip(parameters, chi, strict=True)]
-        return changed
 
-    def off(chi: np.ndarray) -> np.ndarray:
-        _, motion = next(still.simulate(placed(chi)[None]))
-        found = still.at_measured(motion.points)[0]
-        return np.nan_to_num(((found - still.points) / still.sigma[:, None]).ravel(), nan=1e6)
+@dataclass(frozen=True)
+class _AtRest:
+    """Some values, at these places, of a string at rest, as the solver asks for them."""
 
-    start = [np.clip(p.chi(values[place]), STEP, 1 - STEP) for p, place in zip(parameters, places, strict=True)]
-    return placed(optimize.least_squares(off, start, bounds=(0, 1), diff_step=STEP).x)
+    still: Case
+    values: np.ndarray
+    places: np.ndarray
+    limit: float = np.inf
+
+    @property
+    def parameters(self) -> list[Parameter]:
+        """Those that are read."""
+        return [self.still.model.parameters[place] for place in self.places]
+
+    def values_at(self, chi: np.ndarray) -> np.ndarray:
+        """All values (C, P) with these read ones."""
+        values = np.repeat(self.values[None], len(chi), axis=0)
+        values[:, self.places] = values_of(self.parameters, chi)
+        return values
+
+    def residuals(self, chi: np.ndarray) -> np.ndarray:
+        """Simulated less measured over sigma, (C, 2 N)."""
+        _, motion = next(self.still.simulate(self.values_at(chi)))
+        off = (self.still.at_measured(motion.points) - self.still.points) / self.still.sigma[:, None]
+        return np.nan_to_num(off.reshape(len(chi), -1), nan=LOST)

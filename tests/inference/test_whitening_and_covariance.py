@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from stringcast.stages.inference.covariance import sandwich
+from stringcast.stages.inference.covariance import jackknife
+from stringcast.stages.inference.huber import weights
 from stringcast.stages.inference.whitening import LowRank
 
 
@@ -22,31 +23,40 @@ def test_without_columns_nothing_is_taken():
     np.testing.assert_array_equal(LowRank.of(np.empty((6, 0)))(residual), residual)
 
 
-def test_the_sandwich_knows_how_estimates_scatter_where_neighbours_share_their_noise():
-    """A line through 600 numbers in 60 blocks, half of whose noise is that of the block. Of 300 estimates the variance
-    is (mean over these) what is promised, within 15 %, whose own scatter is 8 %; who takes all numbers for independent
-    promises a fifth of it. 95 % intervals hold the truth in 92 to 98 % of them."""
+@pytest.mark.parametrize("blocks", [60, 12])
+def test_intervals_hold_where_neighbours_share_their_noise(blocks):
+    """Four parameters of 600 numbers, half of whose noise is that of their block, of which some tell more than others.
+    95 % intervals hold the truth in 93 to 98 % of 300 repetitions (a sandwich's in 85 to 94); who takes all numbers
+    for independent promises a third of the variance at most.
+    """
     rng = np.random.default_rng(0)
-    block = np.repeat(np.arange(60), 10)
-    slope = np.stack([np.full(600, 30.0), np.linspace(-50, 50, 600)])
-    truth, promised, found, held = np.array([0.4, 0.6]), [], [], []
+    block = np.repeat(np.arange(blocks), 600 // blocks)
+    slope = 30 * rng.standard_normal((4, blocks))[:, block] * rng.gamma(2.0, 0.5, blocks)[block]
+    found, held = [], []
     for _ in range(300):
-        noise = rng.standard_normal(600) + rng.standard_normal(60)[block]
+        noise = rng.standard_normal(600) + rng.standard_normal(blocks)[block]
         change = np.linalg.solve(slope @ slope.T, -slope @ noise)
-        sure = sandwich(slope, noise + change @ slope, np.ones(600), block)
-        promised.append(np.diag(sure.matrix))
-        found.append(truth + change)
+        sure = jackknife(slope, noise + change @ slope, np.ones(600), block)
+        found.append(change)
         held.append(np.abs(change) < sure.reach)
-    actual = np.var(found, axis=0)
-    np.testing.assert_allclose(np.mean(promised, axis=0), actual, rtol=0.15)
-    assert np.all(np.diag(np.linalg.inv(slope @ slope.T)) < 0.25 * actual)
-    assert 0.92 < np.mean(held) < 0.98
+    assert 0.93 < np.mean(held) < 0.98
+    assert np.all(np.diag(np.linalg.inv(slope @ slope.T)) < np.var(found, axis=0) / 3)
 
 
 def test_what_no_data_touches_is_as_wide_as_its_range():
     slope = np.array([[100.0] * 50, [0.0] * 50])
     residual = np.random.default_rng(1).standard_normal(50)
-    sure = sandwich(slope, residual, np.ones(50), np.arange(50))
+    sure = jackknife(slope, residual, np.ones(50), np.arange(50))
     assert np.sqrt(sure.matrix[1, 1]) == pytest.approx(1 / np.sqrt(12))
     assert sure.reach[1] > 0.5
     assert sure.correlation[0, 1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_outliers_that_count_less_widen_nothing():
+    """A slope through noise with one number ten times as far off as any: weighted by Huber it is as sure as without."""
+    rng = np.random.default_rng(2)
+    slope, residual = np.full((1, 200), 20.0), rng.standard_normal(200)
+    spoilt = residual.copy()
+    spoilt[7] = 30.0
+    sure = [jackknife(slope, r, weights(r, 2.0), np.arange(200)).reach[0] for r in (residual, spoilt)]
+    assert sure[1] < 1.1 * sure[0]
