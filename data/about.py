@@ -7,12 +7,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from stringcast.data.foreign import own, yaml_block
+from stringcast.data.foreign import MOST_PIXELS, own, yaml_block
+from stringcast.data.rows import SUREST
 from stringcast.data.schema import DataError
 
 FORMAT = 1
 NAME = "dataset.yaml"
 WIDEST = 2**20  # [px]: OpenCV reads no wider pictures
+SHOWN = 200  # characters of a value in a message
 LONGEST = 1000.0  # [m], or mm of a metre: no string is longer, in whichever of the two it was written
 
 
@@ -67,7 +69,7 @@ class StringBlock(Block):
 class NoiseBlock(Block):
     """point_sigma: one standard deviation of a measured coordinate [m]."""
 
-    point_sigma: Positive = UNSET
+    point_sigma: Annotated[float, Field(ge=SUREST, le=LONGEST), Plain] = UNSET
 
 
 class ArmBlock(Block):
@@ -101,7 +103,9 @@ class CameraBlock(Block):
     lens: LensBlock | None = None
 
     @model_validator(mode="after")
-    def _lens_alone_distorts_and_tilts(self) -> CameraBlock:
+    def _belongs_together(self) -> CameraBlock:
+        if (self.width or 0) * (self.height or 0) > MOST_PIXELS:
+            raise ValueError(f"width x height is at most {MOST_PIXELS} pixels")
         if self.lens and self.distortion:
             raise ValueError("a lens has its own distortion: leave out camera.distortion")
         if not self.lens and any(self.tilt or ()):
@@ -154,4 +158,6 @@ def _first(error: ValidationError) -> str:
     if fault["type"] == "missing":
         return f"{place} is missing"
     must = MUST.get(fault["type"], fault["msg"][:1].lower() + fault["msg"][1:])
-    return f"{place} is {fault['input']!r}; {must.format(**fault.get('ctx', {}))}"
+    given = repr(fault["input"])
+    given = given if len(given) <= SHOWN else f"{given[:SHOWN]}..."
+    return f"{place} is {given}; {must.format(**fault.get('ctx', {}))}"

@@ -8,7 +8,7 @@ and `masks`, so that estimation from disk sees exactly what it saw in the run.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ BEYOND = 1.05  # times the string's length: points further along are another str
 STRAY = 0.05  # of a trial's points: so few that lie beyond are left out, and not the trial
 OVERLAP = 0.1  # [s] that arm and camera must have in common
 FRAMES_NEEDED = 3  # in which the string was seen
+MOST_TRIALS = 4000  # each takes a millisecond to set apart, and seconds to simulate once
 LATE = 10.0  # [s] from which a clock began long before its trial, whose times are then counted from a second of its own
 
 
@@ -116,11 +117,12 @@ def read(folder: Path) -> Dataset:
     names = sorted({*motion["trial"], *shots, *points["trial"]})
     moving = _moving(known, names)
     clocks = _clocks(motion)
+    parts = [_by_trial(frame) for frame in (motion, points, readings, masks)]
     for name in names:
         begin = clocks.get(name, 0.0)
-        moved, *parts = (_since(_of(frame, name), begin) for frame in (motion, points, readings, masks))
+        moved, *seen = (_since(part.get(name, empty), begin) for part, empty in parts)
         hand = {motion_table.name: moved}
-        trial = replace(Observation(name, *parts, **hand), moving=name in moving)
+        trial = replace(Observation(name, *seen, **hand), moving=name in moving)
         film = Film(shots[name][0] - begin, shots[name][1], **hand) if name in shots else None
         fault = _invalid(known, name) or _unusable(moved["t"].to_numpy(), trial, film)
         if fault:
@@ -215,7 +217,7 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
         )
     whole = with_trial(table)
     frame = from_csv(whole, path) if path.suffix == ".csv" else read_table(whole, path)
-    _named_in_print(frame, path)
+    _check_names(frame["trial"].unique(), path)
     if table in (READINGS, MASKS):  # of these NaN is a value
         return frame.sort_values(["trial", "t"], kind="stable").reset_index(drop=True)
     if table is FRAMES:
@@ -224,9 +226,11 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
     return kept.reset_index(drop=True)
 
 
-def _named_in_print(frame: pd.DataFrame, path: Path) -> None:
-    """Refuse names of trials that would steer a terminal."""
-    for name in frame["trial"].unique():
+def _check_names(names: Sequence[Any], path: Path) -> None:
+    """Refuse names of trials that are too many, or that would steer a terminal."""
+    if len(names) > MOST_TRIALS:
+        raise DataError(f"{path}: it holds {len(names)} trials, at most {MOST_TRIALS} are read. Split it.")
+    for name in names:
         if not str(name).isprintable():
             raise DataError(f"{path}: the trial {str(name)!r} has a name that cannot be printed. Give it another.")
 
@@ -243,9 +247,11 @@ def _in_the_folder(files: pd.Series, folder: Path, path: Path) -> pd.Series:
     return files.where(there)
 
 
-def _of(frame: pd.DataFrame, name: str) -> pd.DataFrame:
-    """The rows of one trial."""
-    return frame[frame["trial"] == name].drop(columns="trial").reset_index(drop=True)
+def _by_trial(frame: pd.DataFrame) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
+    """The rows of each trial, by its name, and those of one that has none."""
+    rows = frame.drop(columns="trial")
+    parts = rows.groupby(frame["trial"], sort=False)
+    return {str(name): part.reset_index(drop=True) for name, part in parts}, rows.iloc[:0].reset_index(drop=True)
 
 
 def fits(data: Dataset, length: float) -> Dataset:

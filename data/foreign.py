@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import stat
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -20,6 +21,11 @@ MOST_TABLE = (
 )  # [bytes] of a table: an hour of 11 points at 240 frames a second has 2**28, and what reads it, twice
 MOST_CSV = 2**26  # [bytes]: in memory, as numbers and names, up to ten times that
 CELL = 8  # [bytes] of a number
+MOST_COLUMNS = 1000  # of a table: ours have at most 30, and pandas takes a minute to tell two million apart
+MOST_LINE = 2**16  # [bytes] of the first line of a CSV file: 64 for each of so many names
+MOST_DIGITS = 40  # of a whole number: twice those of the largest that a table holds
+UNSETTLED = [f"tag:yaml.org,2002:{kind}" for kind in ("set", "omap", "pairs", "binary")]  # no kinds of settings
+MOST_PIXELS = 1 << 26  # of an image: the largest sensors have 5e7, and a byte each, in three colours, takes 0.2 GB
 
 
 def regular(path: Path, most: int | None = None) -> Path:
@@ -68,6 +74,8 @@ def json_block(path: Path) -> dict[str, Any]:
 def _block(path: Path, parse: Any, kind: Any, fault: str) -> dict[str, Any]:
     try:
         known = parse(regular(path, MOST_TEXT).read_text(encoding="utf-8"), kind)
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: it is not text in UTF-8 ({error}). Save it as UTF-8.") from error
     except (yaml.YAMLError, ValueError, OSError) as error:
         raise DataError(f"{path}: {fault} ({error}). Correct the line it names, or restore it.") from error
     except RecursionError as error:
@@ -86,7 +94,8 @@ def plain(known: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 class _Plain(yaml.SafeLoader):
-    """YAML without aliases of lists and blocks: nine lines of them can stand for 1e9 values."""
+    """YAML without aliases of lists and blocks, nine lines of which can stand for 1e9 values, and without a name that
+    is given twice, the first of which would be lost in silence."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """A node, as yaml composes it."""
@@ -94,6 +103,27 @@ class _Plain(yaml.SafeLoader):
         if event and not isinstance(self.anchors.get(event.anchor), yaml.ScalarNode):
             raise yaml.YAMLError(f"*{event.anchor} stands for a list or a block, which is not taken{event.start_mark}")
         return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """A block, as yaml makes it."""
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise yaml.YAMLError(f"{key.value} is given twice{key.start_mark}")
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else None)
+        return super().construct_mapping(node, deep)
+
+    def construct_yaml_int(self, node: Any) -> Any:
+        """A whole number, as yaml makes it: Python cannot print those of thousands of digits."""
+        if len(node.value) > MOST_DIGITS:
+            raise yaml.YAMLError(f"a whole number of {len(node.value)} digits{node.start_mark}")
+        return super().construct_yaml_int(node)
+
+    yaml_constructors: ClassVar[dict[str | None, Any]] = {
+        **{tag: made for tag, made in yaml.SafeLoader.yaml_constructors.items() if tag not in UNSETTLED},
+        "tag:yaml.org,2002:int": construct_yaml_int,
+        "tag:yaml.org,2002:timestamp": yaml.SafeLoader.construct_yaml_str,  # as it stands there
+    }
 
 
 def _live(value: Any, place: str = "") -> str:
@@ -105,10 +135,21 @@ def _live(value: Any, place: str = "") -> str:
     return next(filter(None, found), "")
 
 
-def parquet(path: Path) -> list[str]:
-    """The columns of texts and bytes of a Parquet file that fits into memory: a few bytes may stand for 4e8 rows.
+def csv(path: Path) -> Path:
+    """The path of a CSV file that fits into memory and whose first line may name columns."""
+    with regular(path, MOST_CSV).open("rb") as file:
+        begins = file.read(MOST_LINE)
+    if len(begins) == MOST_LINE and not {*b"\r\n"} & {*begins}:
+        raise DataError(f"{path}: its first line does not end. It must hold the columns' names, with commas.")
+    return path
 
-    Those columns are to be read as dictionaries, for a few bytes may also say that each row repeats a text of 1 MB.
+
+def parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[str]]:
+    """The columns of a Parquet file that hold a value a row, and those of them that hold texts or bytes; raises
+    DataError for one that does not fit into memory (a few bytes may stand for 4e8 rows) or `needed` ones that hold
+    more.
+
+    Texts are to be read as dictionaries, for a few bytes may also say that each row repeats a text of 1 MB.
     """
     with pq.ParquetFile(regular(path)) as file:
         about, schema = file.metadata, file.schema_arrow
@@ -119,4 +160,15 @@ def parquet(path: Path) -> list[str]:
             f"{path}: {about.num_rows} rows of {about.num_columns} columns would take {size / 1e9:.1f} GB, at most "
             f"{MOST_TABLE / 1e9:.1f} are read. Split it into datasets of fewer trials."
         )
-    return [field.name for field in schema if pa.types.is_string(field.type) or pa.types.is_binary(field.type)]
+    if len(schema) > MOST_COLUMNS:
+        raise DataError(f"{path}: it has {len(schema)} columns, at most {MOST_COLUMNS} are read. Leave out the others.")
+    twice = next((name for name in schema.names if schema.names.count(name) > 1), None)
+    if twice is not None:
+        raise DataError(f"{path}: it has the column '{twice}' twice. Leave one out.")
+    nested = {field.name: field.type for field in schema if pa.types.is_nested(field.type)}
+    for name in needed:
+        if name in nested:
+            raise DataError(f"{path}: column '{name}' holds {nested[name]}, not a value a row. Store plain columns.")
+    whole = [field for field in schema if field.name not in nested]
+    texts = [field.name for field in whole if pa.types.is_string(field.type) or pa.types.is_binary(field.type)]
+    return [field.name for field in whole], texts

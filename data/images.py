@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from stringcast.data.foreign import regular
+from stringcast.data.foreign import MOST_PIXELS, regular
 from stringcast.data.later import Later
 from stringcast.data.schema import DataError
 
 cv2 = Later("cv2")
 
 MOST_FILE = 1 << 28  # [bytes] of an image file: more than twice the largest sensors' 16-bit colours unpacked
-MOST_PIXELS = 1 << 26  # of an image: the largest sensors have 5e7, and a byte each, in three colours, takes 0.2 GB
 MOST_FRAMES = 1 << 20  # of a video: a quarter of an hour at 1000 a second
 CONTAINERS = (b"RIFF", b"\x1aE\xdf\xa3")  # how AVI and Matroska begin
 ATOMS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")  # how MP4 and QuickTime do, from byte 4
@@ -49,6 +48,10 @@ class ImageFiles(Images):
     folder: Path
     files: tuple[str, ...]
 
+    @cached_property
+    def _first(self) -> str:
+        return _size(self.folder / self.files[0])
+
     def __len__(self) -> int:
         """Number of images."""
         return len(self.files)
@@ -56,7 +59,10 @@ class ImageFiles(Images):
     def read(self, index: int) -> np.ndarray:
         """One image."""
         path = self.folder / self.files[index]
-        _refuse_bomb(path)
+        if _size(path) != self._first:
+            raise DataError(
+                f"{path}: it has {_size(path)} pixels, the first frame of its trial has {self._first}. Store all alike."
+            )
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise DataError(f"{path}: the frame is missing or damaged. Restore it or leave its trial out.")
@@ -101,15 +107,17 @@ class Video(Images):
         return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
-def _refuse_bomb(path: Path) -> None:
-    """Refuse an image by what its first bytes say of its size: a few bytes may unpack to gigabytes."""
+def _size(path: Path) -> str:
+    """Width x height of an image by its first bytes; raises DataError where these would unpack to gigabytes."""
     try:
         with Image.open(regular(path, MOST_FILE)) as header:
-            _refuse_size(path, *header.size)
+            width, height = header.size
     except (Image.DecompressionBombError, OSError, ValueError, SyntaxError) as error:
         raise DataError(
             f"{path}: the frame is missing or damaged ({error}). Restore it or leave its trial out."
         ) from error
+    _refuse_size(path, width, height)
+    return f"{width} x {height}"
 
 
 def _refuse_size(path: Path, width: float, height: float) -> None:

@@ -10,11 +10,13 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import ARM, GRASP
-from stringcast.data.foreign import MOST_CSV, regular
+from stringcast.data.foreign import csv
 from stringcast.data.schema import DataError, Table
 from stringcast.data.spikes import spikes
 
 FAR = 1e9  # a metre in nanometres: nothing measured is further off, in whichever unit it was written
+LATEST = 1e19  # [s], or nanoseconds since 1970, of which there are 2e18
+SUREST = 1e-9  # [m], of a coordinate: nothing measures a string to an atom, and its square is still far from nought
 ROUNDING = 1e-6  # [m] below which an arc length under zero is one
 MOTIONS = (ARM.name, GRASP.name)
 
@@ -36,7 +38,7 @@ def from_csv(table: Table, path: Path) -> pd.DataFrame:
     """
     texts = [column.name for column in table.columns if column.kind == "text"]
     try:
-        names = pd.read_csv(regular(path, MOST_CSV), nrows=0).columns
+        names = pd.read_csv(csv(path), nrows=0).columns
         kinds = {name: str for name in names if name.strip() in texts}
         frame = pd.read_csv(path, dtype=kinds, skipinitialspace=True, index_col=False)  # lines may end with a comma
     except (ValueError, OSError) as error:
@@ -82,11 +84,13 @@ def sifted(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
     numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional]
     for name in numbers:
         sieve.drop(f"{name} is not a finite number", ~np.isfinite(sieve.frame[name]))
-        sieve.drop(f"{name} is beyond {FAR:.0e}", sieve.frame[name].abs() > (np.inf if name == "t" else FAR))
+        most = LATEST if name == "t" else FAR
+        sieve.drop(f"{name} is beyond {most:.0e}", sieve.frame[name].abs() > most)
     if "s" in numbers:
         sieve.drop("s is below 0", sieve.frame["s"] < -ROUNDING)
     if "sigma" in sieve.frame:
         sieve.drop("sigma is not a number above 0", ~(np.isfinite(sieve.frame["sigma"]) & (sieve.frame["sigma"] > 0)))
+        sieve.drop(f"sigma is below {SUREST:.0e} m", sieve.frame["sigma"] < SUREST)
     keys = [name for name in ("trial", "t", "s") if name in sieve.frame]
     sieve.drop("a row twice", sieve.frame.duplicated())
     sieve.drop(f"another value at the same {', '.join(keys)}; the first is kept", sieve.frame.duplicated(keys))

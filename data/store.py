@@ -84,10 +84,10 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
     try:
         if not path.exists():
             raise FileNotFoundError(path)
-        texts = foreign.parquet(path)
+        columns, texts = foreign.parquet(path, [column.name for column in table.columns])
         with pq.ParquetFile(path, page_checksum_verification=True, read_dictionary=texts) as file:
             name = (file.schema_arrow.metadata or {}).get(b"table", table.name.encode()).decode()
-            frame = file.read().to_pandas()
+            frame = file.read(columns).to_pandas()
         frame = frame.astype({text: object for text in texts if text in frame})
     except FileNotFoundError as error:
         raise DataError(f"{path}: the file is missing. Restore it, or run the step that makes it again.") from error

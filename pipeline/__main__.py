@@ -84,7 +84,9 @@ def called() -> None:
     except OSError as error:
         what = printable(str(error.filename or sweep_folder()))
         remedy = f"{remedy_for(error)} with hydra.run.dir or hydra.sweep.dir."
-        sys.exit(f"Error: {what}: cannot be written ({error.strerror}). {remedy}")
+        sys.exit(f"Error: {what}: cannot be written ({error.strerror or error}). {remedy}")
+    except MemoryError as error:
+        sys.exit(f"Error: more memory is needed than there is ({error}). Ask for fewer points, frames or candidates.")
 
 
 if __name__ == "__main__":

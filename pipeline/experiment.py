@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -135,7 +136,7 @@ def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict
             raise UserError(f"known.{name} ({where}): there is no such parameter. Known are: {known}.")
         measured = isinstance(told, Mapping) and set(told) == {"value", "low", "high"}
         parts = [told["value"], told["low"], told["high"]] if measured else [told]
-        if not all(isinstance(part, float | int) for part in parts):
+        if not all(isinstance(part, float | int) and math.isfinite(part) for part in parts):
             raise UserError(
                 f"known.{name} = {told!r} ({where}): it must be a number, or value, low and high if it was measured. "
                 "Change it."

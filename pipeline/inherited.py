@@ -15,7 +15,7 @@ from stringcast.pipeline.targets import moves_a_real_arm
 
 EXTENDED = "extended.yaml"  # the model that a diagnosis made, or an alignment
 CAMERA = "camera.yaml"  # the camera that a calibration measured
-OF_MODEL = ("string", "effects", "known")  # what an extended model may set
+OF_MODEL = {"string": dict, "effects": list, "known": dict}  # what an extended model may set, and as what
 MOVING = ("arm", "hardware", "execute")  # how an arm may move: a person's own word, where it is real
 LENGTH = "string.length"  # that of the string that was measured, however it is simulated
 WEIGHED = 1e-3  # as a share, of what a balance says: so closely what hangs at the tip is known
@@ -103,11 +103,14 @@ def refuse_inherited_limits(settings: Any, own: Any, source: str, word: str = "a
 def extended_model(folder: Path) -> dict[str, Any]:
     """Settings of the model that a run made: `string`, `effects`, `known`. folder: of a diagnosis or an alignment."""
     made = _left(folder, EXTENDED, "extended", "Name the run folder of a diagnosis or an alignment.")
-    for name in made:
+    for name, value in made.items():
         if name not in OF_MODEL:
             raise UserError(
                 f"extended={folder}: {EXTENDED} sets {name!r}; it may set {', '.join(OF_MODEL)}. Remove it."
             )
+        if not isinstance(value, OF_MODEL[name]):
+            kind = "a list" if OF_MODEL[name] is list else "names and values"
+            raise UserError(f"extended={folder}: {name} in {EXTENDED} must hold {kind}. Correct or remove it.")
     return made
 
 

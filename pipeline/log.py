@@ -6,9 +6,12 @@ Whoever decides says so to the logger of its module; who is not asked is silent.
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from pathlib import Path
+from typing import cast
 
 from stringcast.data.errors import printable
 from stringcast.pipeline.layout import LOG
@@ -51,6 +54,12 @@ def kept(folder: Path) -> Iterator[None]:
 class _Kept(logging.FileHandler):
     """A log on a disk that may be full: it loses lines rather than stop a run, or hide what did."""
 
+    def _open(self) -> TextIOWrapper:
+        """The file itself: through a link in a folder of others, lines would go into any file of ours."""
+        return cast(
+            TextIOWrapper, open(self.baseFilename, self.mode, encoding=self.encoding, opener=_not_through_links)
+        )
+
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):
             super().emit(record)
@@ -61,6 +70,10 @@ class _Kept(logging.FileHandler):
     def close(self) -> None:
         with suppress(OSError):
             super().close()
+
+
+def _not_through_links(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _heard(handler: logging.Handler) -> None:

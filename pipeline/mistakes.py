@@ -53,7 +53,7 @@ def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str,
         yield "an experiment is added to the settings.", [f"+experiment={following[0]}"]
     elif name in ("experiment", "--experiment") and given:
         yield f"{word}: an experiment is added to the settings.", [f"+experiment={value}"]
-    elif word in FLAGS or word.startswith("-"):
+    elif word in FLAGS or word.startswith(("-", "~")):  # ~ takes a setting out
         return
     elif not given:
         yield from _bare(word, first)

@@ -58,6 +58,8 @@ class RunFolder:
             log.info("%s is there, and fresh", place_of(past.number, name))
             return found.artifact
         place = self.folder / place_of(past.number, name)
+        if not place.resolve().is_relative_to(self.folder.resolve()):
+            raise DataError(f"{place}: it leads out of the run's folder by a link. Put the folder itself there.")
         if place.is_dir() and self._stays(found, name, past.number):
             return found.artifact
         disk.remove(self.folder / ENDED)

@@ -15,6 +15,7 @@ CHECKS: tuple[Check, ...] = (
     mistakes.mistakes,
     mistakes.angles,
     clocks.unit,
+    clocks.lasting,
     motion.wrapped,
     contents.noise,
     contents.rejected,

@@ -11,6 +11,7 @@ from stringcast.stages.check.measured import Measured, Seen
 
 SLOW = 0.5  # [s] between samples: no string's motion can be told from them
 CERTAIN = 10  # samples from which a unit is told
+LONGEST = 3600.0  # [s] of a trial: as it is simulated tick by tick, 7e5 of 5 ms
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 FEW = 0.5  # of the time in which the string was seen: so little of the hand's motion says too little
 RATE = 0.05  # by which fps may differ from what the times say
@@ -29,22 +30,35 @@ def usual(t: np.ndarray) -> float:
     return float(np.median(np.diff(t))) if len(t) > 1 else 0.0
 
 
+def factor_of(t: np.ndarray) -> float:
+    """By how much times (F,) are too large for seconds: 1 where they may be seconds, infinity where by no unit's."""
+    return next(f for f in (1.0, *UNITS, np.inf) if usual(t) / f < SLOW or len(t) < CERTAIN)
+
+
 def unit(measured: Measured) -> Iterator[Finding]:
     """Times that are no seconds."""
     for seen in measured.with_points():
         for file, t in times(measured, seen).items():
-            if usual(t) < SLOW or len(t) < CERTAIN:
-                continue
-            factor = next(f for f in (*UNITS, np.inf) if usual(t) / f < SLOW)
+            factor = factor_of(t)
             if factor in UNITS:
                 said = f"times are in {UNITS[factor]}, not in seconds as it seems: samples are {usual(t):.4g} apart"
                 yield Finding(Severity.ERROR, file, "t", said, f"Multiply t by {1 / factor:g}", (seen.name,))
 
 
+def lasting(measured: Measured) -> Iterator[Finding]:
+    """Trials of hours: a time that is wrong, as a rule."""
+    for seen in measured.trials:
+        for file, t in times(measured, seen).items():
+            if len(t) and not np.ptp(t) <= LONGEST and factor_of(t) not in UNITS:
+                said = f"times span {np.ptp(t):.4g} s; at most {LONGEST:.0f} s are simulated"
+                remedy = "Correct the time that is wrong, or cut the trial into shorter ones"
+                yield Finding(Severity.ERROR, file, "t", said, remedy, (seen.name,))
+
+
 def begun(measured: Measured) -> Iterator[Finding]:
     """Clocks that began long before their trial."""
     for name, begin in measured.data.clocks.items():
-        said = f"times begin at {begin:.0f} s; in what is made of them they are counted from there"
+        said = f"times begin at {begin:.15g} s; in what is made of them they are counted from there"
         yield Finding(Severity.NOTE, measured.hand_file, "t", said, "Nothing needs to be done", (name,))
 
 

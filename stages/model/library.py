@@ -15,10 +15,11 @@ from stringcast.stages.model import effects as package
 from stringcast.stages.model.effect import Effect, another
 
 VARIABLE = "STRINGCAST_EFFECTS"  # folders with more effects, separated as in PATH
+MOST = 100  # effects of a model: three times the library; the generated loop nests an expression for each
 
 
 class UnknownEffectError(ValueError):
-    """There is no effect of that name; the message says which there are."""
+    """There is no effect of that name, or there are too many; the message says which there are."""
 
 
 def library() -> dict[str, type[Effect]]:
@@ -32,6 +33,8 @@ def library() -> dict[str, type[Effect]]:
 
 def named(names: Sequence[str]) -> tuple[type[Effect], ...]:
     """The effects of these names; `maxwell_slip_2` is a second one of its kind. Raises UnknownEffectError."""
+    if len(names) > MOST:
+        raise UnknownEffectError(f"{len(names)} effects are asked for, {MOST} at most are compiled into one loop")
     known = library()
     numbered = [(known[kind], number) for kind, number in map(kind_of, names)]
     return tuple(effect if number == 1 else another(effect, number) for effect, number in numbered)

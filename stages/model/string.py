@@ -28,6 +28,7 @@ from stringcast.stages.model.integrator import Integrator, SemiImplicitEuler
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.slots import HELD, HIDDEN, Law, arguments, taken
 
+MOST_POINTS = 10_000  # 30 um of 300 mm, far finer than any string converges at; stiffness and steps go with its square
 BASE: tuple[type[StringEffect], ...] = (
     Gravity,
     AxialSpring,
@@ -68,6 +69,8 @@ class String:
         """Refuse what cannot be simulated."""
         if self.points < 3:
             raise ValueError(f"string.points is {self.points}; it must be at least 3")
+        if self.points > MOST_POINTS:
+            raise ValueError(f"string.points is {self.points}; it must be {MOST_POINTS} at most")
         unknown = set(self.ranges) - {e.qualified(p) for e in self.effects for p in e.parameters}
         if unknown:
             raise ValueError(f"ranges for unknown parameters: {', '.join(sorted(unknown))}")

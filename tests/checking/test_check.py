@@ -390,7 +390,7 @@ def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(dirty, tmp_pat
 
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
-    assert len(set(names)) == len(names) == 26
+    assert len(set(names)) == len(names) == 27
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))

@@ -10,6 +10,7 @@ import zlib
 import cv2
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
@@ -20,7 +21,7 @@ from stringcast.data.about import about
 from stringcast.data.images import ImageFiles, Video
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import check, index
-from stringcast.stages.check import contents
+from stringcast.stages.check import clocks, contents
 from stringcast.stages.check.measured import Measured
 from tests.store.test_dataset import CAMERA, T, given, grasp, points, shade
 
@@ -58,6 +59,15 @@ REFUSED = {
     "unknown of a lens": (lens(k3="1"), r"camera\.lens\.k3 is 1; there is no such key"),
     "distorted twice": (lens()[:-1] + ", distortion: 0.1}", "a lens has its own distortion"),
     "tilt without lens": ("camera: {tilt: [0.1, 0]}", "needs camera.lens"),
+    "twice": ("string: {length: 0.3}\nstring: {length: 3.0}", "string is given twice"),
+    "thousands of digits": (f"remark: 0x{'f' * 5000}", "a whole number of 5002 digits"),  # which Python cannot print
+    "hundreds of digits": (f"camera: {{width: {'9' * 400}}}", "a whole number of 400 digits"),
+    "set": ("trials: !!set {a, b}", "not valid YAML"),
+    "bytes": ("name: !!binary AAAA", "not valid YAML"),
+    "date": ("string: {length: 2024-01-01}", r"string\.length is '2024-01-01'; it must be a number"),
+    "long text": (f"string: {{length: {'x' * 10000}}}", r"string\.length is 'x{199}\.\.\.; it must be a number"),
+    "too many pixels": ("camera: {width: 100000, height: 100000}", "width x height is at most 67108864 pixels"),
+    "noise below an atom": ("noise: {point_sigma: 1e-300}", r"noise\.point_sigma is .*; it must be 1e-09 or more"),
 }
 
 
@@ -69,6 +79,14 @@ def test_a_bad_dataset_yaml_is_refused_at_once(tmp_path, case):
     with pytest.raises(DataError, match=rf"dataset\.yaml[\s\S]*{message}"):
         about(tmp_path)
     assert time.process_time() - begun < 5
+
+
+def test_another_encoding_is_told_as_one(tmp_path):
+    (tmp_path / "dataset.yaml").write_bytes("string: {length: 0.3}".encode("utf-16"))
+    with pytest.raises(DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"):
+        about(tmp_path)
+    (tmp_path / "dataset.yaml").write_bytes("string: {length: 0.3}".encode("utf-8-sig"))
+    assert about(tmp_path) == {"string": {"length": 0.3}}
 
 
 def test_a_scalar_may_stand_for_itself_again(tmp_path):
@@ -119,6 +137,78 @@ def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
     monkeypatch.setattr(pq.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
     with pytest.raises(DataError, match=r"points\.parquet: 1000 rows of .* columns would take .*Split it"):
         dataset.read(tmp_path)
+
+
+def stored(folder, **columns):
+    """A dataset whose points have these columns, too, or instead."""
+    given(folder, {"string": {"length": 0.3}}, grasp=grasp())
+    whole = {name: pa.array(values) for name, values in points().items()} | columns
+    pq.write_table(pa.table(whole), folder / "points.parquet")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"), [("x", [[0.1]] * len(T)), ("trial", [{"a": "b"}] * len(T)), ("sigma", [{"a": 1.0}] * len(T))]
+)
+def test_a_column_of_lists_where_values_are_needed_is_refused(tmp_path, name, values):
+    stored(tmp_path, **{name: pa.array(values)})
+    with pytest.raises(DataError, match=rf"points\.parquet: column '{name}' holds (list|struct)<.*Store plain columns"):
+        dataset.read(tmp_path)
+
+
+def test_a_column_of_lists_that_nobody_asks_for_is_passed_over(tmp_path):
+    stored(tmp_path, remark=pa.array([[{"a": [1, 2]}]] * len(T)))
+    assert len(dataset.read(tmp_path).trials["a"].points) == len(T)
+
+
+def test_columns_that_are_too_many_or_there_twice_are_refused(tmp_path, monkeypatch):
+    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    names = [*points(), "x"]
+    pq.write_table(pa.Table.from_arrays([pa.array(points()[n]) for n in names], names), tmp_path / "points.parquet")
+    with pytest.raises(DataError, match=r"points\.parquet: it has the column 'x' twice"):
+        dataset.read(tmp_path)
+    monkeypatch.setattr(foreign, "MOST_COLUMNS", 5)
+    with pytest.raises(DataError, match=r"points\.parquet: it has 6 columns, at most 5 are read"):
+        dataset.read(tmp_path)
+
+
+def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
+    """Pandas took over a minute to tell two million names apart."""
+    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    (tmp_path / "points.csv").write_bytes(b"trial,t,s,x,y," + b"a," * 100_000)
+    with pytest.raises(DataError, match=r"points\.csv: its first line does not end"):
+        dataset.read(tmp_path)
+
+
+def test_more_trials_than_anybody_records_are_refused_unread(tmp_path):
+    names = [f"t{k}" for k in range(dataset.MOST_TRIALS + 1)]
+    many = pd.DataFrame({"trial": names, "t": 0.0, "x": 0.0, "y": 0.0, "theta": 0.0})
+    given(tmp_path, {"string": {"length": 0.3}}, grasp=many, points=points())
+    with pytest.raises(DataError, match=r"grasp\.csv: it holds 4001 trials, at most 4000 are read\. Split it"):
+        dataset.read(tmp_path)
+
+
+@pytest.mark.parametrize("table", ["grasp", "points"])
+@pytest.mark.parametrize("last", [1e7, 1e18])
+def test_a_time_that_would_be_simulated_for_months_is_an_error(tmp_path, table, last):
+    tables = {"grasp": grasp(), "points": points()}
+    tables[table].loc[len(T) - 1, "t"] = last
+    given(tmp_path, {"string": {"length": 0.3}}, **tables)
+    (found,) = clocks.lasting(looked_at(tmp_path))
+    assert (found.severity, found.file) == ("error", f"{table}.csv")
+    assert f"times span {last:.4g} s" in found.said
+
+
+def test_times_that_are_no_times_are_left_out(tmp_path):
+    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points(t=T * 1e300))
+    read = dataset.read(tmp_path)
+    assert read.rows["points.csv"].dropped == {"t is beyond 1e+19": len(T) - 1}  # all but 0
+    assert not read.trials
+
+
+def test_a_sigma_below_an_atom_is_left_out(tmp_path):
+    """Its square is nought, and nothing can be weighed by it."""
+    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points().assign(sigma=[1e-300] + [1e-3] * 49))
+    assert dataset.read(tmp_path).rows["points.csv"].dropped == {"sigma is below 1e-09 m": 1}
 
 
 @pytest.mark.parametrize("way", ["absolute", "up", "link"])
@@ -192,6 +282,15 @@ def huge_png(side):
     chunks = ((13, head), (0, b"IDAT"), (0, b"IEND"))
     whole = [struct.pack(">I", size) + chunk + struct.pack(">I", zlib.crc32(chunk)) for size, chunk in chunks]
     return b"\x89PNG\r\n\x1a\n" + b"".join(whole)
+
+
+def test_frames_of_different_sizes_are_refused_by_name(tmp_path):
+    for name, image in (("a.png", shade(0)), ("b.png", shade(1)[:16])):
+        cv2.imwrite(str(tmp_path / name), image)
+    images = ImageFiles(tmp_path, ("a.png", "b.png"))
+    assert images.read(0).shape == (32, 48)
+    with pytest.raises(DataError, match=r"b\.png: it has 48 x 16 pixels, the first frame of its trial has 48 x 32"):
+        images.read(1)
 
 
 def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_header(tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from stringcast.data.schema import DataError
-from stringcast.pipeline import targets
+from stringcast.pipeline import log, targets
 from stringcast.pipeline.commands import command
 from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.inherited import (
@@ -21,6 +21,7 @@ from stringcast.pipeline.inherited import (
 )
 from stringcast.pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
 from stringcast.stages.model import kernel
+from tests.faults.toy import toy_experiment, toy_run
 
 
 class Touch:
@@ -116,6 +117,65 @@ def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump({"effects": [], name: "x"}))
     with pytest.raises(UserError, match=rf"extended\.yaml sets '{name}'; it may set string, effects, known"):
         extended_model(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        ("effects: null", "effects in extended.yaml must hold a list"),
+        ("effects: tip_mass", "effects in extended.yaml must hold a list"),
+        ("string: [1]", "string in extended.yaml must hold names and values"),
+        ("known: !!set {wind}", "not valid YAML"),
+    ],
+)
+def test_an_extended_model_of_another_shape_is_refused(tmp_path, said, message):
+    (tmp_path / "extended.yaml").write_text(said)
+    with pytest.raises(UserError, match=message):
+        extended_model(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["string.points=1000000000"], r"string\.points is 1000000000; it must be 10000 at most"),
+        (["effects=[" + ",".join(["wind"] * 101) + "]"], "101 effects are asked for, 100 at most"),
+    ],
+)
+def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
+    """2 TB were asked for, and loops of 3000 effects compiled until Python gave up."""
+    with pytest.raises(UserError, match=message):
+        prepare(resolved(*words), lambda block: block)
+
+
+def test_what_is_known_is_finite():
+    settings = resolved("effects=[tip_mass]") | {"known": {"tip_mass.ratio": float("nan")}}
+    with pytest.raises(UserError, match=r"known\.tip_mass\.ratio = nan .* must be a number"):
+        prepare(settings, lambda block: block)
+
+
+def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
+    """A run of others could have them added to any file of ours."""
+    precious, run = tmp_path / "precious", tmp_path / "run"
+    run.mkdir()
+    precious.write_text("mine")
+    (run / "run.log").symlink_to(precious)
+    with log.kept(run):
+        log.OURS.info("a line")
+    assert precious.read_text() == "mine"
+    (run / "run.log").unlink()
+    with log.kept(run):
+        log.OURS.info("a line")
+    assert "a line" in (run / "run.log").read_text()
+
+
+def test_steps_are_not_made_through_a_link(tmp_path):
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    run.mkdir()
+    elsewhere.mkdir()
+    (run / "iterations").symlink_to(elsewhere)
+    with pytest.raises(DataError, match=r"leads out of the run's folder by a link"):
+        toy_run(run, toy_experiment(1))
+    assert not list(elsewhere.iterdir())
 
 
 @pytest.mark.parametrize("read", [extended_model, measured_camera])

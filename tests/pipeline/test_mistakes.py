@@ -49,7 +49,8 @@ def test_what_pages_show_is_no_mistake(given):
 
 
 @pytest.mark.parametrize(
-    "word", ["target.x=0.4", "seed=1,2", "estimate=random_search,cma_es", "obstacles=none", "-v", "name=stringB"]
+    "word",
+    ["target.x=0.4", "~obstacles", "seed=1,2", "estimate=random_search,cma_es", "obstacles=none", "-v", "name=stringB"],
 )
 def test_what_is_right_is_left_alone(word):
     refuse_mistakes([word])
