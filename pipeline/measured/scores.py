@@ -14,7 +14,7 @@ from stringcast.data.artifacts import PREDICTED
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.run import Result
-from stringcast.stages.inference.initial_modes import MODES
+from stringcast.stages.inference.initial_modes import coefficients
 
 SETS = Table(
     "sets",
@@ -52,7 +52,7 @@ def scored(here: Experiment, result: Result) -> dict[str, Any]:
     return {
         "trials": len(fitted),
         "fitted": len(here.model.parameters) - len(here.model.measured),  # a measured one stays where it is
-        "begun": 2 * MODES * sum(trial["initial"] == "moving" for trial in fitted),
+        "begun": len(coefficients(here.model.string)) * sum(trial["initial"] == "moving" for trial in fitted),
         "tip": float(fit["tip_after"]),
         "rms": float(fit["rms_after"]),
         "held_out": len(scores),

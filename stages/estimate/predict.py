@@ -15,7 +15,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction
 from stringcast.stages.inference.forward import Case, case
-from stringcast.stages.inference.initial_modes import MODES, settled
+from stringcast.stages.inference.initial_modes import coefficients, settled
 from stringcast.stages.inference.solver import LOST, fitted
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter, chi_of, values_of
@@ -28,7 +28,8 @@ def predict(model: Model, estimate: Estimate, observation: Observation, own: Col
     """Where the estimated string is in a trial, which begins as this trial does. own: effects whose values are those of
     the trial, where the string rests before the hand moves; else they are as estimated."""
     ready = settled(case(model, observation), model.values(estimate.values()))
-    values, free = model.values(estimate.values()), 0 if ready.initial is None else 2 * MODES
+    values = model.values(estimate.values())
+    free = 0 if ready.initial is None else len(coefficients(model.string))
     places = np.array([i for i, name in enumerate(model.names) if name.partition(".")[0] in own], dtype=int)
     still = resting(ready)
     if len(places) and still is not None:

@@ -97,7 +97,8 @@ def _of_each(states: Sequence[State], count: int) -> State | None:
     if not states:
         return None
     rows = zip(*((state.s, state.angle, state.rate) for state in states), strict=True)
-    return State(0.0, *(_below([np.atleast_2d(part) for part in parts], count) for parts in rows))
+    s, angle, rate = (_below([np.atleast_2d(part) for part in parts], count) for parts in rows)
+    return State(0.0, s, angle, rate, _below([np.atleast_1d(state.let_back) for state in states], count))
 
 
 def _lasting(times: Sequence[np.ndarray]) -> list[np.ndarray]:

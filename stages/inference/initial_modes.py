@@ -2,7 +2,8 @@
 
 A few frames tell velocities to 0.1 m/s, which after half a swing is centimetres. Once parameters are
 known about well enough, the motion that follows tells more: shape and turning rates are corrected
-by smooth modes of a string that is held at one end, as far as the first part of the trial asks for it.
+by smooth modes of a string that is held at one end, as far as the first part of the trial asks for it. So is what
+hinges with a memory hold: nobody knows how the string was handled before.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.huber import LIMIT
 from stringcast.stages.inference.solver import LOST, fitted
-from stringcast.stages.model.parameter import Parameter, values_of
+from stringcast.stages.model.parameter import Parameter, chi_of, values_of
+from stringcast.stages.model.slots import HELD as SLOTS
 from stringcast.stages.model.state import State
+from stringcast.stages.model.string import String
 
 SPAN = 0.5  # [s] of the trial's beginning that is looked at
 MODES = 6
@@ -26,8 +29,14 @@ RATE = 3.0  # [rad/s] by which a mode of the rates may
 STEP = 1e-3  # of those, for the differences
 FARTHEST = 20.0  # of those, that a mode may be off
 TRIES = 20  # iterations at most; it mostly takes 5
+LET_BACK = 0.5  # by which hinges may well have been let back, as a share of all the way (`State.let_back`)
 COEFFICIENTS = tuple(Parameter(f"mode_{k}", "1", "", -FARTHEST, FARTHEST, 0.0) for k in range(2 * MODES))
-BESIDE = np.concatenate([np.zeros((1, 2 * MODES)), STEP * np.eye(2 * MODES)])  # changes for the differences
+HELD = Parameter("let_back", "1", "", 0.0, 1 / LET_BACK, 0.0)
+
+
+def coefficients(string: String) -> tuple[Parameter, ...]:
+    """What the state in which a trial begins is corrected by, each expected within one."""
+    return (*COEFFICIENTS, *((HELD,) if any(map(string.holds, SLOTS)) else ()))
 
 
 def settled(ready: Case, values: np.ndarray, span: float = SPAN) -> Case:
@@ -36,12 +45,13 @@ def settled(ready: Case, values: np.ndarray, span: float = SPAN) -> Case:
     if ready.initial is None:
         return ready
     early = ready.until(min(span / float(np.ptp(ready.times)), 1.0))
-    noise = float(mad_sigma(_residuals(early, values, BESIDE[:1])[0])) + 1e-12
+    own = coefficients(ready.model.string)
+    start = _unchanged(ready.initial, own)
+    noise = float(mad_sigma(_residuals(early, values, start[None])[0])) + 1e-12
     if not np.isfinite(noise):
         return ready
-    beginning = _Beginning(replace(early, sigma=noise * early.sigma), values)
-    found = fitted(beginning, np.full((1, 2 * MODES), 0.5), TRIES)
-    change = values_of(COEFFICIENTS, found.chi[0])
+    found = fitted(_Beginning(replace(early, sigma=noise * early.sigma), values, own), chi_of(own, start)[None], TRIES)
+    change = values_of(own, found.chi[0])
     return replace(ready, initial=_changed(ready.initial, change, ready.model.string.length))
 
 
@@ -51,11 +61,11 @@ class _Beginning:
 
     early: Case
     values: np.ndarray
-    parameters: Sequence[Parameter] = COEFFICIENTS
+    parameters: Sequence[Parameter]
     limit: float = LIMIT
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Of changes (C, 2 MODES) in exponents, and the changes themselves: (C, 2 N + 2 MODES)."""
+        """Of changes (C, M) in exponents, and the changes themselves: (C, 2 N + M)."""
         changes = values_of(self.parameters, chi)
         return np.nan_to_num(np.hstack([_residuals(self.early, self.values, changes), changes]), nan=LOST)
 
@@ -73,8 +83,11 @@ def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
     none where it begins at rest, nor for what cannot be simulated. values: (P,)."""
     if ready.initial is None:
         return np.empty((2 * len(ready.points), 0))
-    here, *beside = _residuals(replace(ready, sigma=np.ones(len(ready.points))), values, BESIDE)
-    columns = (np.stack(beside, axis=1) - here[:, None]) / STEP
+    start = _unchanged(ready.initial, coefficients(ready.model.string))
+    step = np.where(start > 0, -STEP, STEP)  # from the end of its range inwards
+    changes = start + np.concatenate([np.zeros((1, len(start))), np.diag(step)])
+    here, *beside = _residuals(replace(ready, sigma=np.ones(len(ready.points))), values, changes)
+    columns = (np.stack(beside, axis=1) - here[:, None]) / step
     return columns[:, np.isfinite(columns).all(axis=0)]
 
 
@@ -86,9 +99,15 @@ def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarr
     return ((moved.at_measured(motion.points) - ready.points) / ready.sigma[:, None]).reshape(len(changes), -1)
 
 
+def _unchanged(state: State, own: Sequence[Parameter]) -> np.ndarray:
+    """The changes (M,) that leave a state as it is."""
+    return np.concatenate([np.zeros(2 * MODES), np.full(len(own) - 2 * MODES, state.let_back / LET_BACK)])
+
+
 def _changed(state: State, change: np.ndarray, length: float) -> State:
-    """The state with modes added: sin((k - 1/2) pi s / L) of the angles and of the rates. change: (2 MODES,), or one
-    for each candidate, (C, 2 MODES)."""
+    """The state with modes added, sin((k - 1/2) pi s / L) of the angles and of the rates, and hinges let back so far if
+    they hold anything. change: (M,), or one for each candidate, (C, M)."""
     modes = np.sin((np.arange(MODES)[:, None] + 0.5) * np.pi * state.s / length)
-    turn, rate = TURN * change[..., :MODES] @ modes, RATE * change[..., MODES:] @ modes
-    return replace(state, angle=state.angle + turn, rate=state.rate + rate)
+    turn, rate = TURN * change[..., :MODES] @ modes, RATE * change[..., MODES : 2 * MODES] @ modes
+    let_back = LET_BACK * change[..., 2 * MODES :].sum(axis=-1)
+    return replace(state, angle=state.angle + turn, rate=state.rate + rate, let_back=let_back)

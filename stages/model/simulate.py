@@ -18,6 +18,8 @@ from stringcast.stages.model.state import State
 from stringcast.stages.model.statics import Chain, curvatures, grasp_angle, grasp_set, softness
 from stringcast.stages.model.string import String
 
+FAR = 1e3  # [1/m] or [rad] by which a hinge is bent to hold what it would on its way back: no law's memory goes further
+
 
 @dataclass(frozen=True)
 class StringMotion:
@@ -122,7 +124,8 @@ def _run(
     working, acting = string.at_work(material[index])
     chain = (working.masses(acting)[0], working.segments(acting), partial(averaged, working, acting))
     constants = string.integrator.constants(*chain, hand.tick / steps)
-    further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung)}
+    let_back = 0.0 if initial is None else np.broadcast_to(initial.let_back, count)[index][:, None]
+    further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung, let_back)}
     positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further)
     shared = len(pose) == 1
     cubic = _cubic(own, rate if shared else rate[index], hand.tick)
@@ -236,13 +239,18 @@ def _buffers(
 
 
 def _memory(
-    string: String, material: np.ndarray, theta: np.ndarray, angles: np.ndarray, hung: np.ndarray
+    string: String,
+    material: np.ndarray,
+    theta: np.ndarray,
+    angles: np.ndarray,
+    hung: np.ndarray,
+    let_back: float | np.ndarray,
 ) -> dict[str, np.ndarray]:
     """The kernel's rows for what has a memory: what hinges are bent to, and what they then hold, (C, n - 1) each; the
     grasp's comes first.
 
     theta: (1 or C,) of the hand [rad]. angles: (C, n - 1) of the segments [rad]; hung: those at which nothing is held,
-    from which the string was pulled slowly.
+    from which the string was pulled slowly. let_back: how far it was let back then, (C, 1) or all, as in `State`.
     """
     count = max(string.holds(slot) for slot in HELD)
     if not count:
@@ -255,8 +263,11 @@ def _memory(
     rows = np.zeros((1 + count, *angles.shape))
     for slot, place in places.items():
         rows[0, :, place] = bent[slot]
-        for row, held in zip(rows[1:], string.held(slot, material, bent[slot] - before[slot]), strict=False):
-            row[:, place] = held
+        pulled = bent[slot] - before[slot]
+        held = string.held(slot, material, pulled)
+        other = string.held(slot, material, -FAR * np.sign(pulled), held)
+        for row, here, there in zip(rows[1:], held, other, strict=False):
+            row[:, place] = here + let_back * (there - here)
     return dict(zip(("CURVED", *(f"HELD{i}" for i in range(count))), rows, strict=True))
 
 

@@ -17,13 +17,15 @@ class State:
 
     t: when [s], one moment or one for each candidate, (C,). s: (M,) rest arc lengths from the stated grasp, increasing
     [m]. angle: (M,) direction there, continuous from the grasp's [rad]. rate: (M,) its time derivative [rad/s]. All
-    three may be each candidate's own, (C, M).
+    three may be each candidate's own, (C, M). let_back: what hinges with a memory hold as it begins, as a share of the
+    way from what they hold after a slow pull to this shape, 0, to what they hold once bent far back, 1; (C,), too.
     """
 
     t: float | np.ndarray
     s: np.ndarray
     angle: np.ndarray
     rate: np.ndarray
+    let_back: float | np.ndarray = 0.0
 
     def at(self, t: float | np.ndarray) -> State:
         """The same state at another time, of another clock for instance."""
@@ -35,9 +37,9 @@ class State:
 
     def of(self, chosen: np.ndarray | slice) -> State:
         """Of some candidates, whose numbers are given."""
-        t = self.t if np.ndim(self.t) == 0 else np.asarray(self.t)[chosen]
+        t, let_back = (each if np.ndim(each) == 0 else np.asarray(each)[chosen] for each in (self.t, self.let_back))
         s, angle, rate = (each if each.ndim == 1 else each[chosen] for each in (self.s, self.angle, self.rate))
-        return replace(self, t=t, s=s, angle=angle, rate=rate)
+        return State(t, s, angle, rate, let_back)
 
     def led_on(self, before: np.ndarray, direction: np.ndarray, turning: np.ndarray) -> State:
         """With what lies before the stated grasp, (C,) [m] long: it bends evenly, to a direction [rad] that turns at a
