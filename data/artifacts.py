@@ -7,7 +7,7 @@ here touches a disk.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -286,6 +286,19 @@ class Observation:
     def read(self) -> pd.DataFrame:
         """The points that were read; all where it is not said which were."""
         return _read(self.points)
+
+
+@dataclass(frozen=True)
+class TrialSet:
+    """Trials that are looked at together. films: of those that were filmed, by name. rejected: trials that cannot be
+    used, with the reason. held_out: names of those that are to measure a gain. numbers: of the iterations of a run in
+    which they were read."""
+
+    observations: Sequence[Observation]
+    films: Mapping[str, Film] = field(default_factory=dict)
+    rejected: Mapping[str, str] = field(default_factory=dict)
+    held_out: tuple[str, ...] = ()
+    numbers: tuple[int, ...] = ()
 
 
 # --- estimate ---------------------------------------------------------------------------

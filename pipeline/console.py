@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from math import isfinite
+from pathlib import Path
 
+import pandas as pd
 from rich.console import Group
 from rich.markup import escape
 from rich.panel import Panel
@@ -13,9 +15,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from stringcast.pipeline.run import Iteration, Result
+from stringcast.pipeline.iterations import Iteration
+from stringcast.pipeline.result import Result
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.common import Progress as Report
+from stringcast.stages.spec import StageSpec
 
 Bar = Callable[[str], AbstractContextManager[Report]]
 
@@ -36,11 +40,9 @@ def bars(console: Terminal) -> Iterator[Bar]:
 
 
 def summary(result: Result) -> Group:
-    """How the run ended, manipulation by manipulation, or what a diagnosis or an alignment found."""
-    if result.diagnosis is not None:
-        return _found(result)
-    if result.alignment is not None:
-        return _measured(result)
+    """How the run ended: what the stage found that it was for, or manipulation by manipulation."""
+    if result.stage is not None:
+        return answer(result, result.stage)
     table = Table(box=None, pad_edge=False)
     for heading in ("cast", "tip in the box", "closest [mm]", "E before", "E after", "residual [mm]"):
         table.add_column(heading, justify="right")
@@ -52,41 +54,35 @@ def summary(result: Result) -> Group:
     title = f"[bold {colour}]{escape(ended)}"
     below = [Text(more)] if more else []
     said = Panel(Group(table, "", Text(words), *below), title=title, border_style=colour)
-    page = result.folder / "report.html"
-    place = page if page.exists() else result.folder
-    return Group(said, *map(Text, faults(result)), Text(str(place), overflow="fold"))
+    return Group(said, *map(Text, faults(result)), Text(str(page(result)), overflow="fold"))
 
 
-def _found(result: Result) -> Group:
-    """The verdict, and what each cause is and does."""
-    assert result.diagnosis is not None
+def answer(result: Result, stage: StageSpec) -> Group:
+    """What a stage found: its sentence and its table."""
+    told = stage.summary(result.answer)
+    said = Panel(Group(Text(result.sentence), "", listed(told.table)), title=f"[bold]{escape(told.title)}")
+    return Group(said, Text(str(page(result)), overflow="fold"))
+
+
+def listed(frame: pd.DataFrame) -> Table:
+    """A table for people."""
     table = Table(box=None, pad_edge=False)
-    for heading in ("cause", "probability", "parameter", "value", "95 % interval", "unit"):
-        table.add_column(heading)
-    for row in result.diagnosis.causes.itertuples():
-        ends = f"at least {row.low:.4g}" if getattr(row, "at_least", False) else f"{row.low:.4g} to {row.high:.4g}"
-        known = (f"{row.value:.4g}", ends) if row.parameter else ("", "")
-        table.add_row(row.effect, f"{row.probability:.2f}", row.parameter, *known, row.unit)
-    said = Panel(Group(Text(result.sentence), "", table), title=f"[bold]{result.diagnosis.verdict}")
-    return Group(said, Text(f"{result.folder / 'report.html'}", overflow="fold"))
+    for heading in frame.columns:
+        table.add_column(escape(heading))
+    for row in frame.itertuples(index=False):
+        table.add_row(*(Text(str(cell)) for cell in row))
+    return table
 
 
-def _measured(result: Result) -> Group:
-    """How camera and clock stand to the arm."""
-    assert result.alignment is not None
-    table = Table(box=None, pad_edge=False)
-    for heading in ("parameter", "value", "95 % interval", "unit", ""):
-        table.add_column(heading)
-    for row in result.alignment.measured.itertuples():
-        ends = f"{row.low:.5g} to {row.high:.5g}"
-        table.add_row(row.name, f"{row.value:.5g}", ends, row.unit, "" if row.found else "not seen")
-    said = Panel(Group(Text(result.sentence), "", table), title="[bold]camera and clock against the arm")
-    return Group(said, Text(f"{result.folder / 'report.html'}", overflow="fold"))
+def page(result: Result) -> Path:
+    """Where the run is to be looked at."""
+    report = result.folder / "report.html"
+    return report if report.exists() else result.folder
 
 
 def faults(result: Result) -> list[str]:
     """What went wrong, cast by cast: on the way to the arm, and with obstacles."""
-    links = {i.number: i.done["execute"].link.iloc[0] for i in result.iterations if "execute" in i.done}
+    links = {i.number: i.done["trial"].link.iloc[0] for i in result.iterations if "trial" in i.done}
     late = {n: f"it is not to be trusted: {link['reason']}" for n, link in links.items() if not link["valid"]}
     touched = {i.number: i.verdict.touched for i in result.iterations if i.verdict is not None and i.verdict.touched}
     lay = {n: f"the string lay in an obstacle in {frames} frame(s)" for n, frames in touched.items()}
@@ -100,8 +96,8 @@ def _row(iteration: Iteration) -> list[str]:
         cells += ["", ""]
     else:
         cells += ["yes" if verdict.hit else "no", f"{verdict.distance * 1e3:.0f}"]
-    if "predict" in iteration.done:
-        return [*cells, "", "held out", f"{iteration.done['predict'].score['rms'].iloc[0] * 1e3:.1f}"]
+    if "prediction" in iteration.done:
+        return [*cells, "", "held out", f"{iteration.done['prediction'].score['rms'].iloc[0] * 1e3:.1f}"]
     if estimate is None:
         return [*cells, "", "", ""]
     fit = estimate.fit.iloc[0]

@@ -3,37 +3,64 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hydra.utils import get_object
 
-from stringcast.pipeline.settings import UserError, build, loaded, stage
-from stringcast.stages.generate import Box, check_reach
+from stringcast.pipeline.iterations import Step
+from stringcast.pipeline.registry import stages
+from stringcast.pipeline.result import Result
+from stringcast.pipeline.settings import UserError, build, chosen, loaded, stage
+from stringcast.pipeline.terminal import Terminal
+from stringcast.stages.common import Progress
+from stringcast.stages.execute.interfaces import Lab
 from stringcast.stages.generate.curves import plain_cast
 from stringcast.stages.model.accuracy import ToleranceError, accurate
 from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.string import String
+from stringcast.stages.spec import Call
 
 Where = Callable[[str], str]
 FLOAT64 = {"_target_": "stages.model.precision.Double"}  # as runs say that were stored while it was a setting
 
 
+class Mode(ABC):
+    """What a run does with its stages: `mode` in its settings."""
+
+    @abstractmethod
+    def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:
+        """The whole run, kept in a folder and shown on the terminal. What is there already is not made again."""
+
+    @abstractmethod
+    def check(self, experiment: Experiment) -> None:
+        """Raise UserError or DataError for settings that the mode cannot work with, before anything is written."""
+
+    def moves(self, config: Mapping[str, Any]) -> bool:
+        """Whether an arm is moved, real or not."""
+        return False
+
+
 @dataclass(frozen=True)
 class Experiment:
-    """All that a run works with; `stages` are functions with their settings bound."""
+    """All that a run works with; `stages` are functions with their settings bound. Fills `stages.spec.Setup`."""
 
     config: Mapping[str, Any]
     model: Model
     target: Box
     obstacles: tuple[Box, ...]
     stages: Mapping[str, Callable[..., Any]]
+    mode: Mode
 
     @property
     def arm(self) -> Arm:
@@ -55,6 +82,22 @@ class Experiment:
         """The run's seed."""
         return int(self.config["seed"])
 
+    @property
+    def own(self) -> list[str]:
+        """Effects whose values differ from one trial to another."""
+        return list(self.config["own"])
+
+    def lab(self, trial: int) -> Lab:
+        """Arm and camera, real or virtual. trial: number of the iteration."""
+        made: Lab = self.stages["hardware"](self.arm, self.camera, seed=self.seed, trial=trial)
+        return made
+
+    def run(self, step: Step, progress: Progress) -> Any:
+        """The artifact of a step, made now."""
+        stage = step.stage
+        call = Call(self.stages.get(stage.name), self, step.seed(self.seed), step.number, progress)
+        return get_object(f"stringcast.{stage.run}")(call, **step.inputs)
+
 
 def prepare(config: Mapping[str, Any], where: Where) -> Experiment:
     """Check everything before anything moves or is written. where: the file of a block."""
@@ -67,26 +110,21 @@ def prepare(config: Mapping[str, Any], where: Where) -> Experiment:
     _of_the_library(config.get("own", []), where("own"))
     known, measured = _known(config["known"], model, where("known"))
     model = replace(model, known=known, measured=measured)
-    if "generate" in config["steps"]:
-        check_reach(target, arm, string.length)
     boxes = config["obstacles"]["boxes"]
-    return Experiment(
+    experiment = Experiment(
         config,
         model,
         target,
         tuple(build(Box, box, f"obstacles.boxes.{i}", where("obstacles")) for i, box in enumerate(boxes)),
-        {name: stage(config[name], name, where(name)) for name in STAGES},
+        {name: stage(config[name], name, where(name)) for name in (*stages(), "hardware") if name in config},
+        chosen(config["mode"], "mode", where("mode")),
     )
+    experiment.mode.check(experiment)
+    return experiment
 
 
-STAGES = ("generate", "excite", "execute", "extract", "estimate", "align", "diagnose", "calibrate", "hardware")
-CASTS = (["generate", "execute", "extract"], ["generate", "execute", "extract", "estimate"])
-STUDIES = (["study"], ["extraction_study"], ["hit_study"])
-MEASURED = ["measured_study"]
-AGAIN = (["estimate"], ["extract", "estimate"], ["diagnose"], ["extract", "diagnose"], ["align"], MEASURED)
 LEFT = ("frames", "report")
 ALL = "all"  # of the trials, which `memory` may be
-DECIDE = ["diagnose", "execute", "extract", "diagnose"]
 
 
 def _check_run(config: Mapping[str, Any], where: Where) -> None:
@@ -100,11 +138,6 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
     if not isinstance(config["leave"], list) or not set(config["leave"]) <= set(LEFT):
         choices = ", ".join(LEFT)
         raise UserError(f"leave = {config['leave']} ({where('leave')}): it must be a list of {choices}. Change it.")
-    allowed = (*AGAIN, DECIDE) if config["trials"] is not None else (*CASTS, *STUDIES, ["align"], ["calibrate"])
-    if config["steps"] not in allowed:
-        rule = "with trials=<folder>" if config["trials"] is not None else "without trials=<folder>"
-        choices = " or ".join(f"[{', '.join(steps)}]" for steps in allowed)
-        raise UserError(f"steps = {config['steps']} ({where('steps')}): {rule} it must be {choices}. Change it.")
 
 
 def with_effects(model: Model, names: Any, where: str) -> Model:

@@ -10,11 +10,11 @@ from omegaconf import DictConfig, OmegaConf
 from stringcast.data import dataset
 from stringcast.data.foreign import plain, yaml_block
 from stringcast.data.schema import DataError
-from stringcast.pipeline.settings import UserError, flat, leaves
-from stringcast.pipeline.targets import moves_a_real_arm
+from stringcast.pipeline.settings import UserError, allowed, chosen, flat, leaves
+from stringcast.pipeline.targets import VIRTUAL
+from stringcast.stages.calibrate import CAMERA
+from stringcast.stages.spec import EXTENDED
 
-EXTENDED = "extended.yaml"  # the model that a diagnosis made, or an alignment
-CAMERA = "camera.yaml"  # the camera that a calibration measured
 OF_MODEL = {"string": dict, "effects": list, "known": dict}  # what an extended model may set, and as what
 MOVING = ("arm", "hardware", "execute")  # how an arm may move: a person's own word, where it is real
 LENGTH = "string.length"  # that of the string that was measured, however it is simulated
@@ -83,7 +83,7 @@ def refuse_inherited_limits(settings: Any, own: Any, source: str, word: str = "a
 
     settings: of the run; own: as they are configured here. word: how to agree. Raises UserError with what differs.
     """
-    if not moves_a_real_arm(settings) or own["accept_limits"]:
+    if own["accept_limits"] or not moves_a_real_arm(settings):
         return
     theirs, ours = ({name: leaves(block[name]) for name in MOVING} for block in (settings, own))
     differing = [
@@ -98,6 +98,17 @@ def refuse_inherited_limits(settings: Any, own: Any, source: str, word: str = "a
             f"{source}: a real arm would move by limits and driving that this folder brings along:\n  {listed}\n"
             f"Nothing was moved. Look at them; then give {word}, or name your own (arm=..., hardware=..., execute=...)."
         )
+
+
+def moves_a_real_arm(settings: Any) -> bool:
+    """Whether a run with these settings moves something that can break."""
+    virtual = allowed(settings["hardware"].get("_target_"), "hardware", "hardware") in VIRTUAL
+    return not virtual and moves(settings)
+
+
+def moves(settings: Any) -> bool:
+    """Whether a run with these settings moves an arm, real or not."""
+    return bool(chosen(settings["mode"], "mode", "conf/mode").moves(settings))
 
 
 def extended_model(folder: Path) -> dict[str, Any]:

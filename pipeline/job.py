@@ -12,9 +12,9 @@ from omegaconf import DictConfig, OmegaConf
 from stringcast.data.errors import ExpectedError
 from stringcast.pipeline.complaint import complain, interrupted
 from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.inherited import check_bench, refuse_inherited_limits, with_inherited_settings
-from stringcast.pipeline.perform import perform
-from stringcast.pipeline.run import Result
+from stringcast.pipeline.inherited import check_bench, moves, refuse_inherited_limits, with_inherited_settings
+from stringcast.pipeline.result import Result
+from stringcast.pipeline.run import perform
 from stringcast.pipeline.run_folder import forget
 from stringcast.pipeline.settings import names_given
 from stringcast.pipeline.terminal import Terminal
@@ -41,7 +41,7 @@ def main(config: DictConfig) -> float | None:
 def run(config: DictConfig, console: Terminal) -> Result:
     """Check, run, report."""
     given = names_given(HydraConfig.get().overrides.task)
-    if config.trials is not None and "execute" in config.steps:
+    if config.trials is not None and moves(OmegaConf.to_container(config, resolve=True)):
         check_bench(Path(config.trials), given)
     settings = with_inherited_settings(config, given)
     refuse_inherited_limits(settings, OmegaConf.to_container(config, resolve=True), f"trials={config.trials}")

@@ -55,12 +55,21 @@ def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str,
         yield f"{word}: an experiment is added to the settings.", [f"+experiment={value}"]
     elif word in FLAGS or word.startswith(("-", "~")):  # ~ takes a setting out
         return
+    elif name == "steps" and given:
+        yield f"{word}: what a run does is its mode now.", [f"mode={_mode(value)}"]
     elif not given:
         yield from _bare(word, first)
     elif (CONF / name.lstrip("+")).is_dir() and value and not re.search(r"[,()\[{$]", value):
         yield from _option(name, value)
     elif (found := IN_METRES.match(word)) and abs(float(found[2])) > FARTHEST:
         yield f"{word}: lengths are in metres.", [f"{name}={float(value) / 1e3:g}"]
+
+
+def _mode(steps: str) -> str:
+    """The mode that did what these steps did, as older versions called it: `[estimate]`, `[extract,diagnose]`."""
+    names = steps.strip("[]").replace(" ", "").split(",")
+    last = {"study": "blind_study", "extract": "cast"}.get(names[-1], names[-1])
+    return "cast" if "generate" in names else "decide" if "execute" in names else last
 
 
 def _bare(word: str, first: bool) -> Iterator[tuple[str, list[str]]]:

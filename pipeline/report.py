@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from stringcast.data.artifacts import Diagnosis
+from hydra.utils import get_object
+
 from stringcast.data.store import write_text
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.origin import PACKAGES, code, versions
-from stringcast.pipeline.run import Result
-from stringcast.stages.model.library import library
+from stringcast.pipeline.result import Result
 from stringcast.stages.report import Cast, Record, cast_record, report
-from stringcast.stages.report.alignment import AlignmentRecord, alignment_report
-from stringcast.stages.report.diagnosis import DiagnosisRecord, diagnosis_report
+from stringcast.stages.report.facts import Facts
+from stringcast.stages.spec import StageSpec
 
 
 def write(experiment: Experiment, result: Result) -> None:
-    """`report.html` in the run's folder."""
-    if result.diagnosis is not None:
-        write_text(result.folder / "report.html", diagnosis_report(_found(experiment, result.diagnosis)))
-        return
-    if result.alignment is not None:
-        facts = (experiment.config["name"], result.sentence, result.alignment, experiment.config, made_by(experiment))
-        write_text(result.folder / "report.html", alignment_report(AlignmentRecord(*facts)))
-        return
+    """`report.html` in the run's folder: the page of the stage that the run was for, or that of its casts."""
+    if result.stage is not None:
+        write_page(experiment, result.stage, result.answer, result.sentence, result.folder)
+    else:
+        write_text(result.folder / "report.html", report(casting(experiment, result)))
+
+
+def write_page(experiment: Experiment, stage: StageSpec, made: Any, sentence: str, folder: Path) -> None:
+    """The page of a stage. made: its artifact."""
+    name, config = experiment.config["name"], experiment.config
+    facts = Facts(name, sentence, made, experiment.model, config, made_by(experiment))
+    write_text(folder / "report.html", get_object(f"stringcast.{stage.page}")(facts))
+
+
+def casting(experiment: Experiment, result: Result) -> Record:
+    """What the page of casts is made from."""
     estimates = [i.done.get("estimate") for i in result.iterations]
-    record = Record(
+    return Record(
         experiment.config["name"],
         result.sentence,
         result.hit,
@@ -36,13 +45,6 @@ def write(experiment: Experiment, result: Result) -> None:
         tuple(e for e in estimates if e is not None),
         experiment.config,
         made_by(experiment),
-    )
-    write_text(result.folder / "report.html", report(record))
-
-
-def _found(experiment: Experiment, diagnosis: Diagnosis) -> DiagnosisRecord:
-    return DiagnosisRecord(
-        experiment.config["name"], diagnosis, experiment.model, library(), experiment.config, made_by(experiment)
     )
 
 
@@ -59,7 +61,7 @@ def _casts(experiment: Experiment, result: Result) -> list[Cast]:
         if iteration.verdict is None:
             return []
         done = iteration.done
-        made = (done["generate"], done["execute"], done["extract"], done.get("estimate"))
+        made = (done["motion"], done["trial"], done["points"], done.get("estimate"))
         casts.append(cast_record(experiment.model, iteration.observation, made, iteration.verdict, previous))
         previous = done.get("estimate", previous)
     return casts

@@ -18,19 +18,19 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data import dataset, disk, store
-from stringcast.data.artifacts import Diagnosis, Points, Trial
+from stringcast.data.artifacts import Points, Trial
 from stringcast.data.errors import remedy_for
 from stringcast.data.images import Fresh
 from stringcast.data.schema import DataError
 from stringcast.pipeline.console import Bar
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.inherited import EXTENDED, FROM_DATASETS
+from stringcast.pipeline.inherited import FROM_DATASETS
+from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
-from stringcast.pipeline.make import make
+from stringcast.pipeline.older import modern
 from stringcast.pipeline.origin import origin
-from stringcast.pipeline.run import Iteration, Result, in_numbers
+from stringcast.pipeline.result import Result, in_numbers
 from stringcast.pipeline.staleness import Found, look, made_now, performed, repeatable
-from stringcast.pipeline.steps import STEPS, Past
 
 log = logging.getLogger(__name__)
 
@@ -44,27 +44,27 @@ HOW_MANY = {  # no row depends on it
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The desk at which a run works. say: tells the user of a step that is made again."""
+    """Makes the steps of a run and keeps them in its folder. say: tells the user of a step that is made again."""
 
     experiment: Experiment
     folder: Path
     bar: Bar
     say: Callable[[str], object]
 
-    def step(self, name: str, past: Past) -> Any:
+    def obtain(self, step: Step) -> Any:
         """Read a step's artifact if it is there and fresh, else make and store it."""
-        found = look(self.experiment.config, self.folder, name, past)
+        found = look(self.experiment.config, self.folder, step)
         if found.artifact is not None and not found.reasons:
-            log.info("%s is there, and fresh", place_of(past.number, name))
+            log.info("%s is there, and fresh", step.place)
             return found.artifact
-        place = self.folder / place_of(past.number, name)
+        place = self.folder / step.place
         if not place.resolve().is_relative_to(self.folder.resolve()):
             raise DataError(f"{place}: it leads out of the run's folder by a link. Put the folder itself there.")
-        if place.is_dir() and self._stays(found, name, past.number):
+        if place.is_dir() and self._stays(found, step):
             return found.artifact
         disk.remove(self.folder / ENDED)
-        made = self._make(name, past, place)
-        stored: Any = store.load(STEPS[name].kind, place)
+        made = self._make(step, place)
+        stored: Any = store.load(step.stage.makes, place)
         return replace(stored, images=Fresh(stored.images, made.images)) if isinstance(made, Trial) else stored
 
     def publish(self, iterations: list[Iteration]) -> None:
@@ -74,25 +74,25 @@ class RunFolder:
         if not published(self.folder, made_of):
             publish(self.experiment, made_of, self.folder, iterations)
 
-    def _stays(self, found: Found, name: str, number: int) -> bool:
+    def _stays(self, found: Found, step: Step) -> bool:
         """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
-        stays = performed(self.experiment.config, self.folder, name, number)
+        stays = performed(self.experiment.config, self.folder, step)
         if stays and found.artifact is None:
             raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
         kept = "The arm has moved by it: it stays." if stays else "It is made again."
-        words = f"{place_of(number, name)} is stale: {'; '.join(found.reasons)}. {kept}"
+        words = f"{step.place} is stale: {'; '.join(found.reasons)}. {kept}"
         log.warning(words)
         self.say(words)
         return stays
 
-    def _make(self, name: str, past: Past, place: Path) -> Any:
+    def _make(self, step: Step, place: Path) -> Any:
         """Make and store a step, and return it; its footers also say when, and how long it took."""
-        with self.bar(f"{past.number}. {name}") as progress:
+        with self.bar(f"{step.number}. {step.stage.name}") as progress:
             at, begun = datetime.now(UTC), time.monotonic()
-            made = make(name, self.experiment, past, progress)
+            made = self.experiment.run(step, progress)
             took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
-            store.save(made, place, made_now(self.experiment.config, self.folder, name, past) | took)
-            log.info("%s made in %.1f s", place_of(past.number, name), took["made"]["seconds"])
+            store.save(made, place, made_now(self.experiment.config, self.folder, step) | took)
+            log.info("%s made in %.1f s", step.place, took["made"]["seconds"])
             return made
 
 
@@ -131,7 +131,11 @@ def begin(experiment: Experiment, folder: Path) -> None:
     path = folder / "config.json"
     text = json.dumps(experiment.config, indent=2, sort_keys=True)
     before = path.read_text(encoding="utf-8") if path.exists() else None
-    if before is not None and before != text and _rows_alike(dataset.settings(path)) != _rows_alike(json.loads(text)):
+    if (
+        before is not None
+        and before != text
+        and _rows_alike(modern(dataset.settings(path))) != _rows_alike(json.loads(text))
+    ):
         raise DataError(
             f"{folder}: this folder holds a run with other settings (see config.json). "
             "Leave hydra.run.dir to its default, or repeat the settings of that run."
@@ -139,6 +143,11 @@ def begin(experiment: Experiment, folder: Path) -> None:
     if before != text:
         store.write_text(path, text)
     disk.remove(folder / FAILED)
+
+
+def _same_run(before: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
+    """Whether two settings are of one run, maybe written by another version, or asked for more rows of a study."""
+    return _rows_alike(modern(before)) == _rows_alike(now)
 
 
 def _rows_alike(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -151,32 +160,22 @@ def _rows_alike(config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def end(result: Result) -> None:
-    """Write what a diagnosis or an alignment found, and last run.json: the run in a few numbers."""
-    if result.diagnosis is not None:
-        store.write_text(result.folder / "diagnosis.json", json.dumps(_found(result.diagnosis, result), indent=2))
-        store.write_text(result.folder / EXTENDED, str(result.diagnosis.finding["extended"].iloc[0]))
-    if result.alignment is not None:
-        store.write_text(result.folder / EXTENDED, result.alignment.extended)
+    """Write what the stage leaves that the run was for, and last run.json: the run in a few numbers."""
+    if result.stage is not None:
+        ahead = place_of(result.iterations[-1].number + 1)
+        for name, text in result.stage.files(result.answer, ahead).items():
+            store.write_text(result.folder / name, text)
     store.write_text(result.folder / ENDED, json.dumps(in_numbers(result), indent=2))
 
 
 def without_frames(experiment: Experiment, result: Result) -> None:
     """Remove the frames of a run that has ended; all that was read in them stays. A real camera's are kept: nobody can
     film them again."""
-    if not repeatable(experiment.config, "execute"):
+    if not repeatable(experiment.config, "trial"):
         return
-    for made in (result.folder / place_of(i.number, "execute") for i in result.iterations if "execute" in i.done):
+    for made in (result.folder / place_of(i.number, "trial") for i in result.iterations if "trial" in i.done):
         for inside in (path for path in made.iterdir() if path.is_dir()):
             disk.remove(inside)
-
-
-def _found(diagnosis: Diagnosis, result: Result) -> dict[str, Any]:
-    """diagnosis.json, which also says where the motion lies that is to be performed next."""
-    found: dict[str, Any] = json.loads(diagnosis.finding["diagnosis"].iloc[0])
-    if found["next_experiment"] is not None:
-        place = place_of(result.iterations[-1].number + 1, "propose") if diagnosis.motion else None
-        found["next_experiment"]["motion"] = place and place.as_posix()
-    return found
 
 
 @contextmanager
@@ -199,7 +198,7 @@ def forget(folder: Path) -> None:
 
 def publish(experiment: Experiment, made_of: Mapping[str, str], to: Path, iterations: list[Iteration]) -> None:
     """Write the trials of a run as a dataset to a folder. made_of: `trial_hashes`."""
-    trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["execute"], i.done["extract"]) for i in iterations}
+    trials: dict[str, tuple[Trial, Points]] = {i.name: (i.done["trial"], i.done["points"]) for i in iterations}
     camera = {k: experiment.config["camera"][k] for k in FROM_DATASETS["camera"] if k in experiment.config["camera"]}
     about = {
         "name": experiment.config["name"],
@@ -209,7 +208,7 @@ def publish(experiment: Experiment, made_of: Mapping[str, str], to: Path, iterat
     }
     refused = {i.name: {"invalid": i.refused} for i in iterations if i.refused}
     about |= {"trials": refused} if refused else {}
-    places = {i.name: place_of(i.number, "execute") for i in iterations}
+    places = {i.name: place_of(i.number, "trial") for i in iterations}
     dataset.publish(to, trials, places, about, origin(experiment.config, "dataset", experiment.seed, made_of))
 
 
@@ -224,5 +223,5 @@ def published(folder: Path, made_of: Mapping[str, str]) -> bool:
 
 def trial_hashes(folder: Path, iterations: list[Iteration]) -> dict[str, str]:
     """Content hashes of what a dataset is made of, by path."""
-    made_of = [place_of(i.number, step) for i in iterations for step in ("execute", "extract")]
+    made_of = [place_of(i.number, artifact) for i in iterations for artifact in ("trial", "points")]
     return {place.as_posix(): store.content_hash(folder / place) for place in made_of}

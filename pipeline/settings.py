@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
 from stringcast.data.errors import ExpectedError
-from stringcast.pipeline.targets import MOVED, ROLES
+from stringcast.pipeline.targets import MOVED, roles
 
 Built = TypeVar("Built")
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -125,7 +125,7 @@ def loaded(target: Any, place: str, where: str) -> Any:
 def allowed(target: Any, place: str, where: str) -> str:
     """The name of what fills a role, as it is called now. place: of the setting, whose last name is the role, such as
     `string.integrator`; where: the file it comes from. Raises UserError for a name that the role does not list."""
-    known = ROLES.get(place.rpartition(".")[2], ())
+    known = roles().get(place.rpartition(".")[2], ())
     target = MOVED.get(str(target), target)
     if target not in known:
         choices = f"Choose {' or '.join(known)}" if known else "Remove it: no code is chosen here"
@@ -135,6 +135,8 @@ def allowed(target: Any, place: str, where: str) -> str:
 
 def chosen(block: Mapping[str, Any], place: str, where: str) -> Any:
     """The object of a class that a block names, one of several that fill the same role."""
+    if not isinstance(block, Mapping) or "_target_" not in block:
+        raise UserError(f"{place} = {block!r} ({where}): it must hold `_target_` and its settings. Choose {place}=...")
     kind = loaded(block["_target_"], place, where)
     return build(kind, {name: value for name, value in block.items() if name != "_target_"}, place, where)
 

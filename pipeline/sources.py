@@ -12,15 +12,17 @@ from typing import Any
 from stringcast.pipeline.origin import CODE, ROOT
 from stringcast.pipeline.settings import allowed
 from stringcast.stages.model.library import files, kind_of
+from stringcast.stages.spec import StageSpec
 
-GLUE = ("pipeline/steps.py", "pipeline/make.py", "pipeline/experiment.py")  # they hand every stage what it is given
+GLUE = ("pipeline/iterations.py", "pipeline/experiment.py", "stages/spec.py")  # they hand every stage what it is given
 LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect without naming any
 MODEL = "stages/model/model.py"
 
 
-def sources(settings: Mapping[str, Any]) -> dict[str, str]:
-    """Hashes of the files behind a step, by path. settings: those that the step uses."""
-    roots = {home(allowed(target, role, "config.json")) for role, target in targets(settings)}
+def sources(settings: Mapping[str, Any], stage: StageSpec) -> dict[str, str]:
+    """Hashes of the files behind a step, by path. settings: those that it uses."""
+    named = [allowed(target, role, "config.json") for role, target in targets(settings)]
+    roots = {home(name) for name in (*named, stage.run)}
     roots |= {ROOT / MODEL} if "string" in settings else set()
     effects = files()
     roots |= {effects[kind_of(name)[0]] for name in settings.get("effects", [])}
@@ -53,7 +55,7 @@ def closure(roots: Iterable[Path]) -> set[Path]:
         file = ahead.pop()
         if file not in found:
             found.add(file)
-            ahead += _imported(file)
+            ahead += () if _short(file) in GLUE else _imported(file)
     return found
 
 

@@ -14,11 +14,12 @@ from typing import Any
 
 from stringcast.data import store
 from stringcast.data.schema import DataError
+from stringcast.pipeline.iterations import Step
 from stringcast.pipeline.layout import place_of
 from stringcast.pipeline.origin import origin
+from stringcast.pipeline.registry import stages
 from stringcast.pipeline.settings import UserError, leaves
 from stringcast.pipeline.sources import sources
-from stringcast.pipeline.steps import STEPS, Past, step_seed
 
 LAB = "hardware.virtual."  # what it does can be done again, to the bit
 
@@ -32,28 +33,28 @@ class Found:
     reasons: tuple[str, ...] = ()
 
 
-def look(config: Mapping[str, Any], folder: Path, name: str, past: Past) -> Found:
+def look(config: Mapping[str, Any], folder: Path, step: Step) -> Found:
     """A step's artifact in a run's folder, and what has changed since it was made. config: the run's settings."""
-    place = folder / place_of(past.number, name)
+    place = folder / step.place
     if not place.is_dir():
         return Found(None, ("it has not been made yet",))
     try:
-        artifact: Any = store.load(STEPS[name].kind, place)
+        artifact: Any = store.load(step.stage.makes, place)
         made = [store.origin_of(file) for file in sorted(place.glob("*.parquet"))]
     except DataError as error:
         return Found(None, (str(error),))
-    return Found(artifact, tuple(changes(made[0], made_now(config, folder, name, past), STEPS[name].uses)))
+    return Found(artifact, tuple(changes(made[0], made_now(config, folder, step), step.stage.uses)))
 
 
 def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[str, ...]:
     """Why a stored step would be made again, by its files and the run's settings alone: no model is built of these."""
     try:
         made = store.origin_of(sorted(place.glob("*.parquet"))[0])
-        step = STEPS[made["step"]]
-        store.load(step.kind, place)
-        config = {key: settings[key] for key in step.uses}
+        stage = stages()[made["step"]]
+        store.load(stage.makes, place)
+        config = {key: settings[key] for key in stage.uses}
         now = origin(config, made["step"], made["seed"], _there(folder, made["inputs"], settings["trials"]))
-        return tuple(changes(made, now | {"sources": sources(config)}, step.uses))
+        return tuple(changes(made, now | {"sources": sources(config, stage)}, stage.uses))
     except KeyError as error:
         return (f"it or the settings lack {error}: another version of this code made the run",)
     except (DataError, UserError, *store.UNREADABLE) as error:
@@ -68,11 +69,11 @@ def _there(folder: Path, paths: Mapping[str, str], trials: str | None) -> dict[s
     return {path: store.content_hash(place) for path, place in known.items() if place.is_dir() or place.is_file()}
 
 
-def made_now(config: Mapping[str, Any], folder: Path, name: str, past: Past) -> dict[str, Any]:
+def made_now(config: Mapping[str, Any], folder: Path, step: Step) -> dict[str, Any]:
     """The origin that a step would have if it were made now."""
-    used = {key: config[key] for key in STEPS[name].uses}
-    seed = step_seed(int(config["seed"]), past.number, name)
-    return origin(config, name, seed, inputs(folder, name, past)) | {"sources": sources(used)}
+    used = {key: config[key] for key in step.stage.uses}
+    made = origin(config, step.stage.name, step.seed(int(config["seed"])), inputs(folder, step))
+    return made | {"sources": sources(used, step.stage)}
 
 
 def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]) -> list[str]:
@@ -102,24 +103,18 @@ def _differing(what: str, a: Mapping[str, str], b: Mapping[str, str], words: str
         yield f"{what} {name} {'is new' if one == 'absent' else 'is gone' if other == 'absent' else words}"
 
 
-def inputs(folder: Path, name: str, past: Past) -> dict[str, str]:
+def inputs(folder: Path, step: Step) -> dict[str, str]:
     """Content hashes of all that a step looks at, by path: in the run's folder, and of what was stored elsewhere."""
-    step = STEPS[name]
-    places = [place_of(past.number - 1, other) for other in step.last]
-    places += [place_of(past.number, other) for other in step.this]
-    if step.observes:
-        seen = range(past.number - len(past.observations) + 1, past.number + 1)
-        places += [place_of(number, other) for number in seen for other in ("execute", "extract")]
-    there = [place for place in places if (folder / place).is_dir()]
-    return {place.as_posix(): store.content_hash(folder / place) for place in there} | dict(past.hashes)
+    there = [place for place in step.places if (folder / place).is_dir()]
+    return {place.as_posix(): store.content_hash(folder / place) for place in there} | dict(step.hashes)
 
 
-def repeatable(config: Mapping[str, Any], name: str) -> bool:
-    """Whether a step can be made again: all but what a real arm and camera did."""
-    return name != "execute" or str(config["hardware"]["_target_"]).startswith(LAB)
+def repeatable(config: Mapping[str, Any], artifact: str) -> bool:
+    """Whether an artifact can be made again: all but what a real arm and camera did."""
+    return artifact != "trial" or str(config["hardware"]["_target_"]).startswith(LAB)
 
 
-def performed(config: Mapping[str, Any], folder: Path, name: str, number: int) -> bool:
+def performed(config: Mapping[str, Any], folder: Path, step: Step) -> bool:
     """Whether a real arm has moved by what this step made: then it stays, for what was measured hangs on it."""
-    nearest = number if name in ("generate", "excite", "propose", "execute") else number + 1
-    return not repeatable(config, "execute") and (folder / place_of(nearest, "execute")).is_dir()
+    nearest = step.number if step.stage.folder in ("motion", "trial") else step.number + 1
+    return not repeatable(config, "trial") and (folder / place_of(nearest, "trial")).is_dir()

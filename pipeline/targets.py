@@ -1,31 +1,32 @@
 """What a setting `_target_` may name, role by role.
 
 Settings come from other people's folders too (`trials=`, `extended=`, `calibrated=`, `resume`, `index` ...), so a name
-is looked up here before anything is imported. Names are those within the package `stringcast`. An arm, a camera or an
-estimator of your own needs its line here.
+is looked up here before anything is imported. Names are those within the package `stringcast`. An arm, a camera or a
+mode of your own needs its line here; what may fill a stage's role, the stage says itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from functools import cache
+
+from stringcast.pipeline.registry import stages
 
 SOURCES = ("hardware.camera.Device", "hardware.camera.ImageFolder", "hardware.camera.VideoFile")
 REHEARSALS = ("stages.execute.dry_run.dry", "stages.execute.dry_run.slow")
 VIRTUAL = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")  # nothing real moves by these
-ROLES: Mapping[str, tuple[str, ...]] = {
-    "generate": ("stages.generate.generate", "stages.generate.robust.generate"),
-    "excite": ("stages.align.excitation.excite.excite",),
-    "execute": ("stages.execute.execute.execute", *REHEARSALS),
-    "extract": ("stages.extract.extract",),
-    "estimate": (
-        "stages.estimate.random_search.estimate",
-        "stages.estimate.cma_es.estimate",
-        "stages.estimate.least_squares.estimate",
+SHELL: Mapping[str, tuple[str, ...]] = {
+    "mode": (
+        "pipeline.modes.Cast",
+        "pipeline.modes.Estimate",
+        "pipeline.modes.Batch",
+        "pipeline.modes.Diagnose",
+        "pipeline.modes.Calibrate",
+        "pipeline.study.command.BlindStudy",
+        "pipeline.extraction_study.command.ExtractionStudy",
+        "pipeline.hitting.study.HitStudy",
+        "pipeline.measured.study.MeasuredStudy",
     ),
-    "align": ("stages.align.align",),
-    "diagnose": ("stages.diagnose.diagnose.diagnose",),
-    "calibrate": ("stages.calibrate.calibrate",),
     "hardware": (*VIRTUAL, "hardware.serial.lab.open_lab", "hardware.dynamixel.lab.open_lab"),
     "source": SOURCES,  # of pictures
     "plane": SOURCES,
@@ -45,13 +46,18 @@ ROLES: Mapping[str, tuple[str, ...]] = {
 }
 
 MOVED = {  # what settings of stored runs still call by an old name
+    "stages.align.align": "stages.align.align.align",
+    "stages.calibrate.calibrate": "stages.calibrate.calibrate.calibrate",
     "stages.excite.excite": "stages.align.excitation.excite.excite",
     "stages.execute.execute": "stages.execute.execute.execute",
+    "stages.extract.extract": "stages.extract.extract.extract",
+    "stages.generate.generate": "stages.generate.generate.generate",
     "stages.rehearse.dry": "stages.execute.dry_run.dry",
     "stages.rehearse.slow": "stages.execute.dry_run.slow",
 }
 
 
-def moves_a_real_arm(config: Mapping[str, Any]) -> bool:
-    """Whether a run with these settings moves something that can break."""
-    return "execute" in config["steps"] and config["hardware"].get("_target_") not in VIRTUAL
+@cache
+def roles() -> dict[str, tuple[str, ...]]:
+    """What may fill each role, by the name of the settings that choose it."""
+    return {**SHELL, **{stage.name: stage.by for stage in stages().values()}}

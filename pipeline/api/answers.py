@@ -21,8 +21,8 @@ from stringcast.known import KnownString, prepared
 from stringcast.measured import Trials
 from stringcast.pipeline.console import bars
 from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.modes.stored import held_out
 from stringcast.pipeline.report import made_by
-from stringcast.pipeline.run import held_out
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.check import refuse
 from stringcast.stages.check.measured import Measured
@@ -166,7 +166,7 @@ def _ready(
     trials: Trials, settings: tuple[str, ...], string: KnownString | None = None
 ) -> tuple[Experiment, dataset.Dataset]:
     """All that is asked with, and the trials that fit this string."""
-    here = prepared(settings, string, trials=str(trials.folder), steps=["diagnose"])
+    here = prepared(("mode=diagnose", *settings), string, trials=str(trials.folder))
     refuse(Measured(trials.data, here.arm, here.camera, here.string.length))
     return here, dataset.fits(trials.data, here.string.length)
 

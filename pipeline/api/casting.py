@@ -13,8 +13,8 @@ from stringcast.answers import progress_bar
 from stringcast.data.artifacts import JOINTS, Motion
 from stringcast.data.schema import DataError
 from stringcast.known import KnownString, prepared
-from stringcast.pipeline.perform import perform
-from stringcast.pipeline.run import Result
+from stringcast.pipeline.result import Result
+from stringcast.pipeline.run import perform
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.model.hand import joint_motion
 

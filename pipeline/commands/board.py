@@ -8,7 +8,7 @@ from pathlib import Path
 
 from stringcast.pipeline.settings import build, composed
 from stringcast.pipeline.terminal import Terminal
-from stringcast.stages.calibrate import Board
+from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.sheet import sheet
 
 

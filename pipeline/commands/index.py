@@ -98,7 +98,8 @@ def printed(runs: pd.DataFrame) -> Printed:
 def _runs(folder: Path) -> Iterator[Path]:
     """Folders with a config.json of ours."""
     for path in folder.rglob("config.json"):
-        if path.is_file() and '"steps"' in path.read_text(encoding="utf-8", errors="replace"):
+        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        if '"mode"' in text or '"steps"' in text:  # which older versions had instead
             yield path.parent
 
 

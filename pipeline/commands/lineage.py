@@ -11,9 +11,9 @@ from rich.tree import Tree
 
 from stringcast.data import store
 from stringcast.pipeline.commands.stored import run_of
+from stringcast.pipeline.registry import stages
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.staleness import leaves
-from stringcast.pipeline.steps import STEPS
 from stringcast.pipeline.terminal import Terminal
 
 
@@ -68,7 +68,7 @@ def _words(made: dict[str, Any]) -> list[str]:
     """Step, seed, its own settings, code and packages, a line each."""
     step = made["step"]
     own = leaves({key: made["config"][key] for key in (step, "seed") if key in made["config"]})
-    others = [name for name in STEPS[step].uses if name not in (step, "seed")] if step in STEPS else []
+    others = [name for name in stages()[step].uses if name not in (step, "seed")] if step in stages() else []
     when = f", {made['made']['at']}, {made['made']['seconds']:.1f} s" if "made" in made else ""
     return [
         f"made by {step}, seed {made['seed']}{when}",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from stringcast.pipeline.commands.stored import stored_experiment
 from stringcast.pipeline.inherited import refuse_inherited_limits
-from stringcast.pipeline.perform import perform
+from stringcast.pipeline.run import perform
 from stringcast.pipeline.settings import composed
 from stringcast.pipeline.terminal import Terminal
 

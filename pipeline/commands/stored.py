@@ -1,4 +1,4 @@
-"""What commands share: the world of a stored run, and a run's steps walked through without making any."""
+"""What commands share: the experiment of a stored run, and its steps walked through without making any."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data import dataset
-from stringcast.pipeline.experiment import MEASURED, STUDIES, Experiment, prepare
-from stringcast.pipeline.run import Iteration, Result, work
+from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.iterations import Iteration, Step
+from stringcast.pipeline.modes.stepwise import Stepwise
+from stringcast.pipeline.older import modern
+from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.steps import Past
+from stringcast.pipeline.terminal import Terminal
 
 
 class NotMadeError(Exception):
@@ -20,26 +23,27 @@ class NotMadeError(Exception):
 
 @dataclass(frozen=True)
 class Reader:
-    """The desk at which nothing is made: every step is handed to `ask`, which returns its stored artifact."""
+    """The executor that makes nothing: every step is handed to `ask`, which returns its stored artifact."""
 
-    ask: Callable[[str, Past], Any]
+    ask: Callable[[Step], Any]
 
-    def step(self, name: str, past: Past) -> Any:
+    def obtain(self, step: Step) -> Any:
         """A stored artifact."""
-        return self.ask(name, past)
+        return self.ask(step)
 
     def publish(self, iterations: list[Iteration]) -> None:
         """Nothing is written."""
 
 
-def walk(here: Experiment, folder: Path, ask: Callable[[str, Past], Any]) -> Result | None:
+def walk(here: Experiment, folder: Path, ask: Callable[[Step], Any]) -> Result | None:
     """Ask for every step of a run in its order; None where `ask` raises NotMadeError before the end."""
-    if here.config["steps"] in (*STUDIES, MEASURED):
+    if not isinstance(here.mode, Stepwise):
         raise UserError(
-            f"{folder}: a study has no steps of its own. Name that of a cast, an estimation or a diagnosis."
+            f"{folder}: this run, of a study or a calibration, has no steps of its own. Name that of a cast, an "
+            "estimation or a diagnosis."
         )
     try:
-        return work(here, folder, Reader(ask))
+        return here.mode.work(here, folder, Reader(ask))
     except NotMadeError:
         return None
 
@@ -49,8 +53,13 @@ def stored_experiment(folder: Path) -> Experiment:
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
+    written = dataset.settings(path)
+    settings = modern(written)
+    if settings != written:
+        words = f"{path}: steps = {written['steps']} is read as mode = {settings['mode']}, as it is called now."
+        Terminal(stderr=True).print(words, soft_wrap=True, markup=False)
     try:
-        return prepare(dataset.settings(path), lambda block: str(path))
+        return prepare(settings, lambda block: str(path))
     except KeyError as error:
         raise UserError(f"{path}: it lacks the setting {error}: another version of this code made the run.") from error
 

@@ -18,11 +18,10 @@ from stringcast.pipeline.commands.stored import NotMadeError, stored_experiment,
 from stringcast.pipeline.compare import differences, differing_files
 from stringcast.pipeline.console import bars
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.layout import ENDED, place_of
-from stringcast.pipeline.make import make
-from stringcast.pipeline.run import Result, in_numbers
+from stringcast.pipeline.iterations import Step
+from stringcast.pipeline.layout import ENDED
+from stringcast.pipeline.result import Result, in_numbers
 from stringcast.pipeline.staleness import look, repeatable
-from stringcast.pipeline.steps import Past
 from stringcast.pipeline.terminal import Terminal
 
 
@@ -56,21 +55,19 @@ def verify(here: Experiment, folder: Path, aside: Path, bar: Callable[[str], Abs
     """Every step, then what the run wrote from them. aside: an empty folder to compute in."""
     outcome = Outcome()
 
-    def ask(name: str, past: Past) -> Any:
-        place = place_of(past.number, name)
-        found = look(here.config, folder, name, past)
+    def ask(step: Step) -> Any:
+        found = look(here.config, folder, step)
         if found.artifact is None:
-            outcome.note(place.as_posix(), list(found.reasons))
+            outcome.note(step.place.as_posix(), list(found.reasons))
             raise NotMadeError
-        if not repeatable(here.config, name):
-            outcome.note(place.as_posix(), [], "measured with a real arm and camera, cannot be computed again")
+        if not repeatable(here.config, step.stage.folder):
+            outcome.note(step.place.as_posix(), [], "measured with a real arm and camera, cannot be computed again")
             return found.artifact
-        with bar(f"{past.number}. {name}") as progress:
-            made = make(name, here, past, progress)
-            store.save(made, aside / place, {})
-        faults = _lines(differing_files(folder / place, aside / place))
+        with bar(f"{step.number}. {step.stage.name}") as progress:
+            store.save(here.run(step, progress), aside / step.place, {})
+        faults = _lines(differing_files(folder / step.place, aside / step.place))
         since = [f"since it was made: {reason}" for reason in found.reasons] if faults else []
-        outcome.note(place.as_posix(), [*faults, *since])
+        outcome.note(step.place.as_posix(), [*faults, *since])
         return found.artifact
 
     result = walk(here, folder, ask)

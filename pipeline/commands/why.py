@@ -10,10 +10,10 @@ from typing import Any
 from stringcast.data.errors import printable
 from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_experiment, walk
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.layout import FOLDERS, place_of
+from stringcast.pipeline.iterations import Step
+from stringcast.pipeline.registry import stages
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.staleness import inputs, look, performed
-from stringcast.pipeline.steps import Past
 
 
 def main(arguments: list[str]) -> int:
@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
     asked = place.resolve().relative_to(folder.resolve()).as_posix()
     states = [state for state in states_of(stored_experiment(folder), folder) if asked in (".", state.place)]
     if not states:
-        known = ", ".join(FOLDERS.values())
+        known = ", ".join(sorted({stage.folder for stage in stages().values()}))
         raise UserError(f"{place}: the run has no such step. Name a folder iterations/<number>/<one of {known}>.")
     for state in states:
         print(printable("\n    ".join((f"{state.place}: {state.words}", *state.reasons))))
@@ -53,14 +53,14 @@ def states_of(here: Experiment, folder: Path) -> list[State]:
     """Of all steps of a run, in their order, up to the first that is missing."""
     states: dict[str, State] = {}
 
-    def ask(name: str, past: Past) -> Any:
-        place = place_of(past.number, name).as_posix()
-        found = look(here.config, folder, name, past)
-        above = [states[other] for other in inputs(folder, name, past) if other in states]
+    def ask(step: Step) -> Any:
+        place = step.place.as_posix()
+        found = look(here.config, folder, step)
+        above = [states[other] for other in inputs(folder, step) if other in states]
         doubt = [
             f"{state.place}, an input, is to be made again" for state in above if state.reasons and not state.stays
         ]
-        stays = performed(here.config, folder, name, past.number)
+        stays = performed(here.config, folder, step)
         states[place] = State(place, (*found.reasons, *doubt), (folder / place).is_dir(), stays)
         if found.artifact is None:
             raise NotMadeError

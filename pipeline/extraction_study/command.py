@@ -17,6 +17,7 @@ from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.extraction_study.films import Cell, Take, read, take
 from stringcast.pipeline.extraction_study.pictures import overview
 from stringcast.pipeline.extraction_study.scores import FRAMES, SHARES, compared, shares
+from stringcast.pipeline.modes.study import Study
 from stringcast.pipeline.origin import origin
 from stringcast.pipeline.settings import build
 from stringcast.stages.common import Progress
@@ -25,7 +26,7 @@ WHERE = "conf/experiment/extraction_study.yaml"
 
 
 @dataclass(frozen=True)
-class ExtractionStudy:
+class Asked:
     """casts: of each string, from the run's seed. frames: of each cast. strings: specimens by name."""
 
     casts: Annotated[int, Field(ge=1)]
@@ -33,9 +34,18 @@ class ExtractionStudy:
     strings: Mapping[str, Any]
 
 
-def run(here: Experiment, folder: Path, progress: Progress) -> str:
-    """Film, read and score; what came out, in a sentence. What is in `folder` already is not made again."""
-    asked = build(ExtractionStudy, here.config["extraction_study"], "extraction_study", WHERE)
+@dataclass(frozen=True)
+class ExtractionStudy(Study):
+    """Casts rendered under every condition, read, and compared with what was really so."""
+
+    def run(self, experiment: Experiment, folder: Path, progress: Progress) -> str:
+        """As of `Study`. What is in `folder` already is not made again."""
+        return scored(experiment, folder, progress)
+
+
+def scored(here: Experiment, folder: Path, progress: Progress) -> str:
+    """Film, read and score; what came out, in a sentence."""
+    asked = build(Asked, here.config["extraction_study"], "extraction_study", WHERE)
     takes = [one for name, block in asked.strings.items() for one in _takes(here, asked, name, block)]
     tables = []
     for number, cell in enumerate(cells()):
@@ -64,7 +74,7 @@ def sentence(frames: pd.DataFrame) -> str:
     return f"{len(frames)} frames: {read:.1%} read, {wrong:.2%} wrong, {1 - read:.1%} refused with the reason."
 
 
-def _takes(here: Experiment, asked: ExtractionStudy, name: str, block: Mapping[str, Any]) -> list[Take]:
+def _takes(here: Experiment, asked: Asked, name: str, block: Mapping[str, Any]) -> list[Take]:
     """The casts of one string."""
     specimen = build(Specimen, block, f"extraction_study.strings.{name}", WHERE)
     seeds = range(here.seed, here.seed + asked.casts)

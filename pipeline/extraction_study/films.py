@@ -12,7 +12,7 @@ from stringcast.data.artifacts import JOINTS, Film, Points
 from stringcast.hardware.virtual import Bench, Specimen
 from stringcast.hardware.virtual.blind.casts import random_cast
 from stringcast.hardware.virtual.conditions import Condition, Shot, film, shot_of, staged
-from stringcast.stages.extract import Footage, footage_of
+from stringcast.stages.extract.footage import Footage, footage_of
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 

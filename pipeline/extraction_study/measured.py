@@ -21,7 +21,8 @@ from stringcast.data.images import ImageFiles, Video
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.extraction_study.scores import why
 from stringcast.pipeline.origin import origin
-from stringcast.stages.extract import Footage, extract
+from stringcast.stages.extract.extract import extract
+from stringcast.stages.extract.footage import Footage
 from stringcast.stages.model.camera import Camera
 
 PX_PER_M = 2350.0  # of the strips' camera, as assumed by who measured them

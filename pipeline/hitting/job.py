@@ -11,9 +11,10 @@ import pandas as pd
 
 from stringcast.hardware.virtual.bench import Bench
 from stringcast.pipeline.experiment import Experiment, prepare
-from stringcast.pipeline.hitting.desk import PointExecutor
+from stringcast.pipeline.hitting.executor import PointExecutor
 from stringcast.pipeline.hitting.lessons import estimated, lessons, model_found
-from stringcast.pipeline.run import Iteration, cast
+from stringcast.pipeline.iterations import Iteration
+from stringcast.pipeline.modes import Cast
 from stringcast.stages.generate.curves import Curves, first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.hand import JointMotion
@@ -32,7 +33,8 @@ def settings(config: Config, case: Config, method: Config, seed: int, casts: int
         own[block] = _changed(own[block], differs)
     bench = {"specimen": own["specimen"], "obstacles": {**own["hardware"]["obstacles"], **own["obstacles"]}}
     own["hardware"] = {**own["hardware"], **bench}
-    return own | {"seed": seed, "manipulations": casts, "steps": ["generate", "execute", "extract", "estimate"]}
+    cast = {"_target_": "pipeline.modes.Cast", "stages": ["generate", "execute", "extract", "estimate"]}
+    return own | {"seed": seed, "manipulations": casts, "mode": cast}
 
 
 def _changed(block: Any, differs: Any) -> Any:
@@ -57,14 +59,15 @@ def casts_of(config: Config, case: Config, method: Config, seed: int) -> list[di
             found = model_found(prepare({**plain, "diagnose": method["diagnose"]}, named), taught)
             own |= {block: _changed(own[block], value) for block, value in found.items()}
         here = prepare(own, named)
-        desk = PointExecutor(here, noise)
+        executor = PointExecutor(here, noise)
         if taught:
-            estimated(desk, taught)
-        made = cast(here, Path(), desk, taught).iterations[count:]
+            estimated(executor, taught)
+        assert isinstance(here.mode, Cast)
+        made = here.mode.work(here, Path(), executor, taught).iterations[count:]
     except MotionNotFoundError as error:
         return [{"cast": 1, "hit": False, "reason": str(error)}]  # the run counts as one that never hits
-    truth = References(here, next(iter(desk.benches.values())))
-    return [_row(i, i.number - count, desk, truth) for i in made]
+    truth = References(here, next(iter(executor.benches.values())))
+    return [_row(i, i.number - count, executor, truth) for i in made]
 
 
 def named(block: str) -> str:
@@ -72,20 +75,20 @@ def named(block: str) -> str:
     return f"conf/{block}"
 
 
-def _row(iteration: Iteration, number: int, desk: PointExecutor, truth: References) -> dict[str, Any]:
+def _row(iteration: Iteration, number: int, executor: PointExecutor, truth: References) -> dict[str, Any]:
     assert iteration.verdict is not None
-    plan, estimate = iteration.done["generate"].outcome.iloc[0], iteration.done["estimate"]
-    real = desk.real(iteration.number, float(plan["duration"]))
+    plan, estimate = iteration.done["motion"].outcome.iloc[0], iteration.done["estimate"]
+    real = executor.real(iteration.number, float(plan["duration"]))
     row = {
         "cast": number,
         "hit": real.hit,
         "believed": iteration.hit,
         "distance": real.distance,
         "chance": float(plan.get("chance", np.nan)),
-        "planning": desk.seconds[iteration.number],
+        "planning": executor.seconds[iteration.number],
         "residual": float(estimate.fit["rms_after"].iloc[0]),
         "foretelling": truth.off(estimate.values()),
-        "effects": " ".join(desk.experiment.config["effects"]),
+        "effects": " ".join(executor.experiment.config["effects"]),
     }
     return {name: None if pd.isna(value) else value for name, value in row.items()}  # JSON has no NaN
 

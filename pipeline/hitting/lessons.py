@@ -2,41 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import yaml
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.hitting.desk import PointExecutor
-from stringcast.pipeline.run import Iteration
-from stringcast.pipeline.steps import Past
+from stringcast.pipeline.hitting.executor import PointExecutor
+from stringcast.pipeline.iterations import History, Iteration
 
 PERFORMED = ("generate", "execute", "extract")
 
 
-def lessons(desk: PointExecutor, count: int) -> list[Iteration]:
+def lessons(executor: PointExecutor, count: int) -> list[Iteration]:
     """First casts, each as if nothing were known of the string; what is cast after them is no change of theirs."""
-    casts = [Iteration(number, {}) for number in range(1, count + 1)]
-    for current in casts:
+    history = History(executor)
+    for _ in range(count):
+        current = history.begin()
         for name in PERFORMED:
-            current.done[name] = desk.step(name, Past(current.number, current.done, None, None, ()))
-        del current.done["generate"]
-    return casts
+            history.make(name)
+        del current.done["motion"]
+    return history.iterations
 
 
-def estimated(desk: PointExecutor, casts: list[Iteration]) -> None:
-    """What the desk's method makes of all lessons is known after the last."""
-    last = casts[-1]
-    last.done["estimate"] = desk.step("estimate", _seen(casts))
+def estimated(executor: PointExecutor, casts: list[Iteration]) -> None:
+    """What the executor's method makes of all lessons is known after the last."""
+    History(executor, casts).make("estimate", trials=_seen(casts))
 
 
 def model_found(here: Experiment, casts: list[Iteration]) -> dict[str, Any]:
     """Settings of the model that a diagnosis of the lessons makes: what `extended=<its folder>` brings along."""
-    made: Diagnosis = PointExecutor(here, noise=0.0).step("diagnose", _seen(casts))
+    taught = [*casts[:-1], replace(casts[-1], done=dict(casts[-1].done))]
+    made: Diagnosis = History(PointExecutor(here, noise=0.0), taught).make("diagnose", trials=_seen(casts))
     said: dict[str, Any] = yaml.safe_load(made.finding["extended"].iloc[0])
     return said
 
 
-def _seen(casts: list[Iteration]) -> Past:
-    return Past(casts[-1].number, casts[-1].done, None, None, tuple(cast.observation for cast in casts))
+def _seen(casts: list[Iteration]) -> TrialSet:
+    return TrialSet(tuple(cast.observation for cast in casts))

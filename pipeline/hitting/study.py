@@ -17,6 +17,7 @@ from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.hitting.job import casts_of
 from stringcast.pipeline.hitting.pictures import picture
 from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
+from stringcast.pipeline.modes.study import Study
 from stringcast.pipeline.origin import origin, state
 from stringcast.pipeline.settings import build
 from stringcast.pipeline.study.benches import workers
@@ -63,8 +64,17 @@ class Job:
         return folder / "rows" / f"{self.case}-{self.method}-{self.seed:04d}.json"
 
 
-def run(here: Experiment, folder: Path, progress: Progress) -> str:
-    """Cast, count and draw; what came out, in a sentence. What is in `folder` already is not made again."""
+@dataclass(frozen=True)
+class HitStudy(Study):
+    """Ways of casting, compared by how soon they hit."""
+
+    def run(self, experiment: Experiment, folder: Path, progress: Progress) -> str:
+        """As of `Study`. What is in `folder` already is not made again."""
+        return scored(experiment, folder, progress)
+
+
+def scored(here: Experiment, folder: Path, progress: Progress) -> str:
+    """Cast, count and draw; what came out, in a sentence."""
     asked = build(Hits, here.config["hits"], "hits", "conf/experiment/hit_study.yaml")
     seeds = range(asked.first, asked.first + asked.seeds)
     jobs = [Job(case, method, seed) for seed in seeds for case in asked.cases for method in asked.methods]

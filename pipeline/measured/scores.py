@@ -13,7 +13,7 @@ from stringcast.data.about import about
 from stringcast.data.artifacts import PREDICTED
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.run import Result
+from stringcast.pipeline.result import Result
 from stringcast.stages.inference.initial_modes import coefficients
 
 SETS = Table(
@@ -47,7 +47,7 @@ def scored(here: Experiment, result: Result) -> dict[str, Any]:
     said = about(Path(here.config["trials"]))["trials"]
     fitted = [trial for trial in said.values() if "role" not in trial]
     fit, apart = result.estimate.fit.iloc[0], foretold(result.folder)
-    scores = [i.done["predict"].score for i in result.iterations if "predict" in i.done]
+    scores = [i.done["prediction"].score for i in result.iterations if "prediction" in i.done]
     tip = apart[apart["s"] == apart.groupby("trial")["s"].transform("max")]
     return {
         "trials": len(fitted),

@@ -20,8 +20,10 @@ from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.measured.family import Family
 from stringcast.pipeline.measured.pictures import picture
 from stringcast.pipeline.measured.scores import SETS, foretold, in_words, scored
+from stringcast.pipeline.modes.stepwise import needs_trials
+from stringcast.pipeline.modes.study import Study
 from stringcast.pipeline.origin import origin, state
-from stringcast.pipeline.perform import perform
+from stringcast.pipeline.run import perform
 from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.pipeline.study.benches import workers
 from stringcast.pipeline.terminal import Terminal
@@ -56,8 +58,21 @@ class Job:
         return folder / "rows" / f"{self.place(folder).name}.json"
 
 
-def run(here: Experiment, folder: Path, progress: Progress) -> str:
-    """Fit, tabulate and draw; what came out, in a sentence. What is in `folder` already is not made again."""
+@dataclass(frozen=True)
+class MeasuredStudy(Study):
+    """Strings that others measured, fitted with stated sets of effects."""
+
+    def check(self, experiment: Experiment) -> None:
+        """As of `Mode`."""
+        needs_trials(experiment)
+
+    def run(self, experiment: Experiment, folder: Path, progress: Progress) -> str:
+        """As of `Study`. What is in `folder` already is not made again."""
+        return fitted(experiment, folder, progress)
+
+
+def fitted(here: Experiment, folder: Path, progress: Progress) -> str:
+    """Fit, tabulate and draw; what came out, in a sentence."""
     asked = build(Measured, here.config["measured"], "measured", WHERE)
     jobs = list(_jobs(asked, here.config, folder))
     failed = _all_made(jobs, here.config, folder, asked.processes, progress)

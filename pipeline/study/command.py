@@ -19,6 +19,7 @@ from stringcast.data.schema import DataError
 from stringcast.hardware.virtual.blind import draw
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import with_inherited_settings
+from stringcast.pipeline.modes.study import Study
 from stringcast.pipeline.origin import origin
 from stringcast.pipeline.settings import build
 from stringcast.pipeline.study.benches import study
@@ -28,7 +29,7 @@ from stringcast.stages.common import Progress
 
 
 @dataclass(frozen=True)
-class Study:
+class Asked:
     """benches: how many, from seed `first`. processes: 0 is one for each core."""
 
     benches: Annotated[int, Field(ge=1)]
@@ -36,9 +37,18 @@ class Study:
     processes: Annotated[int, Field(ge=0)]
 
 
-def run(here: Experiment, folder: Path, progress: Progress) -> str:
-    """Draw, diagnose and score; what came out, in a sentence. What is in `folder` already is not made again."""
-    asked = build(Study, here.config["study"], "study", "conf/config.yaml")
+@dataclass(frozen=True)
+class BlindStudy(Study):
+    """Benches that hide a cause: drawn, diagnosed, and only then their envelopes opened."""
+
+    def run(self, experiment: Experiment, folder: Path, progress: Progress) -> str:
+        """As of `Study`. What is in `folder` already is not made again."""
+        return scored(experiment, folder, progress)
+
+
+def scored(here: Experiment, folder: Path, progress: Progress) -> str:
+    """Draw, diagnose and score; what came out, in a sentence."""
+    asked = build(Asked, here.config["study"], "study", "conf/config.yaml")
     seeds = range(asked.first, asked.first + asked.benches)
     drawn, asks = partial(draw, arm=here.arm, camera=here.camera), partial(diagnosed, config=here.config)
     rows = study(seeds, folder, drawn, asks, processes=asked.processes, progress=progress)
@@ -57,7 +67,8 @@ def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
     """The same with all its tables."""
-    asked = OmegaConf.create({**config, "trials": str(folder), "steps": ["diagnose"]})
+    mode = {"_target_": "pipeline.modes.Diagnose", "stage": "diagnose", "read": True, "again": False, "first": []}
+    asked = OmegaConf.create({**config, "trials": str(folder), "mode": mode | {"motions": 0}})
     settings = with_inherited_settings(asked, set())
     here = prepare(settings, lambda block: f"conf/{block}")
     data = dataset.fits(dataset.read(folder), here.string.length)

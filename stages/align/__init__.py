@@ -1,5 +1,46 @@
 """Align: rotation, origin and scale of the camera in the arm's frame, and the offset of their clocks, as measured."""
 
-from stringcast.stages.align.align import align
+from __future__ import annotations
 
-__all__ = ["align"]
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from stringcast.data.alignment import Alignment
+from stringcast.data.artifacts import TrialSet
+from stringcast.stages.spec import EXTENDED, MODEL, StageSpec, Summary, This
+
+
+def summary(made: Alignment) -> Summary:
+    """How camera and clock stand to the arm."""
+    rows = [
+        {
+            "parameter": row.name,
+            "value": f"{row.value:.5g}",
+            "95 % interval": f"{row.low:.5g} to {row.high:.5g}",
+            "unit": row.unit,
+            "": "" if row.found else "not seen",
+        }
+        for row in made.measured.itertuples()
+    ]
+    return Summary("camera and clock against the arm", made.sentence, pd.DataFrame(rows))
+
+
+def files(made: Alignment, ahead: Path) -> Mapping[str, str]:
+    """The model with the alignment, as settings."""
+    return {EXTENDED: made.extended}
+
+
+STAGE = StageSpec(
+    name="align",
+    makes=Alignment,
+    folder="alignment",
+    uses=(*MODEL, "align"),
+    run="stages.align.align.run",
+    inputs={"trials": This(TrialSet)},
+    by=("stages.align.align.align",),
+    summary=summary,
+    files=files,
+    page="stages.report.alignment.alignment_report",
+)

@@ -11,7 +11,7 @@ import yaml
 from pydantic import Field
 
 from stringcast.data.alignment import ALIGNED, MEASURED, SEEN, Alignment
-from stringcast.data.artifacts import Film, Observation
+from stringcast.data.artifacts import Film, Observation, TrialSet
 from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import ALWAYS, SOUGHT, Fit, Problem, chosen, measuring, more
 from stringcast.stages.align.grasp import from_points
@@ -21,8 +21,15 @@ from stringcast.stages.align.refuse import refuse_fit, refuse_sight, speed
 from stringcast.stages.common import Progress
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
+from stringcast.stages.spec import Call
 
 AIM = 1e-3  # [s] to which the clocks should be known
+
+
+def run(call: Call, trials: TrialSet) -> Alignment:
+    """The alignment in all trials, as a stage."""
+    made: Alignment = call.by(call.setup.model, trials.observations, trials.films, progress=call.progress)
+    return made
 
 
 def align(

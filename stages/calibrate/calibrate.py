@@ -20,9 +20,16 @@ from stringcast.stages.calibrate.tables import tables
 from stringcast.stages.calibrate.views import View, look
 from stringcast.stages.common import Progress
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.spec import Call
 
 SOLVABLE = 4  # views below which there is nothing to judge
 FOLDS = 4
+
+
+def run(call: Call, tilted: Sequence[np.ndarray], flat: Sequence[np.ndarray], board: Board) -> Calibration:
+    """The camera, as a stage."""
+    made: Calibration = call.by(tilted, flat, board, call.setup.model.camera, progress=call.progress)
+    return made
 
 
 def calibrate(

@@ -14,7 +14,7 @@ import pandas as pd
 import yaml
 from pydantic import Field
 
-from stringcast.data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation
+from stringcast.data.artifacts import FINDING, HELD_OUT, MISSING, Diagnosis, Observation, TrialSet
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress, part
 from stringcast.stages.diagnose import tables
@@ -35,10 +35,12 @@ from stringcast.stages.diagnose.resolve import DOUBTFUL
 from stringcast.stages.diagnose.separate import Proposal, separated
 from stringcast.stages.diagnose.verdict import RESOLUTION, Judgement, judged
 from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.estimate.untouched import untouched
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
+from stringcast.stages.spec import Call
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +51,15 @@ DESIGN = 1  # keeps the chance of the design apart from that of the fits
 OPENED = "What was set aside for measuring the gain ({}) shows what the others do not: it was looked at as well."
 SCATTERED = "nearly all points are far from those just before and after: look at what followed the string"
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
+
+
+def run(call: Call, trials: TrialSet) -> Diagnosis:
+    """The diagnosis of all trials until their string touches an obstacle, as a stage."""
+    setup = call.setup
+    seen = [untouched(trial, setup.obstacles) for trial in trials.observations]
+    given = (setup.model, seen, trials.rejected, trials.held_out, setup.obstacles)
+    made: Diagnosis = call.by(*given, seed=call.seed, progress=call.progress)
+    return made
 
 
 def diagnose(

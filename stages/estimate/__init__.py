@@ -1,1 +1,18 @@
 """Estimate: the string's parameters from trials, three ways with one signature (IV)."""
+
+from stringcast.data.artifacts import Estimate, TrialSet
+from stringcast.stages.spec import MODEL, Last, StageSpec, This
+
+STAGE = StageSpec(
+    name="estimate",
+    makes=Estimate,
+    folder="estimate",
+    uses=(*MODEL, "obstacles", "estimate", "memory", "seed"),
+    run="stages.estimate.run.run",
+    inputs={"trials": This(TrialSet), "estimate": Last(Estimate)},
+    by=(
+        "stages.estimate.random_search.estimate",
+        "stages.estimate.cma_es.estimate",
+        "stages.estimate.least_squares.estimate",
+    ),
+)

@@ -1,1 +1,14 @@
 """Execute: perform a motion with an arm and film it with a camera, or rehearse that."""
+
+from stringcast.data.artifacts import Motion, Trial
+from stringcast.stages.spec import StageSpec, This
+
+STAGE = StageSpec(
+    name="execute",
+    makes=Trial,
+    folder="trial",
+    uses=("arm", "camera", "hardware", "execute", "seed"),
+    run="stages.execute.execute.run",
+    inputs={"motion": This(Motion)},
+    by=("stages.execute.execute.execute", "stages.execute.dry_run.dry", "stages.execute.dry_run.slow"),
+)

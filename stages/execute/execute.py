@@ -11,6 +11,14 @@ from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
 from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError, Recording
+from stringcast.stages.spec import Call
+
+
+def run(call: Call, motion: Motion) -> Trial:
+    """What arm and camera of the lab bring back, as a stage."""
+    lab = call.setup.lab(call.number)
+    made: Trial = call.by(motion, lab.arm, lab.camera)
+    return made
 
 
 def execute(

@@ -1,6 +1,14 @@
 """Extract: from camera frames to the string's centre-line, tip and binary images (IV-B)."""
 
-from stringcast.stages.extract.extract import extract
-from stringcast.stages.extract.footage import Footage, aligned_footage, footage_of
+from stringcast.data.artifacts import Film, Points, Trial
+from stringcast.stages.spec import StageSpec, This
 
-__all__ = ["Footage", "aligned_footage", "extract", "footage_of"]
+STAGE = StageSpec(
+    name="extract",
+    makes=Points,
+    folder="points",
+    uses=("arm", "camera", "effects", "known", "extract"),
+    run="stages.extract.extract.run",
+    inputs={"trial": This(Trial | Film)},
+    by=("stages.extract.extract.extract",),
+)

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import MASKS, POINTS, READINGS, Points
+from stringcast.data.artifacts import MASKS, POINTS, READINGS, Film, Points, Trial
 from stringcast.data.images import Held
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
 from stringcast.stages.extract.doubt import check
-from stringcast.stages.extract.footage import Footage
+from stringcast.stages.extract.footage import Footage, aligned_footage
 from stringcast.stages.extract.isolate import (
     Backdrop,
     background,
@@ -33,6 +33,7 @@ from stringcast.stages.extract.score import rasterise
 from stringcast.stages.extract.steady import samples, steadied
 from stringcast.stages.extract.window import around
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.spec import Call
 
 MARGIN = 12.0  # [px] around what the string can reach
 BLURRED = 2.0  # [px] by how much half the string's width may be more than in the other frames
@@ -48,6 +49,14 @@ class Reading:
     sigma: np.ndarray
     mask: bytes
     length: float
+
+
+def run(call: Call, trial: Trial | Film) -> Points:
+    """The string in each frame of a trial of ours or a film of others, as a stage."""
+    film = trial if isinstance(trial, Film) else trial.film
+    model = call.setup.model
+    made: Points = call.by(aligned_footage(film, model), model.camera, progress=call.progress)
+    return made
 
 
 def extract(

@@ -1,7 +1,14 @@
 """Generate: random joint-velocity curves until the simulated tip hits the target (III)."""
 
-from stringcast.stages.generate.generate import MotionNotFoundError, generate
-from stringcast.stages.generate.space import check_reach
-from stringcast.stages.model.box import Box
+from stringcast.data.artifacts import Estimate, Motion
+from stringcast.stages.spec import MODEL, Last, StageSpec
 
-__all__ = ["Box", "MotionNotFoundError", "check_reach", "generate"]
+STAGE = StageSpec(
+    name="generate",
+    makes=Motion,
+    folder="motion",
+    uses=(*MODEL, "target", "obstacles", "generate", "seed"),
+    run="stages.generate.generate.run",
+    inputs={"motion": Last(Motion), "estimate": Last(Estimate)},
+    by=("stages.generate.generate.generate", "stages.generate.robust.generate"),
+)

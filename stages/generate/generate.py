@@ -33,6 +33,7 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.spec import Call
 
 FINE = 5  # looks at the tip in a tick: at 20 m/s it moves 20 mm between two
 HIT = "hit"
@@ -49,6 +50,14 @@ class Simulated:
     times: np.ndarray
     points: np.ndarray
     inside: np.ndarray
+
+
+def run(call: Call, motion: Motion | None, estimate: Estimate | None) -> Motion:
+    """A motion at the target, by what was cast and estimated before; as a stage."""
+    setup = call.setup
+    given = (setup.model, setup.target, setup.obstacles, motion, estimate)
+    made: Motion = call.by(*given, seed=call.seed, progress=call.progress)
+    return made
 
 
 def generate(

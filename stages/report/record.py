@@ -11,10 +11,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from stringcast.data.artifacts import JOINTS, Estimate, Motion, Observation, Points, Trial
-from stringcast.stages.generate import Box
 from stringcast.stages.hit_test import Verdict, longest_gap
 from stringcast.stages.inference.forward import motion_of
 from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String

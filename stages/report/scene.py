@@ -11,7 +11,7 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stringcast.stages.generate import Box
+from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.picture import MM, ON_FRAMES
 from stringcast.stages.report.record import Cast, Record

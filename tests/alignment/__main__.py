@@ -18,8 +18,7 @@ from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
 from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
 from stringcast.pipeline.origin import PACKAGES, code, versions
-from stringcast.stages.align import align
-from stringcast.stages.align.align import measured_table
+from stringcast.stages.align.align import align, measured_table
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import Problem, chosen, measuring
 from stringcast.stages.align.grasp import from_points

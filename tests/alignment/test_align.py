@@ -11,7 +11,7 @@ import yaml
 from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, Film, Observation, Points
 from stringcast.data.schema import DataError
 from stringcast.hardware.virtual.render import Look, noisy, render, scenery
-from stringcast.stages.align import align
+from stringcast.stages.align.align import align
 from stringcast.stages.align.excitation.excite import drawn, excite, information
 from stringcast.stages.align.fit import ALWAYS, Problem, measuring
 from stringcast.stages.align.grasp import at_hand
@@ -20,13 +20,14 @@ from stringcast.stages.align.sightings import Sighted
 from stringcast.stages.align.undo import in_arms_frame
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.random_search import estimate
-from stringcast.stages.extract import aligned_footage
+from stringcast.stages.extract.footage import aligned_footage
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.report.alignment import AlignmentRecord, alignment_report
+from stringcast.stages.report.alignment import alignment_report
+from stringcast.stages.report.facts import Facts
 from tests.alignment.stand import OFF, SWING, stand, still
 
 MISSED = 1.5  # half widths of a 95 % interval: one in 300 is further out by chance
@@ -219,7 +220,7 @@ def test_the_arm_is_read_in_frames(model, arm_is):
     for name in set(OFF) - {"time_offset.offset"}:
         assert found[name] == pytest.approx(OFF[name], abs=3e-3), name
     assert len(made.seen) > 10 * len(t)
-    page = alignment_report(AlignmentRecord("a", made.sentence, made, {}, {"seed": 0, "code": {"commit": "0" * 10}}))
+    page = alignment_report(Facts("a", made.sentence, made, None, {}, {"seed": 0, "code": {"commit": "0" * 10}}))
     assert page.count("<figure") == 3
     assert "looked for, not seen" in page
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from stringcast.stages.calibrate import Board
+from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.fit import lens_of
 
 BOARD = Board((8, 11), 0.024, 0.012, "DICT_4X4_50")  # conf/board/a4.yaml

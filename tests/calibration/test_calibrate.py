@@ -8,7 +8,8 @@ import pytest
 from studio import BOARD, LENS, SIZE, TILTED, picture, pose, tilted
 
 from stringcast.data.schema import DataError
-from stringcast.stages.calibrate import Board, calibrate
+from stringcast.stages.calibrate.board import Board
+from stringcast.stages.calibrate.calibrate import calibrate
 from stringcast.stages.calibrate.fit import FLAGS, fitted, lens_of, projected, values_of
 from stringcast.stages.calibrate.plane import Place
 from stringcast.stages.calibrate.views import View, look

@@ -1,5 +1,6 @@
 """The experiment from its settings to camera.yaml and the page, and what another experiment makes of it."""
 
+import io
 import re
 
 import cv2
@@ -7,17 +8,19 @@ import numpy as np
 import pytest
 import yaml
 from omegaconf import OmegaConf
+from rich.console import Console
 from studio import BOARD, SIZE, TILTED, picture, pose, tilted
 
 from stringcast.data import store
 from stringcast.data.calibration import Calibration
-from stringcast.pipeline import calibrate
 from stringcast.pipeline.commands import board
 from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.inherited import measured_camera, with_inherited_settings
 from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.stages.calibrate.views import look
 from stringcast.stages.model.camera import Camera
+
+SILENT = Console(quiet=True)
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +47,14 @@ def settled(folders, *more):
 
 def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):
     here = settled(folders, "calibrate.place.corner=[0.1,0.2]")
-    asked, shares = [], []
-    looked = calibrate.taken(here, asked.append)
-    made = calibrate.run(here, tmp_path, looked, shares.append)
-    assert asked == []  # nobody need do anything for images
-    assert shares == sorted(shares)
-    calibrate.refuse(made, tmp_path)
+    said = Console(file=io.StringIO(), width=1000)
+    here.mode.perform(here, tmp_path, said)
+    assert "Press Enter" not in said.file.getvalue()  # nobody need do anything for images
+    assert re.search(r"The camera is known: reprojection error 0\.\d+ px", said.file.getvalue())
+    assert f"calibrated={tmp_path}" in said.file.getvalue()
     camera = build(Camera, measured_camera(tmp_path), "camera", "camera.yaml")
     assert (camera.width, camera.height) == SIZE
-    corner = look(0, looked.flat[0], BOARD)
+    corner = look(0, cv2.imread(str(folders / "flat" / "00.png"), cv2.IMREAD_GRAYSCALE), BOARD)
     np.testing.assert_allclose(camera.world(corner.pixels), BOARD.corners[corner.corners] + [0.1, 0.2], atol=4e-4)
     stored = store.load(Calibration, tmp_path / "calibration")
     assert stored.camera == yaml.safe_load((tmp_path / "camera.yaml").read_text())
@@ -72,20 +74,22 @@ def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_lin
 
 def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
     here = settled(folders, "calibrate.views=20")
-    made = calibrate.run(here, tmp_path, calibrate.taken(here, print), lambda share: None)
     with pytest.raises(UserError, match=r"12 views can be used, 20 are needed\. Take more\. See .*report\.html"):
-        calibrate.refuse(made, tmp_path)
+        here.mode.perform(here, tmp_path, SILENT)
     assert not (tmp_path / "camera.yaml").exists()
     assert "No <code>camera.yaml</code> was written" in (tmp_path / "report.html").read_text()
     with pytest.raises(UserError, match=r"camera\.yaml: cannot be read .* Name the run folder of a good calibration"):
         measured_camera(tmp_path)
 
 
-def test_settings_are_refused_by_name(folders):
-    with pytest.raises(UserError, match=r"source\.folder = None"):
-        calibrate.taken(settled(folders, "source.folder=null"), print)
-    with pytest.raises(UserError, match=r"board.*smaller than the square"):
-        calibrate.taken(settled(folders, "board.marker=0.03"), print)
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [("source.folder=null", r"source\.folder = None"), ("board.marker=0.03", "smaller than the square")],
+)
+def test_settings_are_refused_by_name(folders, tmp_path, wrong, words):
+    here = settled(folders, wrong)
+    with pytest.raises(UserError, match=words):
+        here.mode.perform(here, tmp_path, SILENT)
 
 
 def test_the_board_is_drawn_in_its_true_size(tmp_path):

@@ -10,7 +10,8 @@ from stringcast.data.artifacts import Film
 from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
 from stringcast.stages.diagnose.theory import candidates
 from stringcast.stages.execute.execute import execute
-from stringcast.stages.extract import extract, footage_of
+from stringcast.stages.extract.extract import extract
+from stringcast.stages.extract.footage import footage_of
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.lens import Lens
 from stringcast.stages.model.library import library

@@ -10,7 +10,13 @@ from pathlib import Path
 from rig import events
 
 ROOT = Path(__file__).resolve().parents[2]
-SMALL = ("+experiment=quick", "hardware=emulator", "steps=[generate,execute,extract]", "leave=[]", "camera.fps=25")
+SMALL = (
+    "+experiment=quick",
+    "hardware=emulator",
+    "mode.stages=[generate,execute,extract]",
+    "leave=[]",
+    "camera.fps=25",
+)
 
 
 def told_to_end(number, record, *arguments):

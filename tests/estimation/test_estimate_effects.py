@@ -11,8 +11,9 @@ from stringcast.pipeline.experiment import with_effects
 from stringcast.pipeline.settings import UserError
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.generate import Box, generate
+from stringcast.stages.generate.generate import generate
 from stringcast.stages.inference.forward import case
+from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import hand_motion, hand_motion_from_grasp, joint_motion
 from stringcast.stages.model.library import VARIABLE, library, named
 from stringcast.stages.model.model import Model

@@ -10,8 +10,9 @@ import yaml
 
 from stringcast.data.artifacts import MASKS, PARAMETERS, READINGS, SCORE, Estimate, Observation, Prediction
 from stringcast.data.schema import DataError
-from stringcast.pipeline.run import estimate_again, in_numbers
-from stringcast.stages.estimate.predict import predict, resting
+from stringcast.pipeline.modes.estimate import Estimate as Estimation
+from stringcast.pipeline.result import in_numbers
+from stringcast.stages.estimate.prediction.predict import predict, resting
 from stringcast.stages.inference.forward import case
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
@@ -110,14 +111,15 @@ def test_of_one_that_begins_moving_only_its_beginning_is_fitted(model):
 
 
 class Recorder:
-    """A desk that makes nothing, and notes what each step may look at."""
+    """An executor that makes nothing, and notes what each step may look at."""
 
     def __init__(self):
         self.seen = []
 
-    def step(self, name, past):
-        self.seen.append((name, past.number, [o.trial for o in past.observations], past.estimate))
-        score = {"trial": past.observations[-1].trial, "free": 2, "rms": 0.001, "tip": 0.002}
+    def obtain(self, step):
+        name, trials = step.stage.name, [o.trial for o in step.inputs["trials"].observations]
+        self.seen.append((name, step.number, trials, step.inputs["estimate"]))
+        score = {"trial": trials[-1], "free": 2, "rms": 0.001, "tip": 0.002}
         fit = {"before": 0.5, "after": 0.9, "rms_before": 0.1, "rms_after": 0.003, "tip_after": 0.004, "sentence": ""}
         made = {"predict": Prediction(pd.DataFrame(), SCORE.check(pd.DataFrame([score])))}
         return made.get(name) or Estimate(*[pd.DataFrame()] * 3, pd.DataFrame([fit]))
@@ -126,9 +128,9 @@ class Recorder:
 class Settings:
     """As much of a world as estimation from stored trials asks for."""
 
-    def __init__(self, model, memory):
+    def __init__(self, model, memory, trials):
         self.model, self.arm, self.camera, self.string = model, model.arm, model.camera, model.string
-        self.config = {"memory": memory, "steps": ["estimate"]}
+        self.config = {"memory": memory, "trials": str(trials)}
 
 
 def run(model, folder, memory, held_out):
@@ -138,8 +140,8 @@ def run(model, folder, memory, held_out):
         pd.concat(rows).to_parquet(folder / f"{table}.parquet", index=False)
     about = {"format": 1, "string": {"length": 0.3}, "trials": {name: {"role": "held_out"} for name in held_out}}
     (folder / "dataset.yaml").write_text(yaml.safe_dump(about))
-    desk = Recorder()
-    return desk.seen, estimate_again(Settings(model, memory), Path(), folder, desk)
+    executor = Recorder()
+    return executor.seen, Estimation(again=False).work(Settings(model, memory, folder), Path(), executor)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,9 @@ from conftest import ROOT, specimen
 
 from stringcast.hardware.virtual.conditions import CONDITIONS
 from stringcast.pipeline.extraction_study import Cell, measured, read, take
-from stringcast.stages.extract import Footage, extract
 from stringcast.stages.extract.certainty import sigmas
+from stringcast.stages.extract.extract import extract
+from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.isolate import uncovered
 
 SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text()) | {"string_length": 0.3}

@@ -20,9 +20,9 @@ from stringcast.hardware.virtual.conditions.light import Flicker
 from stringcast.hardware.virtual.conditions.pose import Across, Loop
 from stringcast.pipeline.extraction_study import Cell, compared, read, shares, take
 from stringcast.pipeline.extraction_study.pictures import overview
-from stringcast.stages.extract import extract
 from stringcast.stages.extract.centreline import Line
 from stringcast.stages.extract.doubt import beside, longest
+from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.isolate import background, darkest, packed
 from stringcast.stages.extract.score import rasterise
 from stringcast.stages.extract.steady import steadied

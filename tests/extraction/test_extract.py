@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.stages.extract import Footage, extract, footage_of
-from stringcast.stages.extract.extract import drawn
+from stringcast.stages.extract.extract import drawn, extract
+from stringcast.stages.extract.footage import Footage, footage_of
 from stringcast.stages.extract.score import rasterise, score_map
 from stringcast.stages.model.camera import Camera
 

@@ -66,7 +66,7 @@ class Sweep:
         "--multirun",
         *TINY,
         "manipulations=1",
-        "steps=[generate,execute,extract]",
+        "mode.stages=[generate,execute,extract]",
         "leave=[frames]",
         "seed=0,1",
     )

@@ -99,7 +99,7 @@ def strike(patch_context, n, kind, here, folder, whole):
         look_at_what_is_left(folder, whole)
         there = finished(folder)
         made, _ = toy_run(folder, here)
-        assert sorted(there + made) == sorted(here.config["steps"] * here.config["manipulations"]), "work was lost"
+        assert sorted(there + made) == sorted([*here.mode.stages] * here.config["manipulations"]), "work was lost"
         assert contents(folder) == whole
         litter = [path for pattern in (".*.part", ".*.replaced") for path in folder.rglob(pattern)]
         assert not litter

@@ -17,6 +17,7 @@ import pytest
 
 from stringcast.data.schema import DataError
 from stringcast.pipeline import run_folder
+from stringcast.pipeline.modes import Cast
 from tests.faults.kills import Forked, rounds
 from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
 from tests.faults.toy import ROOT, contents, toy_experiment, toy_run
@@ -41,7 +42,7 @@ def whole(tmp_path_factory):
 @pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.long), 11])
 def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(tmp_path, monkeypatch, every):
     """Every operation of a cast, or every eleventh, the four kinds of fault in turn."""
-    here, struck = toy_experiment(1, steps=["generate", "execute", "extract"]), []
+    here, struck = toy_experiment(1, mode=Cast(("generate", "execute", "extract"))), []
     toy_run(tmp_path / "whole", here)
     unharmed = contents(tmp_path / "whole")
     for n in range(0, 1000, every):

@@ -20,7 +20,7 @@ from stringcast.data.artifacts import Estimate, Motion, Points, Trial
 from stringcast.pipeline import report
 from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.layout import LOG
-from stringcast.pipeline.perform import perform
+from stringcast.pipeline.run import perform
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = ("+experiment=quick", "camera.width=16", "camera.height=16", "camera.px_per_m=8", "camera.origin_px=[6,10]")
@@ -34,13 +34,13 @@ def composed(*overrides):
     return prepare(OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}")
 
 
-def toy_experiment(casts=2, pause=0.0, estimate_by=None, **changed):
-    """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead of the toy estimation. changed:
-    settings, whole blocks."""
+def toy_experiment(casts=2, pause=0.0, estimate_by=None, mode=None, **changed):
+    """casts: manipulations. pause: how long each stage takes [s]. estimate_by: instead of the toy estimation. mode:
+    instead of casting. changed: settings, whole blocks."""
     whole = composed(*TINY, f"manipulations={casts}")
     stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
     stages = {name: slow(stage, pause) for name, stage in stages.items()}
-    return replace(whole, config={**whole.config, **changed}, stages=stages)
+    return replace(whole, config={**whole.config, **changed}, stages=stages, mode=mode or whole.mode)
 
 
 def slow(stage, pause):

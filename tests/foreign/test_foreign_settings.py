@@ -106,13 +106,13 @@ def test_an_extended_model_runs_no_code(settings, canary, tmp_path):
 def test_stored_trials_run_no_code(settings, canary, tmp_path):
     poison = poisons(canary)["estimate"]
     (tmp_path / "config.json").write_text(json.dumps(poisoned(settings, "estimate", poison)))
-    config = OmegaConf.create({**settings, "trials": str(tmp_path), "steps": ["estimate"]})
+    config = OmegaConf.create({**settings, "trials": str(tmp_path)})
     with pytest.raises(UserError, match=r"estimate\._target_"):
         prepare(with_inherited_settings(config, set()), lambda block: "config.json")
     assert not canary.exists()
 
 
-@pytest.mark.parametrize("name", ["steps", "hardware", "arm", "trials", "_target_"])
+@pytest.mark.parametrize("name", ["mode", "hardware", "arm", "trials", "_target_"])
 def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump({"effects": [], name: "x"}))
     with pytest.raises(UserError, match=rf"extended\.yaml sets '{name}'; it may set string, effects, known"):
@@ -194,26 +194,26 @@ def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tm
 
 
 def test_settings_of_stored_runs_may_call_what_there_is_by_its_old_name():
-    roles = {name: role for role, names in targets.ROLES.items() for name in names}
+    roles = {name: role for role, names in targets.roles().items() for name in names}
     for old, new in targets.MOVED.items():
         assert loaded(old, roles[new], "config.json") is loaded(new, roles[new], "")
 
 
 def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
-    for role, names in targets.ROLES.items():
+    for role, names in targets.roles().items():
         for name in names:
             assert callable(loaded(name, role, ""))
     for file in CONF.rglob("*.yaml"):
         group = file.parent.relative_to(CONF).as_posix()
         chosen = yaml.safe_load(file.read_text()) or {}
-        if group in targets.ROLES and "_target_" in chosen:
-            assert chosen["_target_"] in targets.ROLES[group], file
+        if group in targets.roles() and "_target_" in chosen:
+            assert chosen["_target_"] in targets.roles()[group], file
 
 
 @pytest.mark.parametrize("target", ["os.system", "stages.generate", None, ["x"], {"a": 1}])
 def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch):
     monkeypatch.setattr("stringcast.pipeline.settings.get_object", lambda name: pytest.fail(f"{name} was looked up"))
-    for role in (*targets.ROLES, "unheard_of"):
+    for role in (*targets.roles(), "unheard_of"):
         with pytest.raises(UserError, match="may not be named here"):
             loaded(target, f"a.{role}", "file")
 
@@ -224,7 +224,9 @@ def test_a_real_arm_does_not_move_by_limits_of_others(settings):
     with pytest.raises(UserError, match=r"arm\.hand_speed: 21\.8 here, 99\.0 there\n.*accept_limits=true"):
         refuse_inherited_limits(faster, real, "trials=x")
     refuse_inherited_limits(faster, {**real, "accept_limits": True}, "trials=x")
-    refuse_inherited_limits({**faster, "steps": ["estimate"]}, real, "trials=x")
+    refuse_inherited_limits(
+        {**faster, "mode": {"_target_": "pipeline.modes.Estimate", "again": False}}, real, "trials=x"
+    )
     refuse_inherited_limits(real, real, "trials=x")
 
 

@@ -7,8 +7,9 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from stringcast.data.schema import DataError
-from stringcast.stages.generate import Box, MotionNotFoundError, generate
 from stringcast.stages.generate.curves import Curves, first_curves, next_curves
+from stringcast.stages.generate.generate import MotionNotFoundError, generate
+from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.simulate import simulate

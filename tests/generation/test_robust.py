@@ -10,13 +10,14 @@ from scipy.stats import binomtest
 
 from stringcast.data.artifacts import Estimate
 from stringcast.data.schema import DataError
-from stringcast.stages.generate import Box, MotionNotFoundError, generate, race
+from stringcast.stages.generate import race
 from stringcast.stages.generate import robust as chosen
 from stringcast.stages.generate.chance import TOGETHER, Place, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, first_curves, joined, plain_cast
 from stringcast.stages.generate.draws import Doubt, Draws, drawn
-from stringcast.stages.generate.generate import arm_faults, curves_of
+from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults, curves_of, generate
 from stringcast.stages.generate.learning import spread_after
+from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String

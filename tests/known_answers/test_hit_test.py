@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import MASKS, POINTS, Points
-from stringcast.stages.generate import Box
 from stringcast.stages.hit_test import hit_test
+from stringcast.stages.model.box import Box
 
 BOX = Box(0.5, 0.5, 0.02, 0.04)
 

@@ -13,7 +13,7 @@ from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.measured.diagnosed import families
 from stringcast.pipeline.measured.scores import SETS
-from stringcast.pipeline.measured.study import WHERE, Job, Measured, run, settings
+from stringcast.pipeline.measured.study import WHERE, Job, Measured, fitted, settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "measured"
@@ -97,7 +97,7 @@ def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, 
     config["measured"]["families"]["cables"]["settings"]["estimate"] = quick
     here = prepare(config, lambda block: block)
     monkeypatch.setattr("stringcast.pipeline.measured.study.workers", Here)
-    sentence = run(here, folder, lambda share: None)
+    sentence = fitted(here, folder, lambda share: None)
     assert sentence.startswith("1 sets of effects on 1 strings")
     row = SETS.check(pd.read_parquet(folder / "sets.parquet")).iloc[0]
     said = json.loads((folder / "fits" / "red-viscous" / "run.json").read_text())["iterations"]
@@ -109,7 +109,7 @@ def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, 
     assert np.isnan(row["authors_tip"])
     assert (folder / "sets.png").stat().st_size > 1000
     monkeypatch.setattr("stringcast.pipeline.measured.study.make", None)
-    assert run(here, folder, lambda share: None) == sentence
+    assert fitted(here, folder, lambda share: None) == sentence
 
 
 class Here:
@@ -135,7 +135,7 @@ class Here:
 def test_a_string_that_is_not_there_is_named(config, tmp_path):
     config["measured"]["strings"] = ["green"]
     with pytest.raises(UserError, match="there is no green; there are red"):
-        run(Experiment(config), tmp_path, lambda share: None)
+        fitted(Experiment(config), tmp_path, lambda share: None)
 
 
 class Experiment:

@@ -67,7 +67,7 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert re.search(
         r"^20\d\d-\d\d-\d\d \S+ INFO +stringcast.pipeline.run_folder: iterations/01/estimate made in", log, re.M
     )
-    assert re.search(r"pipeline.run: estimate 1: E 0\.\d+ to 0\.\d+, rms", log)
+    assert re.search(r"pipeline.modes.cast: estimate 1: E 0\.\d+ to 0\.\d+, rms", log)
     assert "cast 1: the tip came within" in log
 
 
@@ -160,8 +160,15 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, 
         (["arm.links=[0.3,0.2]"], "arm.*lowest has 3 values, links has 2"),
         (["generate.shortest=2"], "generate.shortest = 2.0 is above generate.longest"),
         (["seed=true"], "seed = True .*whole number"),
-        (["steps=[]"], r"steps = \[\] .*it must be \[generate, execute, extract\]"),
-        (["steps=[estimate]"], r"steps = \['estimate'\] .*without trials=<folder>"),
+        (["mode.stages=[generat]"], "there is no stage 'generat'. Known are: .*generate"),
+        (["mode=estimate"], "trials = null: this mode looks at stored trials. Give trials=<folder>"),
+        (["trials=data/sample"], "trials=data/sample: this mode makes its own trials"),
+        (["mode=batch", "trials=data/sample"], r"mode.stage = None \(conf/mode\): .* valid string"),
+        (
+            ["mode=batch", "mode.stage=execute", "trials=data/sample"],
+            "does not look at trials alone. Choose align or diagnose",
+        ),
+        (["steps=[estimate]"], "what a run does is its mode now. Try: .*mode=estimate"),
         (["+experiment=estimate"], "looks at stored trials, and none are named. Try: .*trials=data/sample"),
         (["string.ranges.axial_stiffness.low=1e9"], "must be below"),
         (["string.tolerance=-1"], "metres above 0"),
@@ -215,7 +222,7 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
     (tmp_path / "dataset.yaml").write_text("format: 1\nstring: {length: 0.45}\n")
 
     def used(folder, *more):
-        config = OmegaConf.create(settings.composed([f"trials={folder}", "steps=[estimate]", *more]))
+        config = OmegaConf.create(settings.composed([f"trials={folder}", "mode=estimate", *more]))
         return inherited.with_inherited_settings(config, settings.names_given([f"trials={folder}", *more]))["string"]
 
     assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (0.45, 10)

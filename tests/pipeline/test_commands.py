@@ -5,12 +5,12 @@ import os
 import re
 import shutil
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 
 from stringcast.data import store
 from stringcast.data.artifacts import Points
@@ -19,8 +19,10 @@ from stringcast.pipeline import commands, staleness
 from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.commands.verify import verify
 from stringcast.pipeline.compare import differences
-from stringcast.pipeline.experiment import MEASURED, STUDIES
-from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.hitting.study import HitStudy
+from stringcast.pipeline.modes import Calibrate
+from stringcast.pipeline.older import modern
+from stringcast.pipeline.settings import UserError, composed
 from tests.faults.toy import contents, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")
@@ -118,7 +120,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
     assert outcome.lines[1] == "iterations/01/trial: measured with a real arm and camera, cannot be computed again"
     before = contents(tmp_path / "run")
     with monkeypatch.context() as patch:
-        patch.setattr(staleness, "sources", lambda settings: {"stages/generate/generate.py": "changed"})
+        patch.setattr(staleness, "sources", lambda *given: {"stages/generate/generate.py": "changed"})
         made, said = toy_run(tmp_path / "run", real_arm())
     assert made == ["extract", "estimate"]  # the last, after which no arm has moved
     assert "iterations/01/motion is stale" in said
@@ -137,7 +139,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
         ("stages/estimate/cma_es.py", set()),
         ("stages/model/string.py", {"generate", "execute", "extract", "estimate"}),  # through what was measured
         ("hardware/virtual/render.py", {"execute"}),
-        ("pipeline/make.py", {"generate", "execute", "extract", "estimate"}),
+        ("stages/spec.py", {"generate", "execute", "extract", "estimate"}),
         ("pipeline/report.py", set()),
     ],
 )
@@ -145,9 +147,7 @@ def test_only_steps_that_use_a_source_are_made_again(run, monkeypatch, what, ste
     """And what comes out the same makes nothing after it stale."""
     real = staleness.sources
     changed = {what: "changed"}
-    monkeypatch.setattr(
-        staleness, "sources", lambda settings: {k: changed.get(k, v) for k, v in real(settings).items()}
-    )
+    monkeypatch.setattr(staleness, "sources", lambda *given: {k: changed.get(k, v) for k, v in real(*given).items()})
     made, said = toy_run(run, toy_experiment())
     assert set(made) == steps
     assert (f"source {what} has changed" in said) == bool(steps)
@@ -335,9 +335,34 @@ def test_the_examples_of_the_page_run_in_duckdb(finished, tmp_path, monkeypatch,
         assert len(duckdb.sql(query).df()), query
 
 
-@pytest.mark.parametrize("steps", [*STUDIES, MEASURED])
-def test_a_study_has_no_steps_to_ask_for(steps, tmp_path):
+def test_a_run_that_says_steps_instead_of_mode_is_read_and_gone_on_with(run, capsys):
+    """As older versions wrote it."""
+    path = run / "config.json"
+    config = json.loads(path.read_text())
+    mode = config.pop("mode")
+    path.write_text(json.dumps(config | {"steps": ["generate", "execute", "extract", "estimate"]}))
+    status, said = asked(capsys, "why", run)
+    assert status == 0
+    assert "is read as mode = {'_target_': 'pipeline.modes.Cast'" in said
+    assert asked(capsys, "index", run.parent)[1].count("missed") == 1
+    assert toy_run(run, toy_experiment())[0] == []
+    assert json.loads(path.read_text())["mode"] == mode
+
+
+def test_what_every_list_of_steps_did_a_mode_does():
+    """What the experiments of today compose, for those of before."""
+    were = {"estimate": ["estimate"], "diagnose": ["diagnose"], "align": ["align"], "calibrate": ["calibrate"]}
+    were |= {"decide": ["diagnose", "execute", "extract", "diagnose"], "blind_study": ["study"]}
+    were |= {name: [name] for name in ("hit_study", "extraction_study", "measured_study")}
+    for name, steps in were.items():
+        now = OmegaConf.to_container(OmegaConf.create(composed([f"+experiment={name}"])), resolve=True)
+        before = {key: value for key, value in now.items() if key != "mode"} | {"steps": steps}
+        assert modern(before) == now
+
+
+@pytest.mark.parametrize("mode", [HitStudy(), Calibrate()])
+def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
     """Its trials, where it has any, are not read as a dataset."""
-    study = replace(toy_experiment(), config={**toy_experiment().config, "steps": steps, "trials": str(tmp_path)})
-    with pytest.raises(UserError, match="a study has no steps of its own"):
-        walk(study, tmp_path, lambda name, past: None)
+    study = toy_experiment(mode=mode, trials=str(tmp_path))
+    with pytest.raises(UserError, match="this run, of a study or a calibration, has no steps of its own"):
+        walk(study, tmp_path, lambda step: None)

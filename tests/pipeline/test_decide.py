@@ -18,7 +18,6 @@ from stringcast.data.store import content_hash, load, origin_of
 from stringcast.hardware.virtual.blind import VERSIONS, draw
 from stringcast.pipeline import run_folder
 from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.run import diagnose
 from tests.conftest import swing
 
 COARSE = ("camera.width=320", "camera.height=320", "camera.px_per_m=170.0", "camera.origin_px=[125.5,193.5]")
@@ -58,7 +57,7 @@ def decide(data, folder, experiment="decide"):
     here = prepare(config, lambda block: f"conf/{block}")
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
-    result = diagnose(here, folder, data, run_folder.RunFolder(here, folder, silent, print))
+    result = here.mode.work(here, folder, run_folder.RunFolder(here, folder, silent, print))
     run_folder.end(result)
     return result
 
@@ -69,7 +68,7 @@ def test_the_motion_proposed_is_performed_and_seen_with_the_others(data, tmp_pat
     assert second == [*first, f"performed-{len(first) + 1:02d}"]
     place = tmp_path / "iterations" / f"{len(first) + 1:02d}"
     assert {p.name for p in place.iterdir()} == {"motion", "trial", "points", "diagnosis"}
-    assert result.diagnosis.verdict == "effect"
+    assert result.answer.verdict == "effect"
     assert json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"] is None
     assert set(pd.read_parquet(tmp_path / "points.parquet")["trial"]) == {second[-1]}
     sources = origin_of(place / "diagnosis" / "finding.parquet")["inputs"]

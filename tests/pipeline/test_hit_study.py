@@ -1,4 +1,4 @@
-"""The hit study: what its desk measures, and what its tables count."""
+"""The hit study: what its executor measures, and what its tables count."""
 
 import json
 from dataclasses import replace
@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.virtual.bench import Bench, VirtualArm
 from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.hitting.desk import PointExecutor, measured
+from stringcast.pipeline.hitting.executor import PointExecutor, measured
 from stringcast.pipeline.hitting.job import settings
 from stringcast.pipeline.hitting.lessons import lessons, model_found
 from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
@@ -84,7 +84,7 @@ def test_a_run_takes_its_settings_from_case_and_method():
     paper, ours = (settings(config, hits["cases"]["D"], hits["methods"][m], 7, 4) for m in ("paper", "robust"))
     assert paper["hardware"]["specimen"] == hits["cases"]["D"]["specimen"] == ours["hardware"]["specimen"]
     assert (paper["seed"], paper["manipulations"], paper["target"]["x"]) == (7, 4, 0.5)
-    assert paper["generate"]["_target_"] == "stages.generate.generate"
+    assert paper["generate"]["_target_"] == "stages.generate.generate.generate"
     assert ours["generate"]["_target_"] == "stages.generate.robust.generate"
     assert paper["string"]["points"] == paper["string"]["reference_points"] == 25
     assert (ours["string"]["points"], ours["string"]["reference_points"]) == (20, 10)
@@ -115,7 +115,7 @@ def test_ways_of_learning_differ_in_their_motions_alone():
 
 @pytest.fixture
 def turned():
-    """A desk whose bench has a camera that is rolled by more than the target is wide."""
+    """An executor whose bench has a camera that is rolled by more than the target is wide."""
     config = OmegaConf.to_container(OmegaConf.create(composed(["+experiment=quick"])), resolve=True)
     hidden = {"specimen": {"hidden": {"camera_rotation": {"angle": 0.1}}}}
     here = prepare(settings(config, hidden, {}, 0, 1), lambda block: f"conf/{block}")
@@ -124,8 +124,8 @@ def turned():
 
 def test_what_really_became_of_a_cast_is_told_whatever_the_camera_says(turned):
     taught = lessons(turned, 1)[0]
-    duration = float(taught.done["execute"].arm["t"].iloc[-1]) - 0.2
-    seen = hit_test(taught.done["extract"], turned.experiment.target, (), duration)
+    duration = float(taught.done["trial"].arm["t"].iloc[-1]) - 0.2
+    seen = hit_test(taught.done["points"], turned.experiment.target, (), duration)
     real = turned.real(1, duration)
     away = np.hypot(turned.experiment.target.x, turned.experiment.target.y)
     assert abs(seen.distance - real.distance) > 0.2 * 0.1 * away
@@ -137,7 +137,7 @@ def test_what_really_became_of_a_cast_is_told_whatever_the_camera_says(turned):
 
 def test_lessons_are_first_casts_that_differ_and_are_the_same_again(turned):
     one, two = lessons(turned, 2)
-    assert not one.done["execute"].arm.equals(two.done["execute"].arm)
+    assert not one.done["trial"].arm.equals(two.done["trial"].arm)
     again = lessons(PointExecutor(turned.experiment, noise=1e-6), 1)[0]
     pd.testing.assert_frame_equal(again.observation.points, one.observation.points)
 

@@ -52,7 +52,7 @@ def test_what_a_page_calls_can_be_called(page, given):
     if given.partition(" ")[0] in NAMES:
         return
     words = [word for word in shlex.split(PLACEHOLDER.sub("place", given)) if word not in ("--multirun", "--help")]
-    assert composed([first_of(word) for word in words if not word.endswith("=")])["steps"]
+    assert composed([first_of(word) for word in words if not word.endswith("=")])["mode"]
 
 
 def code(page):

@@ -10,7 +10,7 @@ from stringcast.pipeline import inherited, settings
 
 def composed(folder, string, *more):
     (folder / "dataset.yaml").write_text(f"format: 1\nstring: {string}\n")
-    given = [f"trials={folder}", "steps=[estimate]", *more]
+    given = [f"trials={folder}", "mode=estimate", *more]
     return inherited.with_inherited_settings(OmegaConf.create(settings.composed(given)), settings.names_given(given))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stringcast.pipeline.sources import closure, home
-from stringcast.pipeline.targets import ROLES
+from stringcast.pipeline.targets import roles
 from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,7 +46,7 @@ def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):
 
 def test_the_file_behind_a_name_is_the_one_that_loading_it_finds():
     """A package that only passes a name on is taken for its home: it imports the file in which it is."""
-    for role, names in ROLES.items():
+    for role, names in roles().items():
         for name in names:
             package, _, member = name.rpartition(".")
             real = getattr(import_module(package), member)

@@ -18,8 +18,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 
 from stringcast.data.artifacts import JOINTS, Estimate, Motion, Points, Trial
-from stringcast.stages.generate import Box
 from stringcast.stages.hit_test import LONGEST_GAP, Verdict
+from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report import Cast, Record, report

@@ -11,7 +11,8 @@ from stringcast.data.images import png
 from stringcast.data.store import write_table, write_text
 from stringcast.pipeline import run_folder
 from stringcast.pipeline.experiment import LEFT, _check_run
-from stringcast.pipeline.run import Iteration, Result
+from stringcast.pipeline.iterations import Iteration
+from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError, composed
 from stringcast.pipeline.sweep.show import left
 
@@ -42,7 +43,7 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
         write_table(dataset.with_trial(table), frame, tmp_path / f"{table.name}.parquet", {})
     write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
     assert dataset.read(tmp_path).films
-    ended = Result(tmp_path, (Iteration(1, {"execute": SimpleNamespace()}),), "")
+    ended = Result(tmp_path, (Iteration(1, {"trial": SimpleNamespace()}),), "")
     run_folder.without_frames(on("hardware.serial.lab.open_lab"), ended)
     assert place.exists()  # nobody can film them again
     run_folder.without_frames(on("hardware.virtual.open_lab"), ended)

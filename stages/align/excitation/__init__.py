@@ -1,1 +1,13 @@
-"""Excitation: a motion of the arm that tells the most of camera and clock."""
+"""Excite: a motion of the arm that tells the most of camera and clock."""
+
+from stringcast.data.artifacts import Motion
+from stringcast.stages.spec import MODEL, StageSpec
+
+STAGE = StageSpec(
+    name="excite",
+    makes=Motion,
+    folder="motion",
+    uses=(*MODEL, "obstacles", "excite", "seed"),
+    run="stages.align.excitation.excite.run",
+    by=("stages.align.excitation.excite.excite",),
+)

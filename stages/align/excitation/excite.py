@@ -37,12 +37,19 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
+from stringcast.stages.spec import Call
 
 RAMP = 0.2  # share of the time in which the swing grows, and in which it fades
 MARGIN = 0.03  # of the picture's width that stays free around the arm
 CLOCKS = 2  # more times that the clocks count: what nobody sees, such as a faint rolling shutter, must not move them
 TYPICAL = {LAG: 0.005}  # where the design is judged: at no lag it would look like an offset
 SIGHTED = 0.01  # [s] between the sightings for which it is judged
+
+
+def run(call: Call) -> Motion:
+    """The motion, as a stage."""
+    made: Motion = call.by(call.setup.model, call.setup.obstacles, seed=call.seed, progress=call.progress)
+    return made
 
 
 def excite(

@@ -1,5 +1,5 @@
 """The page of an alignment."""
 
-from stringcast.stages.report.alignment.page import AlignmentRecord, alignment_report
+from stringcast.stages.report.alignment.page import alignment_report
 
-__all__ = ["AlignmentRecord", "alignment_report"]
+__all__ = ["alignment_report"]

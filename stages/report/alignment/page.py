@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
-
 from matplotlib import style
 
 from stringcast.data.alignment import Alignment
 from stringcast.stages.report.alignment.figures import likelihood, places, residuals
+from stringcast.stages.report.facts import Facts
 from stringcast.stages.report.picture import STYLE
 from stringcast.stages.report.template import template
 
 
-@dataclass(frozen=True)
-class AlignmentRecord:
-    """What the page is made from."""
-
-    name: str
-    sentence: str
-    alignment: Alignment = field(repr=False)
-    settings: Mapping[str, Any] = field(repr=False)
-    origin: Mapping[str, Any] = field(repr=False)
-
-
-def alignment_report(record: AlignmentRecord) -> str:
-    """The page as text; the same record gives the same page."""
-    made = record.alignment
+def alignment_report(record: Facts) -> str:
+    """The page as text; the same facts give the same page."""
+    made: Alignment = record.made
     with style.context(STYLE):
         return template("alignment/page.html.j2", shown).render(
             record=record,

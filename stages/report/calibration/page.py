@@ -12,12 +12,12 @@ from stringcast.stages.report.calibration.figures.arrows import magnified
 from stringcast.stages.report.calibration.figures.coverage import coverage
 from stringcast.stages.report.calibration.figures.errors import errors
 from stringcast.stages.report.calibration.figures.view import view
-from stringcast.stages.report.calibration.record import CalibrationRecord
+from stringcast.stages.report.facts import Facts
 from stringcast.stages.report.picture import STYLE, Picture
 from stringcast.stages.report.template import template
 
 
-def calibration_report(record: CalibrationRecord) -> str:
+def calibration_report(record: Facts) -> str:
     """The page as text; the same record gives the same page."""
     made, outcome = record.made, record.made.outcome.iloc[0]
     tilted = made.corners[~made.corners["plane"]]
@@ -43,7 +43,7 @@ def figures(row: dict[str, Any]) -> str:
     return f"{row['value']:.{decimals}f} ± {row['sigma']:.{decimals}f}"
 
 
-def _views(record: CalibrationRecord, times: float) -> Iterator[tuple[str, str, Picture]]:
+def _views(record: Facts, times: float) -> Iterator[tuple[str, str, Picture]]:
     """Name, words and picture of each view, that in the plane first."""
     every = record.made.corners
     for row in record.made.views.sort_values("plane", ascending=False, kind="stable").itertuples():

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib import style
 
+from stringcast.stages.model.library import library
 from stringcast.stages.report.diagnosis import words
 from stringcast.stages.report.diagnosis.figures.cause import cause
 from stringcast.stages.report.diagnosis.figures.gain import foretold, likelier
@@ -20,6 +21,7 @@ from stringcast.stages.report.diagnosis.figures.screening import screenings
 from stringcast.stages.report.diagnosis.figures.size import size
 from stringcast.stages.report.diagnosis.figures.tip import tips
 from stringcast.stages.report.diagnosis.record import DiagnosisRecord
+from stringcast.stages.report.facts import Facts
 from stringcast.stages.report.picture import STYLE
 from stringcast.stages.report.template import template
 from stringcast.stages.report.words import mm
@@ -28,6 +30,12 @@ FILTERS = (words.plain, words.percent, words.gain, words.quantity, words.interva
 FEW = 12  # theories shown at once; the others are folded
 WORSE = 1.2  # times the residual without causes: that much more with them is worth a sentence
 RARE = 0.01  # probability up to which an alternative is not worth a line
+
+
+def stage_report(facts: Facts) -> str:
+    """The page of a diagnosis as a stage made it."""
+    given = (facts.name, facts.made, facts.model, library(), facts.settings, facts.origin)
+    return diagnosis_report(DiagnosisRecord(*given))
 
 
 def diagnosis_report(record: DiagnosisRecord) -> str:

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from stringcast.stages.generate import Box
+from stringcast.stages.model.box import Box
 from stringcast.stages.report.picture import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.record import Cast, Record
 from stringcast.stages.report.words import mm

@@ -13,15 +13,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction
+from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction, TrialSet
+from stringcast.stages.estimate.untouched import untouched
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import coefficients, settled
 from stringcast.stages.inference.solver import LOST, fitted
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter, chi_of, values_of
+from stringcast.stages.spec import Call
 
 RESTING = 0.005  # of the string's length: a hand that takes the tip no further rests; a marker's noise, 2 to 4 mm
 STEPS = 60  # iterations of the solver at most; it mostly takes five
+
+
+def run(call: Call, trials: TrialSet, estimate: Estimate) -> Prediction:
+    """Of the one trial given, until its string touches an obstacle; as a stage."""
+    (observation,) = (untouched(trial, call.setup.obstacles) for trial in trials.observations)
+    return predict(call.setup.model, estimate, observation, call.setup.own)
 
 
 def predict(model: Model, estimate: Estimate, observation: Observation, own: Collection[str]) -> Prediction:

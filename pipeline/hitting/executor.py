@@ -1,4 +1,4 @@
-"""A desk that casts on the virtual bench and measures points instead of filming: the same loop for less time.
+"""An executor that casts on the virtual bench and measures points instead of filming: the same loop for less time.
 
 The bench's string is finer than the model's (40 points, another integrator), its arm has a velocity loop and repeats
 itself only nearly. What is left out is the camera's picture: points have the noise that extraction leaves.
@@ -16,9 +16,7 @@ import pandas as pd
 from stringcast.data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Motion, Points, Trial
 from stringcast.hardware.virtual.bench import Bench
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.make import make
-from stringcast.pipeline.run import Iteration
-from stringcast.pipeline.steps import Past
+from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.stages.execute.execute import padded
 from stringcast.stages.hit_test import Verdict, hit_test
 
@@ -36,10 +34,10 @@ class PointExecutor:
     seconds: dict[int, float] = field(default_factory=dict)
     benches: dict[int, Bench] = field(default_factory=dict)
 
-    def step(self, name: str, past: Past) -> Any:
+    def obtain(self, step: Step) -> Any:
         """The artifact of a step."""
         own = {"generate": self._generate, "execute": self._execute, "extract": self._extract}
-        return own[name](past) if name in own else self._made(name, past)
+        return own.get(step.stage.name, self._made)(step)
 
     def real(self, number: int, duration: float) -> Verdict:
         """What really became of a cast, whatever was seen of it. duration: of its movement [s]."""
@@ -51,30 +49,30 @@ class PointExecutor:
     def publish(self, iterations: list[Iteration]) -> None:
         """Nobody reads along."""
 
-    def _made(self, name: str, past: Past) -> Any:
-        return make(name, self.experiment, past, lambda share: None)
+    def _made(self, step: Step) -> Any:
+        return self.experiment.run(step, lambda share: None)
 
-    def _generate(self, past: Past) -> Motion:
+    def _generate(self, step: Step) -> Motion:
         begun = time.process_time()
-        motion: Motion = self._made("generate", past)
-        self.seconds[past.number] = time.process_time() - begun
+        motion: Motion = self._made(step)
+        self.seconds[step.number] = time.process_time() - begun
         return motion
 
-    def _execute(self, past: Past) -> Trial:
-        experiment, rest = self.experiment, self.experiment.config["execute"]
-        lab = experiment.stages["hardware"](experiment.arm, experiment.camera, seed=experiment.seed, trial=past.number)
-        commands = padded(past.done["generate"].commands, rest["before"], rest["after"])
-        lab.arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
-        performance = lab.arm.perform(commands)
-        self.benches[past.number] = lab.arm.bench
+    def _execute(self, step: Step) -> Trial:
+        rest = self.experiment.config["execute"]
+        arm: Any = self.experiment.lab(step.number).arm
+        commands = padded(step.inputs["motion"].commands, rest["before"], rest["after"])
+        arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
+        performance = arm.perform(commands)
+        self.benches[step.number] = arm.bench
         return Trial(performance.arm, performance.ticks, FRAMES.empty(), performance.link, [])
 
-    def _extract(self, past: Past) -> Points:
-        bench = self.benches[past.number]
-        first, last = past.done["execute"].arm["t"].iloc[[0, -1]]
+    def _extract(self, step: Step) -> Points:
+        bench = self.benches[step.number]
+        first, last = step.inputs["trial"].arm["t"].iloc[[0, -1]]
         rate = self.experiment.camera.fps
         t = np.arange(np.ceil(first * rate), np.floor(last * rate) + 1) / rate
-        return measured(bench, t, self.noise, np.random.default_rng([self.experiment.seed, past.number]))
+        return measured(bench, t, self.noise, np.random.default_rng([self.experiment.seed, step.number]))
 
 
 def measured(bench: Bench, t: np.ndarray, noise: float, rng: np.random.Generator) -> Points:

@@ -1,0 +1,9 @@
+"""What a run does with its stages, a class for each loop that differs; `mode` in the settings names one."""
+
+from stringcast.pipeline.modes.batch import Batch
+from stringcast.pipeline.modes.calibrate import Calibrate
+from stringcast.pipeline.modes.cast import Cast
+from stringcast.pipeline.modes.diagnose import Diagnose
+from stringcast.pipeline.modes.estimate import Estimate
+
+__all__ = ["Batch", "Calibrate", "Cast", "Diagnose", "Estimate"]

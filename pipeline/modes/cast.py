@@ -1,0 +1,121 @@
+"""Cast until the real tip is in the box or the budget is spent (II-A)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from stringcast.data.artifacts import Motion, Points, TrialSet
+from stringcast.pipeline.experiment import ALL, Experiment
+from stringcast.pipeline.iterations import Executor, History, Iteration
+from stringcast.pipeline.modes.stepwise import Stepwise, needs_none
+from stringcast.pipeline.registry import stages
+from stringcast.pipeline.result import Result
+from stringcast.pipeline.settings import UserError, allowed
+from stringcast.pipeline.targets import REHEARSALS
+from stringcast.stages.align.undo import in_arms_frame
+from stringcast.stages.generate.space import check_reach
+from stringcast.stages.hit_test import hit_test
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Cast(Stepwise):
+    """stages: of each cast, in their order."""
+
+    stages: tuple[str, ...]
+
+    def check(self, experiment: Experiment) -> None:
+        """As of `Mode`."""
+        needs_none(experiment)
+        known_stages(self.stages)
+        check_reach(experiment.target, experiment.arm, experiment.string.length)
+
+    def moves(self, config: Mapping[str, Any]) -> bool:
+        """As of `Mode`."""
+        return config["trials"] is None and "execute" in self.stages
+
+    def work(
+        self, experiment: Experiment, folder: Path, executor: Executor, before: Sequence[Iteration] = ()
+    ) -> Result:
+        """As of `Stepwise`. before: what was cast already, and counts as spent."""
+        history = History(executor, [*before])
+        by = allowed(experiment.config["execute"]["_target_"], "execute", "config.json")
+        rehearsal = by in REHEARSALS
+        casts = 1 if rehearsal else experiment.config["manipulations"]
+        while len(history.iterations) < casts and not (history.iterations and history.iterations[-1].hit):
+            self._cast(experiment, history)
+            executor.publish(history.iterations)
+        made = tuple(history.iterations)
+        return Result(folder, made, rehearsed(made[-1]) if rehearsal else ended(made))
+
+    def _cast(self, experiment: Experiment, history: History) -> None:
+        """One manipulation, step by step. Nothing is learned from a trial that cannot be trusted."""
+        current = history.begin()
+        for name in self.stages:
+            if "trials" not in stages()[name].inputs:
+                history.make(name)
+            elif not current.refused:
+                history.make(name, trials=remembered(experiment, history.iterations))
+        log_fit(current)
+        motion: Motion = current.done["motion"]
+        points: Points = current.done["points"]
+        there = in_arms_frame(points, experiment.model)
+        verdict = hit_test(there, experiment.target, experiment.obstacles, motion.duration)
+        log.info("cast %d: the tip came within %.1f mm of the target", current.number, 1e3 * verdict.distance)
+        if current.refused:
+            log.warning("cast %d: nothing is estimated from its trial: %s", current.number, current.refused)
+        history.iterations[-1] = replace(current, verdict=verdict)
+
+
+def known_stages(names: Sequence[str]) -> None:
+    """Raise UserError for a name that no stage has."""
+    for name in names:
+        if name not in stages():
+            raise UserError(f"mode: there is no stage {name!r}. Known are: {', '.join(stages())}.")
+
+
+def remembered(experiment: Experiment, iterations: Sequence[Iteration]) -> TrialSet:
+    """The trials that can be trusted and that an estimation looks at: the last ones, or all."""
+    seen = [i for i in iterations if "points" in i.done and not i.refused]
+    memory = experiment.config["memory"]
+    last = seen if memory == ALL else seen[-memory:]
+    return TrialSet(tuple(i.observation for i in last), numbers=tuple(i.number for i in last))
+
+
+def log_fit(iteration: Iteration) -> None:
+    """Note how an estimation went, if there was one."""
+    if "estimate" not in iteration.done:
+        return
+    fit = iteration.done["estimate"].fit.iloc[0]
+    rate, off = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
+    words = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
+    log.info(words, iteration.number, *rate, *off, fit["sentence"])
+
+
+def ended(iterations: Sequence[Iteration]) -> str:
+    """How casting ended, in a sentence."""
+    last = iterations[-1]
+    if last.hit:
+        return f"The tip reached the target in manipulation {last.number}."
+    tries = f"{len(iterations)} manipulation{'s' if len(iterations) > 1 else ''}"
+    return f"The tip did not reach the target in {tries}; the budget is spent."
+
+
+def rehearsed(iteration: Iteration) -> str:
+    """What a rehearsal shows: how the link carries the ticks, and whether the string can be read."""
+    link, read = iteration.done["trial"].link.iloc[0], iteration.done["points"].readings["valid"]
+    unread = iteration.done["points"].readings.loc[~read.astype(bool), "reason"]
+    why = f" (most often: {unread.mode().iloc[0]})" if len(unread) else ""
+    told = [
+        f"commands went out {link['jitter_p50'] * 1e3:.2f} ms late (99 %: {link['jitter_p99'] * 1e3:.2f})",
+        f"{link['missed']} of {link['ticks']} were late or lost",
+        f"the string was read in {int(read.sum())} of {len(read)} frames{why}",
+    ]
+    if "trip_p50" in link:  # which a virtual arm has none of
+        told.insert(0, f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})")
+    return f"Rehearsed: {', '.join(told)}. Nothing is learned from it: {iteration.refused}."

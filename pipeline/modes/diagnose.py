@@ -1,0 +1,71 @@
+"""The diagnosis of stored trials; where the arm may move, of those that decide between look-alikes, too."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from stringcast.data.artifacts import Diagnosis, TrialSet
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.iterations import Executor, History, Iteration
+from stringcast.pipeline.modes.batch import Batch
+from stringcast.pipeline.modes.stored import listed
+from stringcast.pipeline.registry import stages
+from stringcast.pipeline.result import Result
+
+
+@dataclass(frozen=True)
+class Diagnose(Batch):
+    """While look-alikes are left that a motion tells apart, that motion is performed, and diagnosed with all the
+    others. motions: performed at most; with 0, the first is left for another run."""
+
+    motions: int
+
+    def moves(self, config: Mapping[str, Any]) -> bool:
+        """As of `Mode`."""
+        return self.motions > 0
+
+    def work(self, experiment: Experiment, folder: Path, executor: Executor) -> Result:
+        """As of `Stepwise`."""
+        history, trials = self.begun(experiment, executor)
+        stored = len(history.iterations)
+        made: Diagnosis = history.make(self.stage, trials=trials)
+        while made.motion is not None:
+            current = history.begin(trial=f"performed-{len(history.iterations) + 1:02d}")
+            history.make("propose")
+            if current.number > stored + self.motions:
+                history.iterations.pop()
+                break
+            trials = performed(history, trials)
+            made = history.make(self.stage, trials=trials)
+            executor.publish(history.iterations[stored:])
+        return Result(folder, tuple(history.iterations), concluded(made), stages()[self.stage])
+
+
+def performed(history: History, trials: TrialSet) -> TrialSet:
+    """Perform the motion that was proposed; what was seen joins the other trials."""
+    for name in ("execute", "extract"):
+        history.make(name)
+    current = history.iterations[-1]
+    fault = unusable(current)
+    if fault:
+        return replace(trials, rejected={**trials.rejected, current.name: fault})
+    seen = (*trials.observations, current.observation)
+    return replace(trials, observations=seen, numbers=(*trials.numbers, current.number))
+
+
+def unusable(current: Iteration) -> str:
+    """Why a trial just performed cannot be used; empty if it can."""
+    read = current.done["points"].readings["valid"].any()
+    return current.refused or ("" if read else "the string could not be read in any frame")
+
+
+def concluded(made: Diagnosis) -> str:
+    """The verdict, what was left out, and what to do next."""
+    found = json.loads(made.finding["diagnosis"].iloc[0])
+    rejected, following = found["trials"]["rejected"], found["next_experiment"]
+    left = f"Left out: {listed(rejected)}." if rejected else ""
+    return " ".join(filter(None, (made.sentence, left, following and following["sentence"])))

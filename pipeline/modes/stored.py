@@ -1,0 +1,57 @@
+"""Stored trials, ours or anybody's, as a run begins with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from stringcast.data import dataset
+from stringcast.data.artifacts import Observation
+from stringcast.data.schema import DataError
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.iterations import Executor, History
+from stringcast.stages.check.check import refuse
+from stringcast.stages.check.measured import Measured
+
+
+def usable(experiment: Experiment) -> dataset.Dataset:
+    """Stored trials that fit this string; raises DataError where there are none."""
+    trials = experiment.config["trials"]
+    read = dataset.read(Path(trials))
+    refuse(Measured(read, experiment.arm, experiment.camera, experiment.string.length))
+    data = dataset.fits(read, experiment.string.length)
+    if not data.trials:
+        reasons = listed(data.rejected) or "it holds no trial"
+        raise DataError(f"trials={trials}: no trial can be used ({reasons}). Look at the files it names.")
+    return data
+
+
+def held_out(data: dataset.Dataset) -> tuple[str, ...]:
+    """Trials that dataset.yaml sets aside."""
+    return tuple(name for name, about in data.about.get("trials", {}).items() if about.get("role") == "held_out")
+
+
+def history_of(data: dataset.Dataset, executor: Executor) -> History:
+    """The history of a run that begins with stored trials; it notes the content of each of their files."""
+    hashes = {(data.folder / name).as_posix(): digest for name, digest in data.hashes.items()}
+    return History(executor, hashes=hashes)
+
+
+def read_points(history: History, data: dataset.Dataset, name: str, again: bool) -> Observation:
+    """A trial with its points, in an iteration of its own. They are extracted from its frames where none are stored.
+
+    again: also where there are.
+    """
+    stored, film = data.trials[name], data.films.get(name)
+    if film is None or not (stored.points.empty or again):
+        history.begin()
+        return stored
+    history.begin(given={"trial": film})
+    points = history.make("extract")
+    return replace(stored, points=points.points, readings=points.readings, masks=points.masks)
+
+
+def listed(rejected: Mapping[str, str]) -> str:
+    """Trials that cannot be used, each with its reason."""
+    return "; ".join(f"{name}: {reason}" for name, reason in rejected.items())

@@ -1,0 +1,37 @@
+"""Settings of runs that older versions made, as they would be written now."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+TOGETHER = {"_target_": "pipeline.modes.Batch", "stage": "align", "read": False, "again": False}
+DIAGNOSE = {"_target_": "pipeline.modes.Diagnose", "stage": "diagnose", "read": True, "first": []}
+MODES: Mapping[tuple[str, ...], Mapping[str, Any]] = {  # what `steps` was, before there was a mode
+    **{
+        steps: {"_target_": "pipeline.modes.Cast", "stages": [*steps]}
+        for steps in (("generate", "execute", "extract"), ("generate", "execute", "extract", "estimate"))
+    },
+    ("estimate",): {"_target_": "pipeline.modes.Estimate", "again": False},
+    ("extract", "estimate"): {"_target_": "pipeline.modes.Estimate", "again": True},
+    ("diagnose",): DIAGNOSE | {"again": False, "motions": 0},
+    ("extract", "diagnose"): DIAGNOSE | {"again": True, "motions": 0},
+    ("diagnose", "execute", "extract", "diagnose"): DIAGNOSE | {"again": False, "motions": 2},
+    ("align",): TOGETHER | {"first": ["excite", "execute"]},
+    ("calibrate",): {"_target_": "pipeline.modes.Calibrate"},
+    ("study",): {"_target_": "pipeline.study.command.BlindStudy"},
+    ("extraction_study",): {"_target_": "pipeline.extraction_study.command.ExtractionStudy"},
+    ("hit_study",): {"_target_": "pipeline.hitting.study.HitStudy"},
+    ("measured_study",): {"_target_": "pipeline.measured.study.MeasuredStudy"},
+}
+
+
+def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a run with `mode` instead of `steps`; as they are where they have one, or were never written so."""
+    steps = settings.get("steps")
+    mode = next((dict(mode) for names, mode in MODES.items() if [*names] == steps), None)
+    if "mode" in settings or mode is None:
+        return dict(settings)
+    if mode.get("motions"):
+        mode["motions"] = settings["manipulations"]
+    return {name: value for name, value in settings.items() if name != "steps"} | {"mode": mode}

@@ -1,0 +1,13 @@
+"""Predict: where a fitted model has the string in a trial that nothing was fitted to."""
+
+from stringcast.data.artifacts import Estimate, Prediction, TrialSet
+from stringcast.stages.spec import MODEL, Last, StageSpec, This
+
+STAGE = StageSpec(
+    name="predict",
+    makes=Prediction,
+    folder="prediction",
+    uses=(*MODEL, "obstacles", "own"),
+    run="stages.estimate.prediction.predict.run",
+    inputs={"trials": This(TrialSet), "estimate": Last(Estimate)},
+)

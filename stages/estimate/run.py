@@ -1,0 +1,15 @@
+"""One estimation of a run, by whichever method its settings name."""
+
+from __future__ import annotations
+
+from stringcast.data.artifacts import Estimate, TrialSet
+from stringcast.stages.estimate.untouched import untouched
+from stringcast.stages.spec import Call
+
+
+def run(call: Call, trials: TrialSet, estimate: Estimate | None) -> Estimate:
+    """From trials until their string touches an obstacle, beginning with the last estimate."""
+    observations = [untouched(trial, call.setup.obstacles) for trial in trials.observations]
+    how = {"seed": call.seed, "manipulation": call.number, "progress": call.progress}
+    made: Estimate = call.by(call.setup.model, observations, estimate, **how)
+    return made

@@ -1,0 +1,127 @@
+"""A stage is one folder and one group of settings: put into a copy of the package, it is found, run, kept and shown."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
+STAGE = '''"""Sway: how far the tip of each trial goes from where it begins."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pandas as pd
+
+from stringcast.data.artifacts import TrialSet
+from stringcast.data.schema import Column, Table
+from stringcast.stages.spec import StageSpec, Summary, This
+
+FARTHEST = Table(
+    "farthest", "a row a trial", (Column("trial", "", "its name", "text"), Column("sway", "m", "of its tip, at most"))
+)
+
+
+@dataclass(frozen=True)
+class Sway:
+    farthest: pd.DataFrame
+
+    TABLES: ClassVar[dict[str, Table]] = {"farthest": FARTHEST}
+
+
+def summary(made: Sway) -> Summary:
+    return Summary("sway", f"The tip goes {made.farthest['sway'].max():.3f} m at most.", made.farthest.round(3))
+
+
+STAGE = StageSpec(
+    name="sway",
+    makes=Sway,
+    folder="sway",
+    uses=("sway",),
+    run="stages.sway.sway.run",
+    inputs={"trials": This(TrialSet)},
+    by=("stages.sway.sway.sway",),
+    summary=summary,
+)
+'''
+FUNCTION = '''"""How far a tip goes."""
+
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from stringcast.stages.sway import FARTHEST, Sway
+
+
+def run(call, trials):
+    return call.by(trials.observations, progress=call.progress)
+
+
+def sway(observations, *, least: Annotated[float, Field(ge=0)], progress=lambda share: None) -> Sway:
+    tips = {trial.trial: trial.read[trial.read["s"] == trial.read["s"].max()] for trial in observations}
+    far = {name: np.hypot(tip["x"] - tip["x"].iloc[0], tip["y"] - tip["y"].iloc[0]).max() for name, tip in tips.items()}
+    rows = [{"trial": name, "sway": value} for name, value in far.items() if value > least]
+    return Sway(FARTHEST.check(pd.DataFrame(rows)))
+'''
+SETTINGS = "_target_: stages.sway.sway.sway\nleast: 0.0   # [m] that is told of\n"
+ASKED = ("+sway=plain", "mode=batch", "mode.stage=sway", f"trials={ROOT / 'data/sample'}")
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    """A copy of the package, with the stage put into it."""
+    site = tmp_path_factory.mktemp("site")
+    shutil.copytree(ROOT / "pipeline" / "api", site / "stringcast")
+    shutil.copytree(ROOT / "hydra_plugins", site / "hydra_plugins")
+    for room in ROOMS:
+        shutil.copytree(
+            ROOT / room, site / "stringcast" / room, ignore=shutil.ignore_patterns("results", "__pycache__")
+        )
+    for name, text in {
+        "stages/sway/__init__.py": STAGE,
+        "stages/sway/sway.py": FUNCTION,
+        "conf/sway/plain.yaml": SETTINGS,
+    }.items():
+        (site / "stringcast" / name).parent.mkdir(exist_ok=True)
+        (site / "stringcast" / name).write_text(text)
+    return site
+
+
+def said(package, *words):
+    """Exit status and output of a command of the copy."""
+    around = os.environ | {"PYTHONPATH": str(package)}
+    call = [sys.executable, "-m", "stringcast", *map(str, words)]
+    done = subprocess.run(call, cwd=package, env=around, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_new_stage_is_a_folder_and_a_group_of_settings(package, tmp_path):
+    run = tmp_path / "run"
+    status, words = said(package, *ASKED, f"hydra.run.dir={run}")
+    assert status == 0, words
+    (place,) = run.glob("iterations/*/sway")
+    made = pd.read_parquet(place / "farthest.parquet")
+    assert len(made) == 5
+    assert (made["sway"] > 0.01).all()
+    sentence = f"The tip goes {made['sway'].max():.3f} m at most."
+    assert sentence in words
+    assert json.loads((run / "run.json").read_text())["sentence"] == sentence
+    assert made["trial"].iloc[0] in (run / "report.html").read_text()
+    assert said(package, "verify", run)[0] == 0
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | {"sway": config["sway"] | {"least": 0.001}}))
+    assert "setting sway.least was 0.0, is 0.001" in said(package, "why", run)[1]
+
+
+def test_its_settings_are_checked_like_any_other(package, tmp_path):
+    status, words = said(package, *ASKED, "sway.least=-1", f"hydra.run.dir={tmp_path / 'run'}")
+    assert status == 1
+    assert "sway.least = -1 (conf/sway/plain.yaml or the command line)" in words
