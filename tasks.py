@@ -30,7 +30,8 @@ PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python
 SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
 PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")  # how the folders of this clone are one package
 TYPES = ENVIRONMENT / "types" / "stringcast"
-TIMED = "tests/drivers"  # by real clocks: they run alone
+TIMED = "tests/drivers"  # by real clocks: they run with nothing beside them but one another, and wait most of the time
+BY_CLOCKS = ("--numprocesses=2", "--dist=loadfile", "--no-loadscope-reorder", TIMED)
 STYLE = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
 
 
@@ -116,7 +117,7 @@ def test(rest: list[str]) -> int:
         types = beside.submit(call, "mypy")
         results.append(call("pytest", *SIDE_BY_SIDE, f"--ignore={TIMED}", *which))
         results.append(types.result())
-    return worst(*results, call("pytest", TIMED, *which))
+    return worst(*results, call("pytest", *BY_CLOCKS, *which))
 
 
 def worst(*codes: int) -> int:

@@ -37,6 +37,7 @@ TRUTH = {"bending_stiffness": 4.0, "bending_damping": 5e-3, "linear_drag": 0.3, 
 # Files that take longest, first: side by side, what begins last should not be what ends last.
 # The diagnosis by command after that in the process, whose compiled kernels it then finds.
 LONGEST = (
+    *("drivers/test_filming", "drivers/test_run_interrupted", "drivers/test_serial_link"),
     *("diagnosis/test_hidden_causes", "pipeline/test_command_line", "sweep/test_sweep_command"),
     *("extraction/test_extract", "diagnosis/test_from_the_command_line", "virtual_lab/test_blind"),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import jinja2
@@ -14,6 +15,7 @@ from stringcast.stages.report.picture import THEME
 HERE = Path(__file__).parent
 
 
+@cache
 def template(name: str, *own: Callable[..., str]) -> jinja2.Template:
     """A page's template, with filters of its own. Data are escaped; a name that is not there is an error."""
     page = jinja2.Environment(

@@ -1,15 +1,16 @@
 """Whole runs by the command line whose process is told to end while the arm moves: it stands, and the run goes on."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
+from conftest import ROOT, share
 from rig import events
 
-ROOT = Path(__file__).resolve().parents[2]
+SHARED = os.environ | {"NUMBA_NUM_THREADS": str(share())}  # of the cores: others go by clocks beside it
 SMALL = (
     "+experiment=quick",
     "hardware=emulator",
@@ -24,7 +25,7 @@ def told_to_end(number, record, *arguments):
     stands in the end."""
     record.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pipeline", *arguments]
-    run = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    run = subprocess.Popen(command, cwd=ROOT, env=SHARED, stderr=subprocess.PIPE, text=True)
     while "moves" not in {noted["event"] for noted in (events(record) if record.exists() else [])}:
         assert run.poll() is None, run.stderr.read()
         time.sleep(0.02)
@@ -46,6 +47,6 @@ def test_a_run_told_to_end_while_the_arm_moves_leaves_it_at_rest_and_goes_on(tmp
     assert not (folder / "run.json").exists()
     assert told_to_end(signal.SIGINT, record, "resume", str(folder))[0] == 130
     command = [sys.executable, "-m", "pipeline", "resume", str(folder)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=120)
+    subprocess.run(command, cwd=ROOT, env=SHARED, check=True, capture_output=True, timeout=120)
     assert {step.name for step in (folder / "iterations/01").iterdir()} == {"motion", "trial", "points"}
     assert json.loads((folder / "run.json").read_text())["sentence"]
