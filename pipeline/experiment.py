@@ -13,6 +13,7 @@ import numpy as np
 from hydra.utils import get_object
 
 from stringcast.pipeline.iterations import Step
+from stringcast.pipeline.older import FLOAT64
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError, build, chosen, loaded, stage
@@ -32,7 +33,6 @@ from stringcast.stages.model.string import String
 from stringcast.stages.spec import Call
 
 Where = Callable[[str], str]
-FLOAT64 = {"_target_": "stages.model.precision.Double"}  # as runs say that were stored while it was a setting
 
 
 class Mode(ABC):

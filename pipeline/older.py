@@ -26,12 +26,17 @@ MODES: Mapping[tuple[str, ...], Mapping[str, Any]] = {  # what `steps` was, befo
 }
 
 
+FLOAT64 = {"_target_": "stages.model.precision.Double"}  # which is all there is now
+
+
 def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run with `mode` instead of `steps`; as they are where they have one, or were never written so."""
-    steps = settings.get("steps")
+    """Settings of a run by their names of today: `mode` instead of `steps`, and nothing of float64."""
+    now, steps, string = dict(settings), settings.get("steps"), settings.get("string")
+    if isinstance(string, Mapping) and string.get("precision") == FLOAT64:
+        now["string"] = {name: value for name, value in string.items() if name != "precision"}
     mode = next((dict(mode) for names, mode in MODES.items() if [*names] == steps), None)
     if "mode" in settings or mode is None:
-        return dict(settings)
+        return now
     if mode.get("motions"):
         mode["motions"] = settings["manipulations"]
-    return {name: value for name, value in settings.items() if name != "steps"} | {"mode": mode}
+    return {name: value for name, value in now.items() if name != "steps"} | {"mode": mode}

@@ -131,11 +131,7 @@ def begin(experiment: Experiment, folder: Path) -> None:
     path = folder / "config.json"
     text = json.dumps(experiment.config, indent=2, sort_keys=True)
     before = path.read_text(encoding="utf-8") if path.exists() else None
-    if (
-        before is not None
-        and before != text
-        and _rows_alike(modern(dataset.settings(path))) != _rows_alike(json.loads(text))
-    ):
+    if before is not None and before != text and not _same_run(dataset.settings(path), json.loads(text)):
         raise DataError(
             f"{folder}: this folder holds a run with other settings (see config.json). "
             "Leave hydra.run.dir to its default, or repeat the settings of that run."

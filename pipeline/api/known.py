@@ -17,6 +17,7 @@ from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.complaint import refusal
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import EXTENDED, extended_model, with_inherited_settings
+from stringcast.pipeline.older import modern
 from stringcast.pipeline.settings import UserError, composed, flat, names_given
 from stringcast.stages.export.mjcf import mjcf
 
@@ -39,7 +40,7 @@ class KnownString:
         estimates = sorted(whole.glob("iterations/*/estimate/parameters.parquet"))
         if (whole / EXTENDED).exists() or not estimates:
             return cls.load(whole)
-        settings, table = dataset.settings(whole / "config.json"), read_table(PARAMETERS, estimates[-1])
+        settings, table = modern(dataset.settings(whole / "config.json")), read_table(PARAMETERS, estimates[-1])
         known = dict(zip(table["name"], table["value"].astype(float), strict=True))
         return cls({"string": settings["string"], "effects": settings["effects"], "known": known})
 

@@ -17,6 +17,7 @@ from stringcast.data import dataset, store
 from stringcast.data.artifacts import FIT
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.layout import ENDED, FAILED
+from stringcast.pipeline.older import modern
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.staleness import reasons_of
@@ -138,7 +139,7 @@ def _steps(run: Path) -> dict[str, Any]:
 
 def _stale(run: Path) -> str:
     """The first reason why a step would be made again."""
-    settings = dataset.settings(run / "config.json")
+    settings = modern(dataset.settings(run / "config.json"))
     places = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
     reasons = ((place.relative_to(run).as_posix(), reasons_of(run, place, settings)) for place in places)
     return next((f"{place}: {words[0]}" for place, words in reasons if words), "")

@@ -55,7 +55,7 @@ def stored_experiment(folder: Path) -> Experiment:
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
     written = dataset.settings(path)
     settings = modern(written)
-    if settings != written:
+    if "mode" not in written and "mode" in settings:
         words = f"{path}: steps = {written['steps']} is read as mode = {settings['mode']}, as it is called now."
         Terminal(stderr=True).print(words, soft_wrap=True, markup=False)
     try:

@@ -21,7 +21,7 @@ from stringcast.pipeline.commands.verify import verify
 from stringcast.pipeline.compare import differences
 from stringcast.pipeline.hitting.study import HitStudy
 from stringcast.pipeline.modes import Calibrate
-from stringcast.pipeline.older import modern
+from stringcast.pipeline.older import FLOAT64, modern
 from stringcast.pipeline.settings import UserError, composed
 from tests.faults.toy import contents, toy_experiment, toy_run
 
@@ -340,7 +340,8 @@ def test_a_run_that_says_steps_instead_of_mode_is_read_and_gone_on_with(run, cap
     path = run / "config.json"
     config = json.loads(path.read_text())
     mode = config.pop("mode")
-    path.write_text(json.dumps(config | {"steps": ["generate", "execute", "extract", "estimate"]}))
+    string = config["string"] | {"precision": FLOAT64}
+    path.write_text(json.dumps(config | {"steps": ["generate", "execute", "extract", "estimate"], "string": string}))
     status, said = asked(capsys, "why", run)
     assert status == 0
     assert "is read as mode = {'_target_': 'pipeline.modes.Cast'" in said
