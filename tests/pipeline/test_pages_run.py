@@ -1,0 +1,286 @@
+"""Every command of every page is run and does what the page says: those of a second or two that no other test runs by default, all others by
+`test --all`. Where the page's own command takes over ten minutes it is run at a smaller size, as `less` says. What is
+run by another test, or needs a device, a person or another machine, stands in one list with its reason: `pytest -rs`
+prints it.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.calibration.studio import picture, pose, tilted
+from tests.pipeline.test_readme_commands import ROOT, pages
+
+COMMAND = re.compile(
+    r"(?:\.venv/bin/)?python3? (?:-m )?((?:pipeline|stringcast|tests|pytest|pip|tasks\.py)\b[\w.]*)(.*)"
+)
+ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
+STUDIED = ("casts.parquet", "rates.parquet", "needed.parquet", "hits.png")
+PAPER = ("report.html", "runs.parquet", "casts.parquet", "rates.parquet", "needed.parquet", "numbers.parquet", "*.png")
+
+
+@dataclass(frozen=True)
+class Run:
+    """How a command of a page is run. says: a pattern of what it prints. leaves: files of its folder. rows: of a table
+    there. less: words that make it smaller. of: what is put in for outputs/... long: over 20 s, or run by default
+    elsewhere."""
+
+    says: str = ""
+    leaves: tuple[str, ...] = ()
+    rows: tuple[str, int] = ("", 0)
+    less: str = ""
+    of: str = "cast"
+    long: bool = True
+
+
+CAST = {"says": r"report\.html$", "leaves": ("report.html", "run.json", "dataset.yaml", "iterations/01/estimate")}
+DIAGNOSED = {"leaves": ("report.html", "diagnosis.json", "extended.yaml")}
+ONE_CASE = "hits.seeds=1 hits.casts=2"
+RUN = {
+    "tasks.py run": Run(**CAST),
+    "pipeline +experiment=stringA": Run(**CAST),
+    "pipeline +experiment=robust": Run(**CAST),
+    "pipeline +experiment=robust specimen=B target=at_400_700": Run(**CAST),
+    "pipeline +experiment=window": Run(**CAST),
+    "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
+    "pipeline 'effects=[tip_mass,arm_lag]' estimate=least_squares": Run(**CAST),
+    "pipeline +experiment=stringB seed=0 hydra.run.dir=outputs/gallery": Run(**CAST),
+    "pipeline +experiment=stringB extended=outputs/...": Run(**CAST, of="diagnosed"),
+    "pipeline +experiment=stringB extended=outputs/...-align-...": Run(**CAST, of="aligned"),
+    "pipeline +experiment/paper=wall seed=7": Run(**CAST),
+    "pipeline +experiment=diagnose trials=data/sample": Run(r"report\.html$", **DIAGNOSED),
+    "pipeline +experiment=diagnose trials=<folder>": Run(**DIAGNOSED, of="mine"),
+    "pipeline +experiment=diagnose trials=mine": Run(**DIAGNOSED, of="mine"),
+    "pipeline +experiment=diagnose trials=outputs/...": Run(**DIAGNOSED),
+    "pipeline +experiment=decide trials=outputs/...": Run(**DIAGNOSED),
+    "pipeline +experiment=estimate trials=outputs/...": Run(leaves=("report.html", "run.json")),
+    "pipeline +experiment=estimate estimate=least_squares string=cable 'effects=[rest_curvature,maxwell_slip]' "
+    "trials=outputs/...": Run(leaves=("report.html", "run.json")),
+    "pipeline +experiment=align": Run(leaves=("report.html", "extended.yaml")),
+    "pipeline +experiment=align trials=outputs/...": Run(leaves=("report.html", "extended.yaml")),
+    "pipeline +experiment=calibrate source=images source.folder=tilted plane.folder=flat": Run(
+        leaves=("report.html", "camera.yaml", "calibration"), of="pictures"
+    ),
+    "pipeline +experiment=calibrate source=video source.path=tilted.mp4 plane.folder=flat": Run(
+        leaves=("report.html", "camera.yaml", "calibration"), of="pictures"
+    ),
+    # Sweeps: a job is about half a minute.
+    "pipeline --multirun estimate.beta=0.99,0.995 target=at_300_900,at_400_700 seed=0,1,2": Run(
+        leaves=("report.html", "ledger"), rows=("sweep.parquet", 12)
+    ),
+    "pipeline --multirun +experiment=stringB estimate.beta=0.99,0.995 seed=0,1,2": Run(
+        leaves=("report.html", "ledger"), rows=("sweep.parquet", 6)
+    ),
+    "pipeline +experiment=sweep": Run(leaves=("report.html",), rows=("sweep.parquet", 9), less="seed=0"),  # of 45 jobs
+    "pipeline +experiment=paper": Run(
+        leaves=PAPER, rows=("runs.parquet", 2), less="seed=0 +experiment/paper=A_300_900,wall"
+    ),  # of 450
+    "pipeline +experiment=paper 'seed=range(2)'": Run(
+        leaves=PAPER, rows=("runs.parquet", 2), less="+experiment/paper=A_300_900"
+    ),  # of 30
+    "pipeline +experiment=paper 'seed=range(3)'": Run(
+        leaves=PAPER, rows=("runs.parquet", 3), less="+experiment/paper=A_300_900"
+    ),  # of 45
+    # Studies, each of hours.
+    "pipeline +experiment=blind_study study.first=2830": Run(
+        "cause found", ("benches.parquet", "rates.parquet", "overview.png"), ("benches.parquet", 2), "study.benches=2"
+    ),
+    "pipeline +experiment=hit_study": Run(
+        "Hit: paper", STUDIED, less=f"{ONE_CASE} ~hits.cases.B ~hits.cases.C ~hits.cases.D ~hits.cases.wall"
+    ),
+    "pipeline +experiment=learn_study": Run("Hit: paper", STUDIED, less=f"{ONE_CASE} ~hits.cases.D"),
+    "pipeline +experiment=gain_study": Run(
+        r"Hit: .*base: \d+ %",
+        STUDIED,
+        less="hits.seeds=1 hits.casts=1 hits.lessons.casts=3 "
+        + " ".join(
+            f"~hits.cases.{case}"
+            for case in ("nothing", "wind", "gravity_direction", "rest_curvature", "grasp_angle", "arm_lag")
+            + ("joint_gain", "time_offset", "camera_rotation")
+        ),
+    ),
+    "pipeline +experiment=extraction_study extraction_study.frames=24": Run(
+        r"2064 frames: 7\d\.\d% read, 0\.\d+% wrong", ("shares.parquet", "frames.parquet")
+    ),
+    # In a copy of the project: they rewrite what was recorded.
+    "pipeline.study.record": Run(r"f743bdb \| 51 \| 31 of 31"),
+    "tests.alignment": Run(less="--seeds 1 --filmed 0"),
+    "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
+    "tests.diagnosis": Run(less="--seeds 1"),
+    "tests.drivers.sweep": Run(less="100"),
+    # What is on the disk.
+    "pipeline draw 7 riddle riddle.json": Run(r"5 trials\. What they hide is in .*riddle\.json", long=False),
+    "pipeline index --to runs.parquet": Run(r"run +experiment +state"),
+    "pipeline export <run> string.xml --mass 0.012": Run(r"string\.xml"),
+    "pipeline resume <run>": Run(r"report\.html$"),
+    "pipeline pictures outputs/gallery/report.html outputs/gallery/pictures": Run(r"\.(svg|webp) +\d+ kB"),
+}
+TEN_MINUTES = "tests/pipeline/test_readme_commands.py::test_the_first_ten_minutes_go_as_the_page_says"
+SHORT = "tests/pipeline/test_readme_commands.py::test_short_commands_do_what_the_front_page_says"
+ELSEWHERE = {  # which test runs it, or why none can
+    "pipeline check mine": TEN_MINUTES,
+    "pipeline check wrong": TEN_MINUTES,
+    "pipeline check data/sample": SHORT,
+    "pipeline board board.pdf": SHORT,
+    "pipeline --help": SHORT,
+    "pipeline +experiment=paper hydra.sweep.dir=outputs/sweeps/...": "goes on with a sweep, as does "
+    "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
+    "pipeline +experiment=measured_study trials=../shared/measured": "needs recordings of others, which are not ours to "
+    "hand on; a small one: tests/measured/test_measured_study.py",
+    "pipeline.extraction_study.measured ../shared/measured data/results/extraction/measured.parquet": "needs films of "
+    "others, which are not ours to hand on",
+    "pipeline.measured.diagnosed ../shared/measured": "needs recordings of others, which are not ours to hand on",
+    "pipeline +experiment=": "the beginning of a command: its names are composed in test_readme_commands.py",
+    "pipeline draw <seed> data/sample data/envelopes/sample.json": "as draw 7 riddle riddle.json, over the sample",
+    "pipeline.study.record outputs/...": "as without a folder; tests/pipeline/test_recorded_studies.py::test_a_study_is_added_and_counted_by_itself",
+    "pipeline +experiment=calibrate source=device source@plane=device": "needs a camera and a person with a board",
+    "pipeline +experiment=stringB hardware=serial calibrated=outputs/...": "needs an arm on a serial port; with an "
+    "emulated one: tests/drivers/test_run_interrupted.py",
+    "stringcast.hardware.serial.clear PORT": "asks a person; typed in for him: tests/drivers/test_serial_link.py",
+    "stringcast.hardware.dynamixel.clear PORT ID ...": "asks a person; typed in: tests/drivers/test_dynamixel.py",
+    "stringcast.hardware.serial.emulator [--log FILE] [--fault KIND:N ...]": "tests/drivers/rig.py::emulator",
+    "stringcast.hardware.dynamixel.emulator [--fault KIND:N ...]": "tests/drivers/test_dynamixel.py::bus",
+    "tests.faults": "kills and breaks for as long as one likes: tests/faults/test_run_faults.py does so, for less",
+    "tasks.py test": "is what runs this",
+    "tasks.py setup": "made the environment that this runs in",
+    "tasks.py bench": "installs what it compares with; a small one: tests/speed/test_smoke.py",
+    "tasks.py bench waits": "compares two commits by the clock of an idle machine",
+    "pip install dynamixel-sdk": "installs",
+    'pytest --noconftest -p no:xdist -x -q ..."': "of cosmic-ray, for an hour, in an environment of its own",
+}
+
+
+def shown():
+    """Every command of every page, as it stands there, less what is said behind a #."""
+    found = set()
+    for page in pages():
+        for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
+            pieces = [line] if line.startswith("    ") else re.findall(r"`([^`]+)`", line)
+            for match in filter(None, map(COMMAND.search, pieces)):
+                found.add(f"{match[1]} {match[2].partition(' #')[0].strip()}".strip())
+    return found
+
+
+def test_every_command_of_every_page_is_run_or_it_is_said_why_not():
+    known = {*RUN, *ELSEWHERE}
+    assert shown() - known == set(), "shown by a page, and run nowhere"
+    assert known - shown() == set(), "shown by no page any more"
+    assert not {*RUN} & {*ELSEWHERE}
+
+
+@pytest.mark.parametrize("command", ELSEWHERE)
+def test_what_is_run_elsewhere_or_nowhere(command):
+    reason = ELSEWHERE[command]
+    for file, name in re.findall(r"(tests/[\w/]+\.py)(?:::(\w+))?", reason):
+        assert f"def {name}" in (ROOT / file).read_text()
+    pytest.skip(f"{command}: {reason}")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder in which runs are made once and looked at by all: `made` knows how."""
+    return tmp_path_factory.mktemp("pages")
+
+
+def asked(words, cwd=ROOT):
+    """The command's exit status and words, in one line."""
+    around = os.environ | {"PYTHONPATH": str(cwd / ".package")}
+    command = [sys.executable, "-m", *words]
+    done = subprocess.run(command, cwd=cwd, env=around, capture_output=True, text=True, check=False)
+    return done.returncode, " ".join((done.stdout + done.stderr).split())
+
+
+def copied(folder):
+    """The last commit of the project in a folder, for commands that rewrite what was recorded."""
+    subprocess.run(["git", "clone", "-q", ROOT, folder], check=True)
+    package = folder / ".package" / "stringcast"
+    package.mkdir(parents=True)
+    for part in [*(folder / "pipeline" / "api").glob("*.py"), *map(folder.joinpath, ROOMS)]:
+        (package / part.name).symlink_to(part)
+    return folder
+
+
+def made(place, name):
+    """What a reader has before a page's command is given: a cast, a diagnosis, an alignment, measurements, pictures."""
+    folder = place / name
+    if folder.exists():
+        return folder
+    words = {
+        "cast": ["+experiment=quick", "manipulations=2"],
+        "diagnosed": ["+experiment=diagnose", "trials=data/sample"],
+        "aligned": ["+experiment=align"],
+    }
+    if name in words:
+        status, said = asked(["pipeline", *words[name], f"hydra.run.dir={folder}"])
+        assert status == 0, said
+    elif name == "mine":
+        shutil.copytree(ROOT / "data" / "sample", folder)
+    else:
+        photographed(folder)
+    return folder
+
+
+def photographed(folder):
+    """Pictures and a film of a tilted board, and one of it in the plane."""
+    rng = np.random.default_rng(0)
+    (folder / "tilted").mkdir(parents=True)
+    (folder / "flat").mkdir()
+    images = tilted(rng)
+    rows, columns = images[0].shape
+    film = cv2.VideoWriter(str(folder / "tilted.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 2.0, (columns, rows))
+    for number, image in enumerate(images):
+        cv2.imwrite(str(folder / "tilted" / f"{number:02d}.png"), image)
+        for _ in range(15):  # every so many frames there is a picture: source.every
+            film.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    film.release()
+    cv2.imwrite(str(folder / "flat" / "0.png"), picture(*pose(0.0, 0.0, 0.0, 0.0, 0.05, 0.42), rng))
+
+
+def filled(command, run, place, out):
+    """Words of the command, with what a reader puts in."""
+    words = shlex.split(f"{command} {run.less}")
+    needed = re.search(r"outputs/\.\.\.|<|tilted|outputs/gallery/|trials=mine", command)
+    folder = made(place, run.of) if needed else place
+    words = [
+        re.sub(r"outputs/\.\.\.[\w.-]*|<[^>]*>|outputs/gallery(?=/)|(?<==)mine$", str(folder), word) for word in words
+    ]
+    words = [re.sub(r"(?<==)(tilted\.mp4|tilted|flat)$", rf"{folder}/\1", word) for word in words]
+    if words[0] == "tasks.py":
+        words = ["pipeline", "+experiment=stringB"]
+    if any(re.match(r"[+~\w./@]+=", word) for word in words) and words[0] == "pipeline":
+        several = "--multirun" in words or re.search(r"=(paper|sweep)$", " ".join(words[:2]))
+        words = [word for word in words if not word.startswith("hydra.run.dir=")]
+        return [*words, f"hydra.{'sweep' if several else 'run'}.dir={out}"]
+    return [
+        re.sub(r"^(board\.pdf|riddle|riddle\.json|runs\.parquet|string\.xml)$", rf"{out}-\1", word) for word in words
+    ]
+
+
+@pytest.mark.parametrize(
+    "command", [pytest.param(command, marks=[pytest.mark.long] * run.long) for command, run in RUN.items()]
+)
+def test_a_command_does_what_its_page_says(command, place, tmp_path):
+    run, out = RUN[command], tmp_path / "out"
+    cwd = ROOT
+    if command.startswith(("tests.", "pipeline.")):
+        cwd = copied(tmp_path / "project")
+    words = filled(command, run, place, out)
+    if command.startswith("pipeline index"):
+        words.insert(2, str(made(place, "cast").parent))
+    status, said = asked(words, cwd)
+    assert status == 0, said[-3000:]
+    assert "Traceback" not in said
+    assert re.search(run.says, said), said[-3000:]
+    for file in run.leaves:
+        assert list(out.glob(file)), f"{file} is missing; there are {os.listdir(out)}"
+    table, rows = run.rows
+    assert not table or len(pd.read_parquet(out / table)) == rows
