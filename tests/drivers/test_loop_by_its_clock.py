@@ -97,6 +97,7 @@ def test_answers_that_never_come_are_waited_for_no_longer_than_stated(now):
     assert list(log.waiting.values()) == [3, 4]
     assert np.isnan(log.acknowledged[3:]).all()
     assert now.now - wire.at[-1] == pytest.approx(DRAIN, abs=5e-4)
+    assert now.slept.count(loop.POLL) > 0.9 * DRAIN / loop.POLL  # asleep, not watching the clock
     assert DRAIN == 0.05
 
 
@@ -258,13 +259,14 @@ def test_a_pose_that_is_not_reached_is_gone_to_three_times(now):
 @pytest.mark.parametrize("off", [-0.02, 0.0199, -0.0201, 0.03])
 def test_a_movement_begins_where_it_is_told_within_the_tolerance(now, off):
     wire = Timed(now)
-    wire.pose = np.array([0.0, off, 0.0])
+    begins = movement().assign(q2=lambda table: table["q2"] + 0.7)
+    wire.pose = np.array([0.0, 0.7 + off, 0.0])
     if abs(off) <= 0.02:
         with arm(wire) as driven:
-            assert len(driven.perform(movement()).ticks) == len(movement())
+            assert len(driven.perform(begins).ticks) == len(begins)
     else:
         with pytest.raises(HardwareError, match=rf"{np.degrees(abs(off)):.1f} degrees from the movement's start"):
-            arm(wire).perform(movement())
+            arm(wire).perform(begins)
         assert not wire.sent
 
 
@@ -349,6 +351,8 @@ def test_the_acceleration_may_be_reached_and_not_more():
     for share, said in ((1.0005, ""), (1.0015, "arm.acceleration")):
         found = refused({**ROOMY, "acceleration": (change / share,) * 3}, swung(0.5))
         assert (found[0] if found else "") == said
+    late = np.concatenate([np.repeat(swung(0.5)[:1], 30, axis=0), swung(0.5)])
+    assert refused({**ROOMY, "acceleration": (change / 1.0015,) * 3}, late)[1] >= 0.150
 
 
 def test_the_hands_speed_may_be_reached_and_not_more():

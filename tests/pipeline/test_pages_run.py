@@ -149,6 +149,8 @@ ELSEWHERE = {  # which test runs it, or why none can
     "stringcast.hardware.dynamixel.clear PORT ID ...": "asks a person; typed in: tests/drivers/test_dynamixel.py",
     "stringcast.hardware.serial.emulator [--log FILE] [--fault KIND:N ...]": "tests/drivers/rig.py::emulator",
     "stringcast.hardware.dynamixel.emulator [--fault KIND:N ...]": "tests/drivers/test_dynamixel.py::bus",
+    "pipeline +sway=plain mode=batch mode.stage=sway trials=data/sample": "a stage of one's own, which there is none of: "
+    "tests/pipeline/test_new_stage.py",
     "tests.faults": "kills and breaks for as long as one likes: tests/faults/test_run_faults.py does so, for less",
     "tasks.py test": "is what runs this",
     "tasks.py setup": "made the environment that this runs in",
