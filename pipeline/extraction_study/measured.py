@@ -6,8 +6,8 @@ FOLDER holds l4dc_strip_video (films of strips with the points their authors tra
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -100,15 +100,20 @@ def photograph_row(folder: Path, name: str, length: float) -> dict[str, object]:
     return {"name": name, **_read(found)}
 
 
-def main(folder: Path, path: Path) -> None:
+def main() -> None:
     """Everything there is, as one table."""
+    parser = argparse.ArgumentParser("python -m pipeline.extraction_study.measured", description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("table", type=Path)
+    asked = parser.parse_args()
+    folder = asked.folder
     strips, photographs = folder / "l4dc_strip_video", folder / "tudelft_cable_fr3" / "frames"
     rows = [strip_row(strips, film.stem) for film in sorted((strips / "videos").glob("*.mp4"))]
     rows += [photograph_row(photographs, name, length) for name, length in (("calib_1408", 0.6), ("calib_2908", 0.4))]
     frame = MEASURED.check(pd.DataFrame(rows, columns=[c.name for c in MEASURED.columns]))
-    store.write_table(MEASURED, frame, path, origin({}, "measured", 0, {}))
+    store.write_table(MEASURED, frame, asked.table, origin({}, "measured", 0, {}))
     print(frame.round(2).to_string())
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main()

@@ -82,7 +82,7 @@ def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
 def summary(tables: Mapping[str, pd.DataFrame]) -> str:
     """The study in a few numbers."""
     rates = [
-        f"{name}: {right} of {count} ({100 * share:.0f} %)"
+        f"{name}: {right} of {count}" + (f" ({100 * share:.0f} %)" if count else "")
         for name, right, count, share in tables["rates"][["name", "right", "count", "share"]].itertuples(index=False)
     ]
     error, runtime = tables["calibration_error"].iloc[0], tables["runtime"].iloc[0]

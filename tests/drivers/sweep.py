@@ -1,6 +1,7 @@
 """`python -m tests.drivers.sweep [EVERY]`: every fault at every EVERY-th frame of a movement, by the real driver over
 a real terminal. What became of each goes to data/results/serial_faults/faults.parquet."""
 
+import argparse
 import sys
 import tempfile
 import time
@@ -61,7 +62,9 @@ def rested(noted: list[dict], kind: str) -> float | None:
 
 def main() -> None:
     """All of them, with a line for each kind."""
-    every = int(sys.argv[1]) if len(sys.argv) > 1 else 1
+    parser = argparse.ArgumentParser("python -m tests.drivers.sweep", description=__doc__)
+    parser.add_argument("every", type=int, nargs="?", default=1, help="frames from one that is struck to the next")
+    every = parser.parse_args().every
     rows, begun = [], time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         for kind in KINDS:
