@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 from stringcast.stages.model.effects.clamp import Clamp
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.library import library
+from stringcast.stages.model.library import named
 from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
 from stringcast.stages.model.string import BASE, String
@@ -18,6 +18,7 @@ STRIP = {
     **{"linear_drag": 0.3, "quadratic_drag": 0.2, "grasp_stiffness": 5.0, "grasp_damping": 5e-3},
 }
 T = np.arange(0, 0.3, 0.005)
+LAWS = named(["density_taper", "rest_curvature", "tip_mass"])  # at work in one test; two loops to compile for all
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5, "integrator": ImplicitLeapfrog(), "largest_step": 5e-4}
 
 
@@ -30,8 +31,13 @@ def hand(along=0.0, across=0.0):
     return HandMotion(0.0, T[1], np.stack([x, y, theta], axis=-1)[None], np.stack([vx, vy, spin], axis=-1)[None])
 
 
-def clamped(effects=(), points=15):
-    return String(LENGTH, points, (*BASE, Clamp, *effects), **SECOND_ORDER)
+def clamped(points=15):
+    return String(LENGTH, points, (*BASE, Clamp, *LAWS), **SECOND_ORDER)
+
+
+def free(length):
+    """One that begins where it is stated."""
+    return String(length, 15, (*BASE, *LAWS), **SECOND_ORDER)
 
 
 def values(string, **more):
@@ -44,16 +50,16 @@ def values(string, **more):
 def test_a_hidden_length_is_a_longer_string_held_further_up(hidden):
     """To 1 um at the tip; between, as its curve through the points of the longer one says."""
     along, across = 0.002, -0.003
-    named = {"clamp.hidden": hidden, "clamp.along": along, "clamp.across": across}
+    clamp = {"clamp.hidden": hidden, "clamp.along": along, "clamp.across": across}
     string = clamped()
-    found = simulate(string, hand(), values(string, **named)[None], T).points[0]
-    longer = String(LENGTH + hidden, 15, **SECOND_ORDER)
+    found = simulate(string, hand(), values(string, **clamp)[None], T).points[0]
+    longer = free(LENGTH + hidden)
     real = simulate(longer, hand(along - hidden, across), values(longer)[None], T).points[0]
     np.testing.assert_allclose(found[:, -1], real[:, -1], atol=1e-6)
     there = string.arc_lengths() + hidden >= 0
     expected = CubicSpline(longer.arc_lengths(), real, axis=1)(string.arc_lengths()[there] + hidden)
     np.testing.assert_allclose(found[:, there], expected, atol=2e-5)
-    plain = simulate(String(LENGTH, 15, **SECOND_ORDER), hand(), values(string)[None, :8], T).tip[0]
+    plain = simulate(free(LENGTH), hand(), values(free(LENGTH))[None], T).tip[0]
     assert np.abs(plain - found[:, -1]).max() > 5e-3
 
 
@@ -71,9 +77,9 @@ def test_a_straight_string_passes_through_the_stated_grasp():
 def test_a_clamp_changes_nothing_beside_it():
     """Not a bit of candidates in whose company one begins elsewhere."""
     string = clamped()
-    named = [{}, {"clamp.hidden": 0.01}, {"clamp.across": 0.002}]
-    together = simulate(string, hand(), np.stack([values(string, **each) for each in named]), T).points
-    for number, each in enumerate(named):
+    some = [{}, {"clamp.hidden": 0.01}, {"clamp.across": 0.002}]
+    together = simulate(string, hand(), np.stack([values(string, **each) for each in some]), T).points
+    for number, each in enumerate(some):
         alone = simulate(string, hand(), values(string, **each)[None], T).points[0]
         np.testing.assert_array_equal(together[number], alone)
 
@@ -82,10 +88,8 @@ def test_what_is_told_along_the_string_is_told_from_where_it_begins():
     """A density that falls to the tip, a set, a hanging weight: as in the longer string."""
     laws = {"density_taper.change": -0.3, "rest_curvature.curvature": 3.0, "rest_curvature.slope": 2.0}
     laws |= {"tip_mass.ratio": 0.1}
-    more = tuple(library()[name] for name in sorted({name.split(".")[0] for name in laws}))
-    named = laws | {"clamp.hidden": 0.01}
-    string, longer = clamped(more), String(LENGTH + 0.01, 15, (*BASE, *more), **SECOND_ORDER)
-    found = simulate(string, hand(), values(string, **named)[None], T).tip[0]
+    string, longer = clamped(), free(LENGTH + 0.01)
+    found = simulate(string, hand(), values(string, **laws, **{"clamp.hidden": 0.01})[None], T).tip[0]
     real = simulate(longer, hand(-0.01), values(longer, **laws)[None], T).tip[0]
     np.testing.assert_allclose(found, real, atol=1e-6)
 
@@ -97,13 +101,13 @@ def test_a_motion_goes_on_from_a_state_that_is_told_from_the_stated_grasp():
     """
     string = clamped(points=29)
     firm = {"grasp_stiffness": 500.0}
-    named = values(string, **firm | {"clamp.hidden": 0.01})[None]
-    whole = simulate(string, hand(), named, T).points[0]
+    held = values(string, **firm | {"clamp.hidden": 0.01})[None]
+    whole = simulate(string, hand(), held, T).points[0]
     angle = np.unwrap(np.unwrap(np.arctan2(*np.moveaxis(np.diff(whole, axis=1), -1, 0)[::-1]), axis=0), axis=1)
     rate = np.array([1, -8, 8, -1]) @ angle[20 + np.array([-2, -1, 1, 2])] / (12 * T[1])
     start = State(float(T[20]), string.middles(), angle[20], rate)
     moved = hand().since(start.t)
-    on = simulate(string, moved, named, T[20:], start).tip[0]
+    on = simulate(string, moved, held, T[20:], start).tip[0]
     assert np.abs(on - whole[20:, -1]).max() < 4e-4
     without = simulate(string, moved, values(string, **firm)[None], T[20:], start).tip[0]
     assert np.abs(without - whole[20:, -1]).max() > 0.05
