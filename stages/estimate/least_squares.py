@@ -19,6 +19,7 @@ from stringcast.stages.estimate.matching import Matching, Target, matching_rate,
 from stringcast.stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, words
 from stringcast.stages.inference.covariance import Covariance, covariance
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh import discretisation_error
 from stringcast.stages.inference.search import refined, screened, searched, with_initial_states
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
@@ -62,7 +63,7 @@ def estimate(
     tried = np.concatenate([tried, best[None]])
     search = Search("least squares", tried, matching_rate(goals, values_of(model.parameters, tried)))
     sure = covariance(likelihood, best)
-    interval = _interval(model, best, sure, likelihood.scale)
+    interval = _interval(model, best, sure, likelihood)
     return estimate_of(goals, before, best, search, interval, _draws(best, sure, seed))
 
 
@@ -81,19 +82,36 @@ def _told(model: Model) -> np.ndarray:
     return np.array([i for i, name in enumerate(model.names) if "." in name and name in model.known], dtype=int)
 
 
-def _interval(model: Model, chi: np.ndarray, sure: Covariance, misfit: float) -> Interval:
-    """95 % intervals about the solution chi (P,), and what the data cannot determine. misfit: what is left, over the
-    points' own uncertainty."""
-    low, high = np.clip(chi - sure.reach, 0, 1), np.clip(chi + sure.reach, 0, 1)
-    determined = (high - low < WIDE) & (chi > EDGE) & (chi < 1 - EDGE)
+def _interval(model: Model, best: np.ndarray, sure: Covariance, likelihood: Likelihood) -> Interval:
+    """95 % intervals about the solution (P,), and what the data cannot determine."""
+    low, high = np.clip(best - sure.reach, 0, 1), np.clip(best + sure.reach, 0, 1)
+    determined = (high - low < WIDE) & (best > EDGE) & (best < 1 - EDGE)
     sentence = words(model.parameters, determined, "This data determines every parameter.")
     sentence += tied(model.parameters, determined, sure.correlation)
-    if misfit >= MISFIT:
-        sentence += (
-            f" The residual is {misfit:.1f} times what the points' uncertainty explains: the model lacks something, "
-            "and the intervals do not cover that."
-        )
-    return Interval(low, high, determined, sentence)
+    return Interval(low, high, determined, sentence + _misfit(likelihood) + _mesh(likelihood, best))
+
+
+def _misfit(likelihood: Likelihood) -> str:
+    """What to say where the residual is more than the points' own uncertainty, where that is known."""
+    if likelihood.scale < MISFIT:
+        return ""
+    return (
+        f" The residual is {likelihood.scale:.1f} times what the points' uncertainty explains: the model lacks "
+        "something, and the intervals do not cover that."
+    )
+
+
+def _mesh(likelihood: Likelihood, best: np.ndarray) -> str:
+    """What to say where the mesh is further from its limit than the points are from the string."""
+    string, error = likelihood.model.string, discretisation_error(likelihood, best)
+    noise = np.sqrt(2) * likelihood.scale * np.median([np.median(trial.sigma) for trial in likelihood.trials])
+    if not error > noise:
+        return ""
+    finer = f"string.points={2 * string.points - 1} string.largest_step={string.largest_step / 2:.2g}"
+    return (
+        f" A far finer mesh would be {1e3 * error:.1f} mm elsewhere, root mean square, where {1e3 * noise:.1f} mm are "
+        f"noise: parameters make up for that in these motions, not in others. Estimate with {finer}."
+    )
 
 
 def _draws(chi: np.ndarray, sure: Covariance, seed: int) -> np.ndarray:

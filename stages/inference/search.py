@@ -1,7 +1,8 @@
 """The most likely parameters from nothing: many starts, and a horizon that widens.
 
 A string that is swung forgets where it came from, so that a whole trial has many local minima. Its beginning is fitted
-first, then more of it, while the better half of the starts goes on; those that have come to the same go on as one. What
+first, then more of it, while the better half of the starts goes on; those that have come to the same go on as one. The
+mesh is refined on the way: all there is is fitted with the string as given, what comes before with coarser ones. What
 another initial state could explain counts for little from the beginning, so that no start is lost by that. In the end
 initial states, noise and parameters are found in turns, and outliers count less.
 """
@@ -16,6 +17,7 @@ from stringcast.stages.common import Progress, mad_sigma
 from stringcast.stages.inference.huber import LIMIT
 from stringcast.stages.inference.initial_modes import SPAN, modes, settled
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh import rungs
 from stringcast.stages.inference.solver import fitted
 from stringcast.stages.model.parameter import values_of
 from stringcast.stages.model.statics import GRAVITY
@@ -27,13 +29,15 @@ NEARLY = 0.8  # of the longest trial: a horizon beyond that is all there is
 FINALISTS = 8  # starts that go on to the end, if they have come to different places
 SAME = 0.1  # of what is left, root mean square: runs that differ by less have come to the same place
 CONVERGE = 60  # iterations at most on all there is; it mostly takes fewer than ten
+CLOSE = 0.005  # of the log-likelihood: gains so small still add up, on the way along a valley to its end
 ROUNDS = 3  # in which initial states, noise and parameters are found
 TINY = 1e-9  # of the noise: of exact data something is left, too
 
 
 def screened(likelihood: Likelihood, chi: np.ndarray, count: int) -> np.ndarray:
     """Those candidates (C, P) that are best at the first horizon, best first, (count, P)."""
-    some = likelihood.until(horizons(likelihood)[0])
+    ahead = horizons(likelihood)
+    some = _meshes(likelihood, len(ahead))[0].until(ahead[0])
     misfit = np.mean(some.residuals(chi) ** 2, axis=1)
     return chi[np.argsort(misfit, kind="stable")[:count]]
 
@@ -56,12 +60,18 @@ def searched(
     horizon."""
     chi, ahead = starts, horizons(likelihood)
     few = max(most // max(len(ahead) - 1, 1), 1)
-    for number, horizon in enumerate(ahead):
-        some = with_noise(likelihood.until(horizon), chi[0])
+    for number, (horizon, mesh) in enumerate(zip(ahead, _meshes(likelihood, len(ahead)), strict=True)):
+        some = with_noise(mesh.until(horizon), chi[0])
         fits = fitted(some, chi, few if np.isfinite(horizon) else CONVERGE)
         chi = fits.chi[_survivors(fits.residual, fits.loss)]
         progress((number + 1) / len(ahead))
     return chi[0]
+
+
+def _meshes(likelihood: Likelihood, count: int) -> list[Likelihood]:
+    """The likelihood with the mesh of each horizon, each half as fine as the next as far as the ladder goes."""
+    ladder = rungs(likelihood)
+    return [ladder[min(before, len(ladder) - 1)] for before in reversed(range(count))]
 
 
 def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
@@ -81,7 +91,7 @@ def refined(likelihood: Likelihood, chi: np.ndarray) -> tuple[Likelihood, np.nda
     span = SPAN
     for _ in range(ROUNDS):
         likelihood = with_initial_states(likelihood, chi, span)
-        chi, span = fitted(likelihood, chi[None], CONVERGE).chi[0], np.inf
+        chi, span = fitted(likelihood, chi[None], CONVERGE, CLOSE).chi[0], np.inf
     return with_initial_states(likelihood, chi, span), chi
 
 
