@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,11 @@ Where = Callable[[str], str]
 
 class Mode(ABC):
     """What a run does with its stages: `mode` in its settings."""
+
+    @property
+    def growing(self) -> Mapping[str, Sequence[str]]:
+        """Settings, by their block, in which a run may differ that goes on in its folder: they say how much is made."""
+        return {}
 
     @abstractmethod
     def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:

@@ -19,10 +19,10 @@ MODES: Mapping[tuple[str, ...], Mapping[str, Any]] = {  # what `steps` was, befo
     ("diagnose", "execute", "extract", "diagnose"): DIAGNOSE | {"again": False, "motions": 2},
     ("align",): TOGETHER | {"first": ["excite", "execute"]},
     ("calibrate",): {"_target_": "pipeline.modes.Calibrate"},
-    ("study",): {"_target_": "pipeline.study.command.BlindStudy"},
-    ("extraction_study",): {"_target_": "pipeline.extraction_study.command.ExtractionStudy"},
-    ("hit_study",): {"_target_": "pipeline.hitting.study.HitStudy"},
-    ("measured_study",): {"_target_": "pipeline.measured.study.MeasuredStudy"},
+    ("study",): {"_target_": "pipeline.studies.blind.study.BlindStudy"},
+    ("extraction_study",): {"_target_": "pipeline.studies.extraction.study.ExtractionStudy"},
+    ("hit_study",): {"_target_": "pipeline.studies.hitting.study.HitStudy"},
+    ("measured_study",): {"_target_": "pipeline.studies.measured.study.MeasuredStudy"},
 }
 
 

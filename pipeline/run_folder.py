@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -35,11 +35,6 @@ from stringcast.pipeline.staleness import Found, look, made_now, performed, repe
 log = logging.getLogger(__name__)
 
 NOTHING = {"config.json", LOCK, FAILED, LOG}  # what a run that made nothing leaves
-HOW_MANY = {  # no row depends on it
-    "study": ("benches", "first", "processes"),
-    "hits": ("seeds", "first", "processes"),
-    "measured": ("strings", "processes"),
-}
 
 
 @dataclass(frozen=True)
@@ -131,7 +126,7 @@ def begin(experiment: Experiment, folder: Path) -> None:
     path = folder / "config.json"
     text = json.dumps(experiment.config, indent=2, sort_keys=True)
     before = path.read_text(encoding="utf-8") if path.exists() else None
-    if before is not None and before != text and not _same_run(dataset.settings(path), json.loads(text)):
+    if before not in (None, text) and not _same_run(experiment, dataset.settings(path), json.loads(text)):
         raise DataError(
             f"{folder}: this folder holds a run with other settings (see config.json). "
             "Leave hydra.run.dir to its default, or repeat the settings of that run."
@@ -141,15 +136,16 @@ def begin(experiment: Experiment, folder: Path) -> None:
     disk.remove(folder / FAILED)
 
 
-def _same_run(before: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
+def _same_run(experiment: Experiment, before: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
     """Whether two settings are of one run, maybe written by another version, or asked for more rows of a study."""
-    return _rows_alike(modern(before)) == _rows_alike(now)
+    growing = experiment.mode.growing
+    return _less(modern(before), growing) == _less(now, growing)
 
 
-def _rows_alike(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings less those that only say how many rows of a study are made."""
+def _less(config: Mapping[str, Any], growing: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Settings less those of `Mode.growing`."""
     less = dict(config)
-    for block, names in HOW_MANY.items():
+    for block, names in growing.items():
         if isinstance(less.get(block), Mapping):
             less[block] = {name: value for name, value in less[block].items() if name not in names}
     return less

@@ -22,10 +22,10 @@ SHELL: Mapping[str, tuple[str, ...]] = {
         "pipeline.modes.Batch",
         "pipeline.modes.Diagnose",
         "pipeline.modes.Calibrate",
-        "pipeline.study.command.BlindStudy",
-        "pipeline.extraction_study.command.ExtractionStudy",
-        "pipeline.hitting.study.HitStudy",
-        "pipeline.measured.study.MeasuredStudy",
+        "pipeline.studies.blind.study.BlindStudy",
+        "pipeline.studies.extraction.study.ExtractionStudy",
+        "pipeline.studies.hitting.study.HitStudy",
+        "pipeline.studies.measured.study.MeasuredStudy",
     ),
     "hardware": (*VIRTUAL, "hardware.serial.lab.open_lab", "hardware.dynamixel.lab.open_lab"),
     "source": SOURCES,  # of pictures
@@ -42,10 +42,11 @@ SHELL: Mapping[str, tuple[str, ...]] = {
         "pipeline.sweep.launchers.ray.launch",
         "pipeline.sweep.launchers.slurm.launch",
     ),
-    "finish": ("pipeline.sweep.finish.finish", "pipeline.paper.finish.finish"),
+    "finish": ("pipeline.sweep.finish.finish", "pipeline.studies.paper.finish.finish"),
 }
 
 MOVED = {  # what settings of stored runs still call by an old name
+    "pipeline.paper.finish.finish": "pipeline.studies.paper.finish.finish",
     "stages.align.align": "stages.align.align.align",
     "stages.calibrate.calibrate": "stages.calibrate.calibrate.calibrate",
     "stages.excite.excite": "stages.align.excitation.excite.excite",

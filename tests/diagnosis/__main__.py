@@ -25,7 +25,7 @@ from stringcast.hardware.virtual.blind.casts import Cast, performed, random_cast
 from stringcast.hardware.virtual.blind.scene import Scene
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.origin import PACKAGES, code, versions
-from stringcast.pipeline.study.command import diagnosis
+from stringcast.pipeline.studies.blind.study import diagnosis
 from stringcast.stages.model.library import named
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -19,7 +19,7 @@ from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
 from stringcast.hardware.virtual.blind.bench import BlindBench
 from stringcast.hardware.virtual.blind.casts import random_cast
 from stringcast.hardware.virtual.blind.scene import Scene
-from stringcast.pipeline.study.command import diagnosed
+from stringcast.pipeline.studies.blind.study import diagnosed
 from stringcast.stages.model.library import named
 
 SIGMA = 7e-4  # [m]

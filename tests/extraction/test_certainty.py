@@ -9,7 +9,8 @@ import yaml
 from conftest import ROOT, specimen
 
 from stringcast.hardware.virtual.conditions import CONDITIONS
-from stringcast.pipeline.extraction_study import Cell, measured, read, take
+from stringcast.pipeline.studies.extraction import Cell, read, take
+from stringcast.pipeline.studies.extraction import footage as real
 from stringcast.stages.extract.certainty import sigmas
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
@@ -52,9 +53,9 @@ def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severit
 def test_the_stated_sigma_is_the_scatter_in_time_on_real_strips():
     """Third differences over four frames, in which a strip at 240 fps moves smoothly, as errors of one. Measured over
     410 and 470 frames: 0.65 to 0.8. The tip's was 2 (0.9 px of 0.5 stated)."""
-    footage, camera, table = measured.strip(STRIPS, "75mm_2", every=1)
+    footage, camera, table = real.strip(STRIPS, "75mm_2", every=1)
     first = Footage(footage.t[:60], footage.images[:60], footage.grasp[:60])
-    found = extract(first, camera, string_length=0.075, **measured.SETTINGS, **measured.STRIP)
+    found = extract(first, camera, string_length=0.075, **real.SETTINGS, **real.STRIP)
     x, y, sigma = (found.points.pivot(index="t", columns="s", values=c).to_numpy() for c in ("x", "y", "sigma"))
     rough = np.stack([np.diff(z, 3, axis=0) for z in (x, y)]) / np.sqrt(20) / sigma[2:-1]
     assert len(x) == 60

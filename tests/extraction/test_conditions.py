@@ -18,8 +18,8 @@ from stringcast.hardware.virtual.conditions.camera import Shake
 from stringcast.hardware.virtual.conditions.condition import exposed, film
 from stringcast.hardware.virtual.conditions.light import Flicker
 from stringcast.hardware.virtual.conditions.pose import Across, Loop
-from stringcast.pipeline.extraction_study import Cell, compared, read, shares, take
-from stringcast.pipeline.extraction_study.pictures import overview
+from stringcast.pipeline.studies.extraction import Cell, compared, read, shares, take
+from stringcast.pipeline.studies.extraction.pictures import overview
 from stringcast.stages.extract.centreline import Line
 from stringcast.stages.extract.doubt import beside, longest
 from stringcast.stages.extract.extract import extract

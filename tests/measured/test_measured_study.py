@@ -11,10 +11,10 @@ from omegaconf import OmegaConf
 from stringcast.data.dataset import read
 from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.inherited import with_inherited_settings
-from stringcast.pipeline.measured.diagnosed import families
-from stringcast.pipeline.measured.scores import SETS
-from stringcast.pipeline.measured.study import WHERE, Job, Measured, fitted, settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
+from stringcast.pipeline.studies.measured.diagnosed import families
+from stringcast.pipeline.studies.measured.scores import SETS
+from stringcast.pipeline.studies.measured.study import WHERE, Fit, Measured, MeasuredStudy, settings
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "measured"
 STUDY = "+experiment=measured_study"
@@ -87,7 +87,7 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
     by_hand += ["string.points=6", "string.largest_step=2e-3"]
     by_hand += [f"estimate.{name}=1" for name in ("starts", "screening", "iterations")]
     person = with_inherited_settings(OmegaConf.create(composed(by_hand)), names_given(by_hand))
-    assert settings(Job("cables", "red", "viscous"), config, tmp_path / "dataset") == person
+    assert settings(Fit("cables", "red", "viscous", config, tmp_path), tmp_path / "dataset") == person
 
 
 def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, monkeypatch):
@@ -96,8 +96,8 @@ def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, 
     quick = composed(["estimate=random_search"])["estimate"] | {"candidates": 8, "together": 8}
     config["measured"]["families"]["cables"]["settings"]["estimate"] = quick
     here = prepare(config, lambda block: block)
-    monkeypatch.setattr("stringcast.pipeline.measured.study.workers", Here)
-    sentence = fitted(here, folder, lambda share: None)
+    monkeypatch.setattr("stringcast.pipeline.studies.engine.workers", Here)
+    sentence = MeasuredStudy().run(here, folder, lambda share: None)
     assert sentence.startswith("1 sets of effects on 1 strings")
     row = SETS.check(pd.read_parquet(folder / "sets.parquet")).iloc[0]
     said = json.loads((folder / "fits" / "red-viscous" / "run.json").read_text())["iterations"]
@@ -108,8 +108,8 @@ def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, 
     assert row["cpu"] > 0
     assert np.isnan(row["authors_tip"])
     assert (folder / "sets.png").stat().st_size > 1000
-    monkeypatch.setattr("stringcast.pipeline.measured.study.make", None)
-    assert fitted(here, folder, lambda share: None) == sentence
+    monkeypatch.setattr("stringcast.pipeline.studies.measured.study.perform", None)
+    assert MeasuredStudy().run(here, folder, lambda share: None) == sentence
 
 
 class Here:
@@ -135,7 +135,7 @@ class Here:
 def test_a_string_that_is_not_there_is_named(config, tmp_path):
     config["measured"]["strings"] = ["green"]
     with pytest.raises(UserError, match="there is no green; there are red"):
-        fitted(Experiment(config), tmp_path, lambda share: None)
+        MeasuredStudy().run(Experiment(config), tmp_path, lambda share: None)
 
 
 class Experiment:

@@ -5,9 +5,9 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 
-from stringcast.pipeline.paper.finish import finish
-from stringcast.pipeline.paper.numbers import numbers, of
 from stringcast.pipeline.settings import CONF, composed
+from stringcast.pipeline.studies.paper.finish import finish
+from stringcast.pipeline.studies.paper.numbers import numbers, of
 from stringcast.stages.model.string import String
 from stringcast.stages.report.paper.record import LABELS
 

@@ -11,9 +11,9 @@ import pytest
 
 from stringcast.data import store
 from stringcast.data.artifacts import ARM, Estimate, Motion, Points
-from stringcast.pipeline.paper import scores, shown
-from stringcast.pipeline.paper.finish import TABLES, finish
 from stringcast.pipeline.settings import composed
+from stringcast.pipeline.studies.paper import scores, shown
+from stringcast.pipeline.studies.paper.finish import TABLES, finish
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
 from stringcast.stages.report.paper import PaperRecord, figures

@@ -16,9 +16,11 @@ from matplotlib.image import imread
 from stringcast.data.dataset import read
 from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
 from stringcast.pipeline.origin import state
-from stringcast.pipeline.study import one_bench, pictures, scores, study
-from stringcast.pipeline.study.scores import TABLES, calibration_error, counted
-from stringcast.pipeline.study.verdicts import answered, beliefs, confidence, correct
+from stringcast.pipeline.studies.blind.bench import OneBench
+from stringcast.pipeline.studies.blind.pictures import pictures
+from stringcast.pipeline.studies.blind.scores import TABLES, calibration_error, counted, scores
+from stringcast.pipeline.studies.blind.verdicts import answered, beliefs, confidence, correct
+from stringcast.pipeline.studies.engine import all_made, kept
 
 
 def row(kind, names, verdict, causes=(), groups=(), alternatives=(), size=10.0, paper=40.0, seed=0, **parameters):
@@ -190,10 +192,16 @@ def timeless(rows):
     return [{**one, "runtime": 0} for one in rows]
 
 
+def one_bench(seed, folder, draw, diagnose):
+    return kept(OneBench(seed, folder, draw, diagnose), folder)
+
+
 def test_a_study_goes_on_where_it_stopped_whatever_the_number_of_processes(tmp_path):
     seeds = [3, 1, 2]
     alone = [one_bench(seed, tmp_path / "a", Bench, looked) for seed in seeds[:2]]
-    rows = study(seeds, tmp_path / "a", Bench, looked, processes=2)
+    made, failed = all_made([OneBench(seed, tmp_path / "a", Bench, looked) for seed in seeds], tmp_path / "a", 2)
+    rows = [made[f"{seed:05d}"] for seed in seeds]
+    assert not failed
     assert rows[:2] == alone
     assert timeless(rows) == timeless(one_bench(seed, tmp_path / "b", Bench, looked) for seed in seeds)
     assert [one["truth"]["kind"] for one in rows] == ["effect", "effect", "none"]
@@ -223,7 +231,7 @@ def nothing(folder):
 KILLED = """
 import multiprocessing, os, sys, time
 from concurrent.futures import ProcessPoolExecutor
-from stringcast.pipeline.study.benches import end_with_parent
+from stringcast.pipeline.studies.engine import end_with_parent
 
 def work(path):
     open(path, "w").write(str(os.getpid()))

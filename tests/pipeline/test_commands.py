@@ -19,10 +19,10 @@ from stringcast.pipeline import commands, staleness
 from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.commands.verify import verify
 from stringcast.pipeline.compare import differences
-from stringcast.pipeline.hitting.study import HitStudy
 from stringcast.pipeline.modes import Calibrate
 from stringcast.pipeline.older import FLOAT64, modern
 from stringcast.pipeline.settings import UserError, composed
+from stringcast.pipeline.studies.hitting.study import HitStudy
 from tests.faults.toy import contents, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")

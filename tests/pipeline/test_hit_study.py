@@ -14,11 +14,11 @@ from omegaconf import OmegaConf
 from stringcast.data.artifacts import JOINTS
 from stringcast.hardware.virtual.bench import Bench, VirtualArm
 from stringcast.pipeline.experiment import prepare
-from stringcast.pipeline.hitting.executor import PointExecutor, measured
-from stringcast.pipeline.hitting.job import settings
-from stringcast.pipeline.hitting.lessons import lessons, model_found
-from stringcast.pipeline.hitting.scores import TABLES, scores, sentence
 from stringcast.pipeline.settings import composed
+from stringcast.pipeline.studies.hitting.executor import PointExecutor, measured
+from stringcast.pipeline.studies.hitting.job import settings
+from stringcast.pipeline.studies.hitting.lessons import lessons, model_found
+from stringcast.pipeline.studies.hitting.scores import TABLES, scores, sentence
 from stringcast.stages.hit_test import hit_test
 
 

@@ -3,8 +3,8 @@
 import pandas as pd
 
 from stringcast.data.store import read_table
-from stringcast.pipeline.study.record import FOLDER, appended, by_code, in_markdown
-from stringcast.pipeline.study.scores import BENCHES
+from stringcast.pipeline.studies.blind.record import FOLDER, appended, by_code, in_markdown
+from stringcast.pipeline.studies.blind.scores import BENCHES
 
 
 def test_every_recorded_bench_names_its_code():

@@ -39,8 +39,8 @@ class Drawn:
 
 @dataclass(frozen=True)
 class PaperRecord:
-    """tables: by name, see `pipeline.paper`. asked: how many runs were asked for. settings: those that all runs have in
-    common. origin: what made the page."""
+    """tables: by name, see `pipeline.studies.paper`. asked: how many runs were asked for. settings: those that all runs
+    have in common. origin: what made the page."""
 
     tables: Mapping[str, pd.DataFrame] = field(repr=False)
     asked: int

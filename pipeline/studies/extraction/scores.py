@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 from stringcast.data.artifacts import Points
 from stringcast.data.schema import Column, Table
 from stringcast.hardware.virtual.conditions import Shot
-from stringcast.pipeline.extraction_study.films import Cell, Take
+from stringcast.pipeline.studies.extraction.films import Cell, Take
 
 WRONG_PX = 3.0
 WRONG_SIGMAS = 5.0

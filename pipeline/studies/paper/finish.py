@@ -9,8 +9,8 @@ import pandas as pd
 from stringcast.data.schema import Table
 from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.origin import PACKAGES, code, versions
-from stringcast.pipeline.paper import scores, shown
-from stringcast.pipeline.paper.numbers import NUMBERS, numbers
+from stringcast.pipeline.studies.paper import scores, shown
+from stringcast.pipeline.studies.paper.numbers import NUMBERS, numbers
 from stringcast.pipeline.sweep.finish import common
 from stringcast.pipeline.sweep.ledger import Job, Ledger
 from stringcast.stages.report.paper import PaperRecord, figures, paper_report

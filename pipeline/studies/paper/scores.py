@@ -12,8 +12,8 @@ import pandas as pd
 from scipy.stats import quantile_test
 
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.paper.numbers import of
-from stringcast.pipeline.study.scores import counted
+from stringcast.pipeline.studies.blind.scores import counted
+from stringcast.pipeline.studies.paper.numbers import of
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
 from stringcast.pipeline.sweep.table import factors
 

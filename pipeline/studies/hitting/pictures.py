@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stringcast.pipeline.hitting.scores import ALL, WANTED
+from stringcast.pipeline.studies.hitting.scores import ALL, WANTED
 from stringcast.stages.report.picture import LIGHT, MM, STYLE
 
 ACROSS = 5  # pictures side by side

@@ -10,7 +10,7 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.study.verdicts import (
+from stringcast.pipeline.studies.blind.verdicts import (
     RESOLUTION,
     Row,
     answered,

@@ -1,4 +1,4 @@
-"""What the diagnosis says of strings that others measured: `python -m pipeline.measured.diagnosed ../shared/measured`.
+"""Diagnosis of strings that others measured: `python -m pipeline.studies.measured.diagnosed ../shared/measured`.
 
 Leaves measured.parquet in data/results/measured, a row for each string, and the diagnosis of each in --out. A quarter
 of an hour of a core each, or more. Rows of strings that are not asked for stay as they are.
@@ -24,12 +24,12 @@ from rich.progress import track
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline.measured.family import Family
-from stringcast.pipeline.measured.study import WHERE, Measured
 from stringcast.pipeline.origin import PACKAGES, ROOT, code, versions
 from stringcast.pipeline.settings import build, composed
-from stringcast.pipeline.study.benches import workers
-from stringcast.pipeline.study.command import diagnosis
+from stringcast.pipeline.studies.blind.study import diagnosis
+from stringcast.pipeline.studies.engine import workers
+from stringcast.pipeline.studies.measured.family import Family
+from stringcast.pipeline.studies.measured.study import WHERE, Measured
 
 FOLDER = ROOT / "data" / "results" / "measured"
 RELEASED = "release_"  # trials to which the authors of the cables fitted their model
@@ -58,7 +58,7 @@ MEASURED = Table(
 
 def main() -> None:
     """Each string in a process of its own; a row is kept as soon as it is there."""
-    parser = argparse.ArgumentParser("python -m pipeline.measured.diagnosed", description=__doc__)
+    parser = argparse.ArgumentParser("python -m pipeline.studies.measured.diagnosed", description=__doc__)
     parser.add_argument("measured", type=Path, help="folder with all families, as ../shared/measured")
     parser.add_argument("strings", nargs="*", help="names of strings; all by default")
     parser.add_argument("--out", type=Path, default=ROOT / "outputs" / "measured", help="datasets and diagnoses")
@@ -140,7 +140,7 @@ def keep(row: dict[str, Any]) -> None:
     before = pd.read_parquet(table).to_dict("records") if table.exists() else []
     rows = [*(old for old in before if old["string"] != row["string"]), row]
     made = {
-        "command": f"python -m pipeline.measured.diagnosed {' '.join(sys.argv[1:])}",
+        "command": f"python -m pipeline.studies.measured.diagnosed {' '.join(sys.argv[1:])}",
         "packages": versions(PACKAGES),
     }
     write_table(MEASURED, pd.DataFrame(rows).sort_values("string", ignore_index=True), table, made)

@@ -13,8 +13,8 @@ from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, JOINTS, Estimate, Motion, Points
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import load, read_table
-from stringcast.pipeline.paper.scores import median
 from stringcast.pipeline.settings import build
+from stringcast.pipeline.studies.paper.scores import median
 from stringcast.stages.model.arm import Arm
 
 MOMENTS = 5  # at which strings are drawn, from the start to the closest approach

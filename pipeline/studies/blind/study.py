@@ -1,9 +1,9 @@
-"""The blind study as one command: benches drawn, diagnosed and scored; pandas and pictures left in the run's folder."""
+"""The blind study: benches drawn, diagnosed and scored."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,19 +13,17 @@ import pandas as pd
 from omegaconf import OmegaConf
 from pydantic import Field
 
-from stringcast.data import dataset, store
+from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import DataError
 from stringcast.hardware.virtual.blind import draw
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import with_inherited_settings
-from stringcast.pipeline.modes.study import Study
-from stringcast.pipeline.origin import origin
 from stringcast.pipeline.settings import build
-from stringcast.pipeline.study.benches import study
-from stringcast.pipeline.study.pictures import pictures
-from stringcast.pipeline.study.scores import TABLES, scores
-from stringcast.stages.common import Progress
+from stringcast.pipeline.studies.blind.bench import OneBench
+from stringcast.pipeline.studies.blind.pictures import pictures
+from stringcast.pipeline.studies.blind.scores import TABLES, scores
+from stringcast.pipeline.studies.engine import Study
 
 
 @dataclass(frozen=True)
@@ -41,22 +39,28 @@ class Asked:
 class BlindStudy(Study):
     """Benches that hide a cause: drawn, diagnosed, and only then their envelopes opened."""
 
-    def run(self, experiment: Experiment, folder: Path, progress: Progress) -> str:
-        """As of `Study`. What is in `folder` already is not made again."""
-        return scored(experiment, folder, progress)
+    KIND = "study"
+    TABLES = TABLES
+    BLOCK, MORE = "study", ("benches", "first", "processes")
 
+    def jobs(self, experiment: Experiment, folder: Path) -> list[OneBench]:
+        """A bench for each seed."""
+        asked = build(Asked, experiment.config[self.BLOCK], self.BLOCK, "conf/config.yaml")
+        drawn = partial(draw, arm=experiment.arm, camera=experiment.camera)
+        asks = partial(diagnosed, config=experiment.config)
+        return [OneBench(asked.first + number, folder, drawn, asks) for number in range(asked.benches)]
 
-def scored(here: Experiment, folder: Path, progress: Progress) -> str:
-    """Draw, diagnose and score; what came out, in a sentence."""
-    asked = build(Asked, here.config["study"], "study", "conf/config.yaml")
-    seeds = range(asked.first, asked.first + asked.benches)
-    drawn, asks = partial(draw, arm=here.arm, camera=here.camera), partial(diagnosed, config=here.config)
-    rows = study(seeds, folder, drawn, asks, processes=asked.processes, progress=progress)
-    tables = scores(rows)
-    for name, frame in tables.items():
-        store.write_table(TABLES[name], frame, folder / f"{name}.parquet", origin(here.config, "study", 0, {}))
-    pictures(tables, folder)
-    return summary(tables)
+    def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
+        """As of `Study`."""
+        return scores([row for _, row in made])
+
+    def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
+        """As of `Study`."""
+        pictures(tables, folder)
+
+    def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
+        """As of `Study`."""
+        return summary(tables)
 
 
 def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -11,10 +11,10 @@ import pandas as pd
 
 from stringcast.hardware.virtual.bench import Bench
 from stringcast.pipeline.experiment import Experiment, prepare
-from stringcast.pipeline.hitting.executor import PointExecutor
-from stringcast.pipeline.hitting.lessons import estimated, lessons, model_found
 from stringcast.pipeline.iterations import Iteration
 from stringcast.pipeline.modes import Cast
+from stringcast.pipeline.studies.hitting.executor import PointExecutor
+from stringcast.pipeline.studies.hitting.lessons import estimated, lessons, model_found
 from stringcast.stages.generate.curves import Curves, first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.hand import JointMotion

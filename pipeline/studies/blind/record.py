@@ -1,4 +1,4 @@
-"""Put a study into the table of all that were recorded: `python -m pipeline.study.record [FOLDER ...]`.
+"""Put a study into the table of all that were recorded: `python -m pipeline.studies.blind.record [FOLDER ...]`.
 
 FOLDER is the run's folder of a study. A row that is there already (seed, version and code) stays. Without a folder the
 table is only shown. Figures are of one code each: states of the code are never counted together.
@@ -17,7 +17,7 @@ import pandas as pd
 
 from stringcast.data import store
 from stringcast.pipeline.origin import PACKAGES, ROOT, code, versions
-from stringcast.pipeline.study.scores import BENCHES, COUNTED, counted
+from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED, counted
 from stringcast.stages.report.picture import LIGHT, STYLE
 
 FOLDER = ROOT / "data" / "results" / "blind_study"
@@ -26,7 +26,7 @@ SHOWN = {"cause found": "before", "false alarm": "measured", "outside called unk
 
 def main() -> None:
     """Append, draw, and print the figures as a table in Markdown."""
-    parser = argparse.ArgumentParser("python -m pipeline.study.record", description=__doc__)
+    parser = argparse.ArgumentParser("python -m pipeline.studies.blind.record", description=__doc__)
     parser.add_argument("folders", type=Path, nargs="*", help="run folders of +experiment=blind_study")
     table = FOLDER / "benches.parquet"
     folders = parser.parse_args().folders

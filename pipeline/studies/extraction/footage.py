@@ -1,4 +1,4 @@
-"""Extraction on real footage: `python -m pipeline.extraction_study.measured FOLDER TABLE` reads strips and photographs.
+"""Real footage, strips and photographs: `python -m pipeline.studies.extraction.footage FOLDER TABLE` reads it.
 
 FOLDER holds l4dc_strip_video (films of strips with the points their authors tracked) and tudelft_cable_fr3/frames
 (photographs of a black cable before a white arm). TABLE is the Parquet file that is written.
@@ -19,8 +19,8 @@ from stringcast.data import store
 from stringcast.data.artifacts import Points
 from stringcast.data.images import ImageFiles, Video
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.extraction_study.scores import why
 from stringcast.pipeline.origin import origin
+from stringcast.pipeline.studies.extraction.scores import why
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.model.camera import Camera
@@ -102,7 +102,7 @@ def photograph_row(folder: Path, name: str, length: float) -> dict[str, object]:
 
 def main() -> None:
     """Everything there is, as one table."""
-    parser = argparse.ArgumentParser("python -m pipeline.extraction_study.measured", description=__doc__)
+    parser = argparse.ArgumentParser("python -m pipeline.studies.extraction.footage", description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("table", type=Path)
     asked = parser.parse_args()

@@ -9,8 +9,8 @@ import yaml
 
 from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.hitting.executor import PointExecutor
 from stringcast.pipeline.iterations import History, Iteration
+from stringcast.pipeline.studies.hitting.executor import PointExecutor
 
 PERFORMED = ("generate", "execute", "extract")
 

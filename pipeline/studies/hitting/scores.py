@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.study.scores import UNKNOWN_CODE, counted
+from stringcast.pipeline.studies.blind.scores import UNKNOWN_CODE, counted
 
 BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the chance foretold
 WANTED = 0.95

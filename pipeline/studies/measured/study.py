@@ -1,0 +1,127 @@
+"""Every set of effects fitted to every string, each in a process of its own and kept as an ordinary run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import pandas as pd
+from omegaconf import OmegaConf
+from pydantic import Field
+
+from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.inherited import with_inherited_settings
+from stringcast.pipeline.modes.stepwise import needs_trials
+from stringcast.pipeline.origin import origin, state
+from stringcast.pipeline.run import perform
+from stringcast.pipeline.settings import UserError, build, composed
+from stringcast.pipeline.studies.engine import Job, Study
+from stringcast.pipeline.studies.measured.family import Family
+from stringcast.pipeline.studies.measured.pictures import picture
+from stringcast.pipeline.studies.measured.scores import SETS, foretold, in_words, scored
+from stringcast.pipeline.terminal import Terminal
+
+WHERE = "conf/experiment/measured_study.yaml"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """processes: 0 is one for each core. strings: names of those asked for, all if there are none."""
+
+    processes: Annotated[int, Field(ge=0)]
+    strings: list[str]
+    families: dict[str, Family]
+
+
+@dataclass(frozen=True)
+class Fit(Job):
+    """A set of effects and the string that it is fitted to. config: settings of the study, folder: its own."""
+
+    family: str
+    string: str
+    laws: str
+    config: Mapping[str, Any]
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """As of `Job`."""
+        return f"{self.string}-{self.laws.replace(' ', '_')}"
+
+    def __call__(self) -> dict[str, Any]:
+        """Fit, in this process alone; the row."""
+        place = place_of(self.folder, self.string, self.laws)
+        whole = not (place / "iterations").exists()
+        dataset = self.folder / "datasets" / self.string
+        here = prepare(settings(self, dataset), lambda block: f"conf/{block}")
+        result = perform(here, place, Terminal(quiet=True))
+        block = self.config["measured"]["families"][self.family]
+        family = build(Family, block, f"measured.families.{self.family}", WHERE)
+        names = {"string": self.string, "laws": self.laws, "effects": ", ".join(family.sets[self.laws]["effects"])}
+        row = names | scored(here, result) | {"authors_tip": family.authors.get(self.string)}
+        used = os.times()
+        return row | {"cpu": used.user + used.system if whole else None, "code": state()[:7] + state()[40:]}
+
+
+def place_of(folder: Path, string: str, laws: str) -> Path:
+    """The run of a fit. folder: the study's."""
+    return folder / "fits" / f"{string}-{laws.replace(' ', '_')}"
+
+
+@dataclass(frozen=True)
+class MeasuredStudy(Study):
+    """Strings that others measured, fitted with stated sets of effects."""
+
+    KIND = "measured_study"
+    TABLES: ClassVar = {"sets": SETS}
+    BLOCK, MORE = "measured", ("strings", "processes")
+    LIVES = 1  # so that a row tells the time of its own fit
+
+    def check(self, experiment: Experiment) -> None:
+        """As of `Mode`."""
+        needs_trials(experiment)
+
+    def jobs(self, experiment: Experiment, folder: Path) -> list[Fit]:
+        """All sets of all strings that are asked for, whose datasets are then there."""
+        config = experiment.config
+        asked = build(Measured, config[self.BLOCK], self.BLOCK, WHERE)
+        source = Path(config["trials"])
+        there = {name: family.strings(source) for name, family in asked.families.items()}
+        known = [string for strings in there.values() for string in strings]
+        if unknown := set(asked.strings) - set(known):
+            raise UserError(
+                f"measured.strings: there is no {', '.join(sorted(unknown))}; there are {', '.join(known)}."
+            )
+        made = origin({"measured": config["measured"], "trials": config["trials"]}, "dataset", 0, {})
+        fits = []
+        for name, family in asked.families.items():
+            for string in (string for string in there[name] if not asked.strings or string in asked.strings):
+                family.write(source, string, there[name][string], folder / "datasets" / string, made)
+                fits += [Fit(name, string, laws, config, folder) for laws in family.sets]
+        return fits
+
+    def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
+        """As of `Study`."""
+        names = [column.name for column in SETS.columns]
+        return {"sets": SETS.check(pd.DataFrame([row for _, row in made], columns=names))}
+
+    def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
+        """As of `Study`."""
+        sets = tables["sets"]
+        fits = zip(sets["string"], sets["laws"], strict=True)
+        picture(sets, {fit: foretold(place_of(folder, *fit)) for fit in fits}, folder / "sets.png")
+
+    def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
+        """As of `Study`."""
+        return in_words(tables["sets"])
+
+
+def settings(job: Fit, dataset: Path) -> dict[str, Any]:
+    """Of the run that a person begins by hand: +experiment=estimate trials=<dataset> and what the family sets."""
+    family = job.config["measured"]["families"][job.family]
+    own = composed(["+experiment=estimate"]) | family["settings"] | family["sets"][job.laws]
+    own |= {"seed": job.config["seed"], "leave": [], "trials": str(dataset)}
+    return with_inherited_settings(OmegaConf.create(own), {"string"})
