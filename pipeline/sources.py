@@ -20,7 +20,7 @@ MODEL = "stages/model/model.py"
 
 
 def sources(settings: Mapping[str, Any], stage: StageSpec) -> dict[str, str]:
-    """Hashes of the files behind a step, by path. settings: those that it uses."""
+    """Hashes of the code behind a step, by the path of its file. settings: those that it uses."""
     named = [allowed(target, role, "config.json") for role, target in targets(settings)]
     roots = {home(name) for name in (*named, stage.run)}
     roots |= {ROOT / MODEL} if "string" in settings else set()
@@ -69,7 +69,7 @@ def _imported(file: Path) -> tuple[Path, ...]:
 
 def _named_in(file: Path) -> tuple[Path, ...]:
     names: set[str] = set()
-    for node in _statements(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in _statements(_parsed(file)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -98,7 +98,16 @@ def _file(module: str) -> Path | None:
 
 @cache
 def _digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+    """Of the code as Python runs it: comments, line breaks and docstrings make no step stale."""
+    tree = _parsed(file)
+    for node in (tree, *_statements(tree)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            del node.body[0]
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
+
+
+def _parsed(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
 
 
 def _short(file: Path) -> str:

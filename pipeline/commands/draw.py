@@ -22,7 +22,9 @@ def main(arguments: Sequence[str]) -> int:
     bench.write(asked.folder)
     bench.envelope(asked.envelope)
     console.print(
-        f"{asked.folder}: {len(bench.scene.casts)} trials. What they hide is in {asked.envelope}.", markup=False
+        f"{asked.folder}: {len(bench.scene.casts)} trials. What they hide is in {asked.envelope}.",
+        markup=False,
+        soft_wrap=True,
     )
     return 0
 

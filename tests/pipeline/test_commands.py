@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from stringcast.data import store
 from stringcast.data.artifacts import Points
 from stringcast.pipeline import __main__ as shell
-from stringcast.pipeline import commands, staleness
+from stringcast.pipeline import commands, sources, staleness
 from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.commands.verify import verify
 from stringcast.pipeline.compare import differences
@@ -152,6 +152,19 @@ def test_only_steps_that_use_a_source_are_made_again(run, monkeypatch, what, ste
     assert set(made) == steps
     assert (f"source {what} has changed" in said) == bool(steps)
     assert toy_run(run, toy_experiment())[0] == []
+
+
+def test_comments_and_docstrings_make_nothing_stale(tmp_path):
+    codes = {
+        "plain": "def f(x):\n    return x + 1\n",
+        "told": '"""What it is."""\n\n\ndef f(x):  # why\n    """More by one."""\n    return (x +\n            1)\n',
+        "other": "def f(x):\n    return x + 2\n",
+        "text": "def f(x):\n    'a law'\n    return x + 1\n",
+    }
+    for name, code in codes.items():
+        (tmp_path / f"{name}.py").write_text(code)
+    plain, told, other, text = (sources._digest(tmp_path / f"{name}.py") for name in codes)
+    assert plain == told == text != other
 
 
 def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):
