@@ -23,18 +23,19 @@ def picture(table: pd.DataFrame, held_out: Mapping[tuple[str, str], pd.DataFrame
     strings = list(table["string"].unique())
     height = 1.0 + 0.26 * len(strings)
     with plt.style.context(STYLE):
-        figure = plt.figure(figsize=(11, height + 1.9 * below), layout="constrained")
-        grid = figure.add_gridspec(1 + below, ACROSS, height_ratios=[height, *[1.9] * below])
-        left = figure.add_subplot(grid[0, : ACROSS // 2])
-        right = figure.add_subplot(grid[0, ACROSS // 2 :], sharex=left, sharey=left)
-        right.tick_params(labelleft=False)
+        figure = plt.figure(figsize=(11, height + 2.0 * below), layout="constrained")
+        above, trace = figure.subfigures(2, 1, squeeze=False, height_ratios=[height, 2.0 * below])[:, 0]
+        left, right = above.subplots(1, 2, sharex=True, sharey=True)
         _tips(left, table, strings, "tip", "tip in sample, rms / mm")
         _tips(right, table, strings, "held_out_tip", "tip in trials held out, rms / mm")
         left.plot(MM * _of(table, strings, "authors_tip"), range(len(strings)), "kx", label="their authors' model")
-        left.legend(loc="lower center", bbox_to_anchor=(1.0, 1.0), ncols=8)
-        for number, (string, trial) in enumerate(trials):
+        above.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=6)
+        places = trace.subplots(below, ACROSS, squeeze=False).ravel()
+        for axes in places[len(trials) :]:
+            axes.set_axis_off()
+        for axes, (string, trial) in zip(places, trials, strict=False):
             sets = {laws: rows for (name, laws), rows in held_out.items() if name == string}
-            _over_time(figure.add_subplot(grid[1 + number // ACROSS, number % ACROSS]), sets, trial)
+            _over_time(axes, sets, trial)
         figure.savefig(path, dpi=110, facecolor="white")
         plt.close(figure)
 
@@ -50,6 +51,7 @@ def _tips(axes: Axes, table: pd.DataFrame, strings: list[str], column: str, labe
         place = [strings.index(name) for name in some["string"]]
         axes.plot(MM * some[column], place, "o", ms=5, color=_colour(table, str(laws)), label=str(laws))
     axes.set(xlabel=label, xscale="log", ylim=(len(strings) - 0.5, -0.5))
+    axes.set_xticks([1, 3, 10, 30], ["1", "3", "10", "30"])
     axes.set_yticks(range(len(strings)), strings)
 
 
@@ -65,5 +67,5 @@ def _over_time(axes: Axes, sets: Mapping[str, pd.DataFrame], trial: str) -> None
         tip = rows[(rows["trial"] == trial) & (rows["s"] == rows["s"].max())]
         off = np.hypot(tip["predicted_x"] - tip["x"], tip["predicted_y"] - tip["y"])
         axes.plot(tip["t"], MM * off, lw=1, color=LIGHT[COLOURS[number % len(COLOURS)]])
-    axes.set(title=trial, xlabel="time / s")
-    axes.set_ylabel("tip off / mm")
+    axes.set_title(trial, fontsize="small")
+    axes.set(xlabel="time / s", ylabel="tip off / mm")
