@@ -34,7 +34,7 @@ UNANSWERED = 2  # exit status of a command that found no answer
 @hydra.main(version_base="1.3", config_path="pkg://stringcast.conf", config_name="config")
 def main(config: DictConfig) -> float | None:
     """One run, or one job of a sweep. Returns E after the last estimation."""
-    rate: float | None = one_thread(import_module("stringcast.pipeline.job")).main(config)
+    rate: float | None = one_thread(import_module("stringcast.pipeline.run")).main(config)
     return rate
 
 

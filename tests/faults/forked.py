@@ -23,7 +23,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 
 from stringcast.pipeline import __main__ as shell
-from stringcast.pipeline import job
+from stringcast.pipeline import run
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.begun import BegunLater
 from stringcast.pipeline.sweep.ledger import DONE, Ledger
@@ -204,7 +204,7 @@ def struck_by(place, *asked):
 KINDS = {"run": Run(), "sweep": Sweep()}
 
 if __name__ == "__main__":
-    REAL, job.prepare = job.prepare, toy_experiment
+    REAL, run.prepare = run.prepare, toy_experiment
     shell.main.__wrapped__.__module__ = "__main__"  # as Hydra finds it when it is run
     Attempt._process = process
     import_module("stringcast.pipeline.report")  # so that no child has to

@@ -18,8 +18,9 @@ from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
 from stringcast.pipeline.origin import state
 from stringcast.pipeline.studies.blind.bench import OneBench
 from stringcast.pipeline.studies.blind.pictures import pictures
-from stringcast.pipeline.studies.blind.scores import TABLES, calibration_error, counted, scores
+from stringcast.pipeline.studies.blind.scores import TABLES, calibration_error, scores
 from stringcast.pipeline.studies.blind.verdicts import answered, beliefs, confidence, correct
+from stringcast.pipeline.studies.counts import counted
 from stringcast.pipeline.studies.engine import all_made, kept
 
 

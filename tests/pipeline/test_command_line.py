@@ -44,7 +44,7 @@ def same(a, b):
 def test_what_is_found_does_not_depend_on_how_many_cores_there_are(monkeypatch, called, tmp_path):
     """Sums of long columns by several threads differ in their last digit, and a fit that stops a step later by more."""
     for words, place in (
-        (["seed=1"], "stringcast.pipeline.job.main"),
+        (["seed=1"], "stringcast.pipeline.run.main"),
         (["index"], "stringcast.pipeline.commands.index.main"),
     ):
         seen = []

@@ -16,8 +16,7 @@ from stringcast.hardware.virtual.bench import Bench, VirtualArm
 from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.settings import composed
 from stringcast.pipeline.studies.hitting.executor import PointExecutor, measured
-from stringcast.pipeline.studies.hitting.job import settings
-from stringcast.pipeline.studies.hitting.lessons import lessons, model_found
+from stringcast.pipeline.studies.hitting.job import lessons, model_found, settings
 from stringcast.pipeline.studies.hitting.scores import TABLES, scores, sentence
 from stringcast.stages.hit_test import hit_test
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from stringcast.pipeline.studies.counts import bars
 from stringcast.stages.report.picture import LIGHT, STYLE
 
 COLOURS = {"effect": "after", "outside": "measured", "pair": "before"}
@@ -69,15 +70,10 @@ def _overview(tables: Mapping[str, pd.DataFrame]) -> plt.Figure:
     return figure
 
 
-def _bars(some: pd.DataFrame) -> np.ndarray:
-    """Distances of the interval's ends from the share, (2, K)."""
-    return np.abs(some[["low", "high"]].to_numpy().T - some["share"].to_numpy())
-
-
 def _sizes(axes: Axes, table: pd.DataFrame) -> None:
     for number, (kind, some) in enumerate(table.groupby("kind")):
         across = some["size"] * 1.02 ** (number - 1)  # side by side, so that bars can be told apart
-        axes.errorbar(across, some["share"], _bars(some), fmt="o-", ms=4, color=LIGHT[COLOURS[kind]], label=kind)
+        axes.errorbar(across, some["share"], bars(some), fmt="o-", ms=4, color=LIGHT[COLOURS[kind]], label=kind)
     axes.axhline(0.95, color=LIGHT["wall"], ls="--", lw=1, label="goal for effects and pairs")
     axes.set_xscale("log")
     axes.set_xticks([5, 10, 20, 40], ["5", "10", "20", "40"])
@@ -89,7 +85,7 @@ def _sizes(axes: Axes, table: pd.DataFrame) -> None:
 
 def _reliability(axes: Axes, table: pd.DataFrame, error: pd.Series) -> None:
     axes.plot([0, 1], [0, 1], color=LIGHT["wall"], ls="--", lw=1)
-    axes.errorbar(table["confidence"], table["share"], _bars(table), fmt="o", ms=4, color=LIGHT["after"])
+    axes.errorbar(table["confidence"], table["share"], bars(table), fmt="o", ms=4, color=LIGHT["after"])
     for x, low, count in table[["confidence", "low", "count"]].to_numpy():
         below = (0, -3)  # points
         axes.annotate(f"{count:.0f}", (x, low), below, textcoords="offset points", va="top", ha="center", fontsize=7)
@@ -99,7 +95,7 @@ def _reliability(axes: Axes, table: pd.DataFrame, error: pd.Series) -> None:
 
 def _goals(axes: Axes, table: pd.DataFrame) -> None:
     shown = table[table["count"] > 0].iloc[::-1].reset_index(drop=True)
-    axes.errorbar(shown["share"], shown.index, xerr=_bars(shown), fmt="o", ms=4, color=LIGHT["after"])
+    axes.errorbar(shown["share"], shown.index, xerr=bars(shown), fmt="o", ms=4, color=LIGHT["after"])
     for place, row in shown.iterrows():
         for goal, mark in ((row["at_least"], ">"), (row["at_most"], "<")):
             if np.isfinite(goal):

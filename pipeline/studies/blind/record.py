@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import numpy as np
 import pandas as pd
 
 from stringcast.data import store
 from stringcast.pipeline.origin import PACKAGES, ROOT, code, versions
-from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED, counted
+from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED
+from stringcast.pipeline.studies.counts import bars, counted
 from stringcast.stages.report.picture import LIGHT, STYLE
 
 FOLDER = ROOT / "data" / "results" / "blind_study"
@@ -74,9 +74,8 @@ def picture(rates: pd.DataFrame, path: Path) -> None:
         codes = list(dict.fromkeys(rates["code"]))
         for number, (name, colour) in enumerate(SHOWN.items()):
             some = rates[(rates["name"] == name) & (rates["count"] > 0)]
-            bars = np.abs(some[["low", "high"]].to_numpy().T - some["share"].to_numpy())
             across = [codes.index(one) + 0.2 * (number - 1) for one in some["code"]]
-            axes.errorbar(across, some["share"], bars, fmt="o", ms=4, color=LIGHT[colour], label=name)
+            axes.errorbar(across, some["share"], bars(some), fmt="o", ms=4, color=LIGHT[colour], label=name)
         axes.set_xticks(range(len(codes)), [one[:7] for one in codes], rotation=60, ha="right")
         axes.set(ylabel="share, with its 95 % interval", ylim=(-0.03, 1.03), xlabel="code, in the order of time")
         axes.legend(loc="center right")

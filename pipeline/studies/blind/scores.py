@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence, Set
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.studies.blind.verdicts import (
@@ -20,20 +19,14 @@ from stringcast.pipeline.studies.blind.verdicts import (
     found_of_pair,
     named_above,
 )
+from stringcast.pipeline.studies.counts import COUNTS, UNKNOWN_CODE, counted
 from stringcast.stages.model.library import library
 
 BINS = np.linspace(0.0, 1.0, 11)  # of confidence
 SIZES = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])  # [sigma]
-FIRST, UNKNOWN_CODE = 1, "unknown"  # of rows of studies that were begun before they said so
+FIRST = 1  # version of rows of studies that were begun before they said so
 CHANCE = 2000  # studies simulated for the calibration error that chance alone makes
 
-_COUNTS = (
-    Column("right", "1", "how many of them", "int"),
-    Column("count", "1", "of how many", "int"),
-    Column("share", "1", "right over count"),
-    Column("low", "1", "lower end of the 95 % interval (Clopper and Pearson)"),
-    Column("high", "1", "upper end"),
-)
 BENCHES = Table(
     "benches",
     "a row a bench: what was hidden and what was said",
@@ -96,7 +89,7 @@ BY_SIZE = Table(
         Column("from", "1", "least size of the bin [sigma]"),
         Column("to", "1", "largest size of the bin [sigma]"),
         Column("size", "1", "mean size in the bin [sigma]"),
-        *_COUNTS,
+        *COUNTS,
     ),
 )
 CALIBRATION = Table(
@@ -106,7 +99,7 @@ CALIBRATION = Table(
         Column("from", "1", "least probability of the bin"),
         Column("to", "1", "largest probability of the bin"),
         Column("confidence", "1", "mean probability in the bin"),
-        *_COUNTS,
+        *COUNTS,
     ),
 )
 RATES = Table(
@@ -114,7 +107,7 @@ RATES = Table(
     "the study in a few numbers, with the goals",
     (
         Column("name", "", "what is counted", "text"),
-        *_COUNTS,
+        *COUNTS,
         Column("at_least", "1", "goal; NaN if there is none"),
         Column("at_most", "1", "goal; NaN if there is none"),
     ),
@@ -282,12 +275,3 @@ def _rates(benches: pd.DataFrame, parameters: pd.DataFrame) -> pd.DataFrame:
     inside = counted(parameters["inside"])
     rows.append({"name": "parameter in its interval", **inside, "at_least": 0.93, "at_most": 0.97})
     return pd.DataFrame(rows)
-
-
-def counted(right: pd.Series) -> dict[str, float]:
-    """How many, of how many, the share, and its exact 95 % interval."""
-    n, k = len(right), int(right.sum())
-    if n == 0:
-        return {"right": 0, "count": 0, "share": np.nan, "low": 0.0, "high": 1.0}
-    interval = binomtest(k, n).proportion_ci(0.95, method="exact")
-    return {"right": k, "count": n, "share": k / n, "low": interval.low, "high": interval.high}

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import yaml
 
+from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.hardware.virtual.bench import Bench
 from stringcast.pipeline.experiment import Experiment, prepare
-from stringcast.pipeline.iterations import Iteration
+from stringcast.pipeline.iterations import History, Iteration
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.studies.hitting.executor import PointExecutor
-from stringcast.pipeline.studies.hitting.lessons import estimated, lessons, model_found
 from stringcast.stages.generate.curves import Curves, first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.hand import JointMotion
@@ -23,6 +25,8 @@ Config = Mapping[str, Any]
 REFERENCES = 4  # casts on which a model's foretelling is measured, the same for all
 REFERENCE_T = (0.3, 1.0)  # [s]
 REFERENCE_ALPHA = 75.0  # [rad/s^2]
+
+PERFORMED = ("generate", "execute", "extract")  # of a lesson
 
 
 def settings(config: Config, case: Config, method: Config, seed: int, casts: int) -> dict[str, Any]:
@@ -68,6 +72,34 @@ def casts_of(config: Config, case: Config, method: Config, seed: int) -> list[di
         return [{"cast": 1, "hit": False, "reason": str(error)}]  # the run counts as one that never hits
     truth = References(here, next(iter(executor.benches.values())))
     return [_row(i, i.number - count, executor, truth) for i in made]
+
+
+def lessons(executor: PointExecutor, count: int) -> list[Iteration]:
+    """First casts, each as if nothing were known of the string; what is cast after them is no change of theirs."""
+    history = History(executor)
+    for _ in range(count):
+        current = history.begin()
+        for name in PERFORMED:
+            history.make(name)
+        del current.done["motion"]
+    return history.iterations
+
+
+def estimated(executor: PointExecutor, casts: list[Iteration]) -> None:
+    """What the executor's method makes of all lessons is known after the last."""
+    History(executor, casts).make("estimate", trials=_seen(casts))
+
+
+def model_found(here: Experiment, casts: list[Iteration]) -> dict[str, Any]:
+    """Settings of the model that a diagnosis of the lessons makes: what `extended=<its folder>` brings along."""
+    taught = [*casts[:-1], replace(casts[-1], done=dict(casts[-1].done))]
+    made: Diagnosis = History(PointExecutor(here, noise=0.0), taught).make("diagnose", trials=_seen(casts))
+    said: dict[str, Any] = yaml.safe_load(made.finding["extended"].iloc[0])
+    return said
+
+
+def _seen(casts: list[Iteration]) -> TrialSet:
+    return TrialSet(tuple(cast.observation for cast in casts))
 
 
 def named(block: str) -> str:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from stringcast.pipeline.studies.counts import bars
 from stringcast.pipeline.studies.hitting.scores import ALL, WANTED
 from stringcast.stages.report.picture import LIGHT, MM, STYLE
 
@@ -39,15 +39,10 @@ def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
         plt.close(figure)
 
 
-def _bars(some: pd.DataFrame) -> np.ndarray:
-    """Distances of the interval's ends from the share, (2, K)."""
-    return np.abs(some[["low", "high"]].to_numpy().T - some["share"].to_numpy())
-
-
 def _hits(axes: Axes, rates: pd.DataFrame, case: str) -> None:
     for number, (method, some) in enumerate(rates.groupby("method", sort=False)):
         across = some["within"] + 0.08 * number  # side by side, so that bars can be told apart
-        axes.errorbar(across, some["share"], _bars(some), fmt=f"{MARKS[number]}-", ms=4, label=method)
+        axes.errorbar(across, some["share"], bars(some), fmt=f"{MARKS[number]}-", ms=4, label=method)
     axes.axhline(WANTED, color=LIGHT["wall"], ls="--", lw=1)
     axes.set(xlabel="casts", ylabel="runs that have hit", ylim=(-0.03, 1.05), title=case)
     axes.set_xticks(sorted(rates["within"].unique()))
@@ -64,6 +59,6 @@ def _calibration(axes: Axes, table: pd.DataFrame, methods: list[str]) -> None:
     axes.plot([0, 1], [0, 1], color=LIGHT["wall"], ls="--", lw=1)
     for method, some in table.groupby("method", sort=False):
         number = methods.index(method)
-        axes.errorbar(some["foretold"], some["share"], _bars(some), fmt=MARKS[number], ms=4, color=f"C{number}")
+        axes.errorbar(some["foretold"], some["share"], bars(some), fmt=MARKS[number], ms=4, color=f"C{number}")
     axes.set(xlabel="chance foretold", ylabel="share that hit", xlim=(0, 1.03), ylim=(-0.03, 1.05))
     axes.set_title("do foretold chances hold?")

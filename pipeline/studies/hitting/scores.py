@@ -8,19 +8,12 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.studies.blind.scores import UNKNOWN_CODE, counted
+from stringcast.pipeline.studies.counts import COUNTS, UNKNOWN_CODE, counted
 
 BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the chance foretold
 WANTED = 0.95
 ALL = "all"
 _WHICH = (Column("case", "", "string and target; 'all' for all together", "text"), Column("method", "", "", "text"))
-_COUNTS = (
-    Column("right", "1", "how many of them", "int"),
-    Column("count", "1", "of how many", "int"),
-    Column("share", "1", "right over count"),
-    Column("low", "1", "lower end of the 95 % interval (Clopper and Pearson)"),
-    Column("high", "1", "upper end"),
-)
 CASTS = Table(
     "casts",
     "a row a cast, until one hits",
@@ -50,7 +43,7 @@ CASTS = Table(
 RATES = Table(
     "rates",
     "runs that have hit within so many casts",
-    (*_WHICH, Column("within", "1", "casts", "int"), *_COUNTS),
+    (*_WHICH, Column("within", "1", "casts", "int"), *COUNTS),
 )
 NEEDED = Table(
     "needed",
@@ -70,7 +63,7 @@ CALIBRATION = Table(
         Column("from", "1", "chance foretold"),
         Column("to", "1", ""),
         Column("foretold", "1", "mean"),
-        *_COUNTS,
+        *COUNTS,
     ),
 )
 TABLES = {table.name: table for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRATION)}

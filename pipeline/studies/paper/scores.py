@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.stats import quantile_test
 
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.studies.blind.scores import counted
+from stringcast.pipeline.studies.counts import counted
 from stringcast.pipeline.studies.paper.numbers import of
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
 from stringcast.pipeline.sweep.table import factors
