@@ -134,6 +134,10 @@ ALL = "all"  # of the trials, which `memory` may be
 
 def _check_run(config: Mapping[str, Any], where: Where) -> None:
     """The few settings of the run itself."""
+    if "steps" in config:
+        raise UserError(
+            f"steps = {config['steps']}: what a run does is its mode now. Give `override /mode: ...` instead."
+        )
     for name, other in (("manipulations", ""), ("memory", f", or {ALL}")):
         if (type(config[name]) is not int or config[name] < 1) and not (other and config[name] == ALL):
             must = f"it must be a whole number from 1{other}"

@@ -224,9 +224,11 @@ def test_a_real_arm_does_not_move_by_limits_of_others(settings):
     with pytest.raises(UserError, match=r"arm\.hand_speed: 21\.8 here, 99\.0 there\n.*accept_limits=true"):
         refuse_inherited_limits(faster, real, "trials=x")
     refuse_inherited_limits(faster, {**real, "accept_limits": True}, "trials=x")
-    refuse_inherited_limits(
-        {**faster, "mode": {"_target_": "pipeline.modes.Estimate", "again": False}}, real, "trials=x"
-    )
+    estimating, aligning = ({**faster, "mode": resolved(f"mode={mode}")["mode"]} for mode in ("estimate", "align"))
+    refuse_inherited_limits(estimating, real, "trials=x")
+    with pytest.raises(UserError, match="accept_limits=true"):  # a motion is performed where no trials are stored
+        refuse_inherited_limits(aligning, real, "trials=x")
+    refuse_inherited_limits({**aligning, "trials": "x"}, real, "trials=x")
     refuse_inherited_limits(real, real, "trials=x")
 
 

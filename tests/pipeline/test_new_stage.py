@@ -1,5 +1,6 @@
 """A stage is one folder and one group of settings: put into a copy of the package, it is found, run, kept and shown."""
 
+import inspect
 import json
 import os
 import shutil
@@ -9,6 +10,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from hydra.utils import get_object
+
+from stringcast.pipeline.registry import stages
+from stringcast.pipeline.settings import composed
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
@@ -119,6 +124,18 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(package, tmp_path):
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(json.dumps(config | {"sway": config["sway"] | {"least": 0.001}}))
     assert "setting sway.least was 0.0, is 0.001" in said(package, "why", run)[1]
+
+
+def test_every_stage_says_what_is_so():
+    """Names that are text name functions; a stage takes what it asks for, and uses settings that there are."""
+    settings, folders = composed(), {}
+    for name, stage in stages().items():
+        run = get_object(f"stringcast.{stage.run}")
+        assert [*inspect.signature(run).parameters] == ["call", *stage.inputs]
+        assert callable(get_object(f"stringcast.{stage.page}"))
+        assert {*stage.uses} <= settings.keys(), name
+        assert bool(stage.by) == (name in settings)
+        assert folders.setdefault(stage.folder, stage.makes) is stage.makes, "a name is of one kind of artifact"
 
 
 def test_its_settings_are_checked_like_any_other(package, tmp_path):
