@@ -78,8 +78,8 @@ def verify(here: Experiment, folder: Path, aside: Path, bar: Callable[[str], Abs
 
 def _ending(here: Experiment, folder: Path, aside: Path, result: Result, outcome: Outcome) -> None:
     """The dataset and run.json: drawn from the steps alone, they must say what these say."""
-    if here.config["trials"] is None:
-        iterations = list(result.iterations)
+    iterations = [i for i in result.iterations if {"trial", "points"} <= i.done.keys()]
+    if here.config["trials"] is None and iterations:
         run_folder.publish(here, run_folder.trial_hashes(folder, iterations), aside, iterations)
         written = [*sorted(aside.glob("*.parquet")), aside / "dataset.yaml"]
         faults = {path.name: differences(folder / path.name, path) for path in written}

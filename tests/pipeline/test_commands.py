@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,18 @@ import pytest
 from omegaconf import OmegaConf
 
 from stringcast.data import store
+from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Points
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import commands, sources, staleness
 from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.commands.verify import verify
 from stringcast.pipeline.compare import differences
-from stringcast.pipeline.modes import Calibrate
+from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.older import FLOAT64, modern
 from stringcast.pipeline.settings import UserError, composed
 from stringcast.pipeline.studies.hitting.study import HitStudy
-from tests.faults.toy import contents, toy_experiment, toy_run
+from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
 PAGE = Path(commands.__file__).with_name("README.md")
 
@@ -104,6 +106,25 @@ def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
     outcome = verified(run, tmp_path, toy_experiment())
     assert not outcome.same
     assert outcome.lines[-2:] == ["iterations/02/points: DIFFERS", "    it has not been made yet"]
+
+
+def aligned(model, observations, films, *, progress):
+    return Alignment(**{name: rows(table, 1) for name, table in Alignment.TABLES.items()})
+
+
+def test_a_run_without_points_is_verified_too(tmp_path):
+    """An alignment films the arm, and reads no string: there is no dataset of it."""
+    mode = Batch(stage="align", read=False, again=False, first=("generate", "execute"))
+    here = toy_experiment(1, mode=mode)
+    here = replace(here, stages={**here.stages, "align": aligned})
+    toy_run(tmp_path / "run", here)
+    assert (tmp_path / "run" / "extended.yaml").exists()
+    outcome = verified(tmp_path / "run", tmp_path, here)
+    assert outcome.same
+    assert [line.partition(":")[0] for line in outcome.lines] == [
+        *(f"iterations/01/{name}" for name in ("motion", "trial", "alignment")),
+        "run.json",
+    ]
 
 
 def real_arm():
