@@ -71,7 +71,7 @@ class RunFolder:
 
     def _stays(self, found: Found, step: Step) -> bool:
         """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
-        stays = performed(self.experiment.config, self.folder, step)
+        stays = performed(self.experiment.config, self.folder, step.number, step.stage.folder)
         if stays and found.artifact is None:
             raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
         kept = "The arm has moved by it: it stays." if stays else "It is made again."

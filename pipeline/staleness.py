@@ -114,7 +114,7 @@ def repeatable(config: Mapping[str, Any], artifact: str) -> bool:
     return artifact != "trial" or str(config["hardware"]["_target_"]).startswith(LAB)
 
 
-def performed(config: Mapping[str, Any], folder: Path, step: Step) -> bool:
-    """Whether a real arm has moved by what this step made: then it stays, for what was measured hangs on it."""
-    nearest = step.number if step.stage.folder in ("motion", "trial") else step.number + 1
+def performed(config: Mapping[str, Any], folder: Path, number: int, artifact: str) -> bool:
+    """Whether a real arm has moved by an artifact of an iteration: then it stays, for what was measured hangs on it."""
+    nearest = number if artifact in ("motion", "trial") else number + 1
     return not repeatable(config, "trial") and (folder / place_of(nearest, "trial")).is_dir()

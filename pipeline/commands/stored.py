@@ -48,8 +48,8 @@ def walk(here: Experiment, folder: Path, ask: Callable[[Step], Any]) -> Result |
         return None
 
 
-def stored_experiment(folder: Path) -> Experiment:
-    """What a run works with, from its config.json. Raises UserError where there is none, or one of another version."""
+def stored_settings(folder: Path) -> dict[str, Any]:
+    """A run's settings as they are called now, from its config.json. Raises UserError where there is none."""
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
@@ -58,8 +58,14 @@ def stored_experiment(folder: Path) -> Experiment:
     if "mode" not in written and "mode" in settings:
         words = f"{path}: steps = {written['steps']} is read as mode = {settings['mode']}, as it is called now."
         Terminal(stderr=True).print(words, soft_wrap=True, markup=False)
+    return settings
+
+
+def stored_experiment(folder: Path) -> Experiment:
+    """What a run works with, from its config.json. Raises UserError where there is none, or one of another version."""
+    path = folder / "config.json"
     try:
-        return prepare(settings, lambda block: str(path))
+        return prepare(stored_settings(folder), lambda block: str(path))
     except KeyError as error:
         raise UserError(f"{path}: it lacks the setting {error}: another version of this code made the run.") from error
 

@@ -1,19 +1,22 @@
-"""Say of each step of a run whether it is fresh or stale, and why."""
+"""Say of each step of a run whether it is fresh or stale, and why, by its files and settings: nothing is built."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stringcast.data import store
 from stringcast.data.errors import printable
-from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_experiment, walk
-from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.iterations import Step
+from stringcast.data.schema import DataError
+from stringcast.pipeline.commands.stored import run_of, stored_settings
+from stringcast.pipeline.layout import ENDED, place_of
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.staleness import inputs, look, performed
+from stringcast.pipeline.staleness import performed, reasons_of
+from stringcast.stages.spec import This
 
 
 def main(arguments: list[str]) -> int:
@@ -23,10 +26,13 @@ def main(arguments: list[str]) -> int:
     place = parser.parse_args(arguments).place
     folder = run_of(place)
     asked = place.resolve().relative_to(folder.resolve()).as_posix()
-    states = [state for state in states_of(stored_experiment(folder), folder) if asked in (".", state.place)]
+    states = [state for state in states_of(stored_settings(folder), folder) if asked in (".", state.place)]
     if not states:
         known = ", ".join(sorted({stage.folder for stage in stages().values()}))
-        raise UserError(f"{place}: the run has no such step. Name a folder iterations/<number>/<one of {known}>.")
+        raise UserError(
+            f"{place}: there is no such step; a study and a calibration have none. Name the folder of another run, or "
+            f"of a step: iterations/<number>/<one of {known}>."
+        )
     for state in states:
         print(printable("\n    ".join((f"{state.place}: {state.words}", *state.reasons))))
     return 1 if any(state.reasons for state in states) else 0
@@ -49,22 +55,49 @@ class State:
         return "fresh" if not self.reasons else "stale, but stays: the arm has moved by it" if self.stays else "stale"
 
 
-def states_of(here: Experiment, folder: Path) -> list[State]:
-    """Of all steps of a run, in their order, up to the first that is missing."""
+def states_of(settings: Mapping[str, Any], folder: Path) -> list[State]:
+    """Of all steps of a run, iteration by iteration, and what an unfinished one lacks next. settings: the run's."""
     states: dict[str, State] = {}
+    for place in _steps(folder):
+        name = place.relative_to(folder).as_posix()
+        above = [states[other] for other in _inputs(place) if other in states]
+        doubt = (f"{one.place}, an input, is to be made again" for one in above if one.reasons and not one.stays)
+        stays = performed(settings, folder, int(place.parent.name), place.name)
+        states[name] = State(name, (*reasons_of(folder, place, settings), *doubt), stays=stays)
+    return [*states.values(), *_missing(settings, folder, len({place.parent for place in _steps(folder)}))]
 
-    def ask(step: Step) -> Any:
-        place = step.place.as_posix()
-        found = look(here.config, folder, step)
-        above = [states[other] for other in inputs(folder, step) if other in states]
-        doubt = [
-            f"{state.place}, an input, is to be made again" for state in above if state.reasons and not state.stays
-        ]
-        stays = performed(here.config, folder, step)
-        states[place] = State(place, (*found.reasons, *doubt), (folder / place).is_dir(), stays)
-        if found.artifact is None:
-            raise NotMadeError
-        return found.artifact
 
-    walk(here, folder, ask)
-    return list(states.values())
+def _steps(folder: Path) -> list[Path]:
+    """Folders of a run's steps, what a stage looks at before it."""
+    known = {stage.folder for stage in stages().values()}
+    there = (place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known)
+    return sorted(there, key=lambda place: (place.parent.name, _depth(place.name), place.name))
+
+
+def _depth(artifact: str) -> int:
+    """How many stages of an iteration follow one another up to this artifact. Trials are read in points."""
+    asked = {
+        "points" if name == "trials" else name
+        for stage in stages().values()
+        if stage.folder == artifact
+        for name, given in stage.inputs.items()
+        if isinstance(given, This)
+    }
+    return 1 + max(map(_depth, asked), default=-1)
+
+
+def _inputs(place: Path) -> list[str]:
+    """What a step was made of, as far as that can be read: folders within its run."""
+    try:
+        return list(store.origin_of(sorted(place.glob("*.parquet"))[0])["inputs"])
+    except (DataError, LookupError, *store.UNREADABLE):
+        return []
+
+
+def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iterator[State]:
+    """The first step of its last iteration that an unfinished cast lacks."""
+    names = settings["mode"].get("stages", ())
+    places = [place_of(max(iterations, 1), stages()[name].folder) for name in names if name in stages()]
+    lacking = [place for place in places if not (folder / place).is_dir()]
+    if lacking and not (folder / ENDED).exists():
+        yield State(lacking[0].as_posix(), ("it has not been made yet",), there=False)

@@ -79,8 +79,8 @@ def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
     run = tmp_path / "outputs" / "run"
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps(poisoned(settings, place, poisons(canary)[place])))
-    if asked == "index":
-        assert command(asked).main([str(run.parent)]) == 0
+    if asked in ("index", "why"):  # which look at files and settings alone
+        assert command(asked).main([str(run.parent if asked == "index" else run)]) == (asked == "why")
     else:
         with pytest.raises(UserError, match=rf"{place}._target_ = .*config\.json.*may not be named here\. Choose"):
             command(asked).main([str(run)])
@@ -88,10 +88,12 @@ def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
     assert [path.name for path in run.iterdir()] == ["config.json"]
 
 
-def test_index_builds_no_model(settings, tmp_path, monkeypatch):
+def test_index_and_why_build_no_model(settings, tmp_path, monkeypatch, capsys):
     (tmp_path / "config.json").write_text(json.dumps(settings))
     monkeypatch.setattr("stringcast.stages.model.string.String.__init__", None)
     assert command("index").main([str(tmp_path)]) == 0
+    assert command("why").main([str(tmp_path)]) == 1
+    assert "iterations/01/motion: missing" in capsys.readouterr().out
 
 
 def test_an_extended_model_runs_no_code(settings, canary, tmp_path):
