@@ -1,6 +1,7 @@
 """`python3 tasks.py bench`: measure, print the table, and keep it as Parquet and as a picture.
 
-`python3 tasks.py bench waits` measures what the user waits for, alone, and keeps nothing.
+`python3 tasks.py bench waits` measures what the user waits for, alone, and keeps nothing; `bench estimates` measures
+estimation alone, and keeps it.
 """
 
 from __future__ import annotations
@@ -8,10 +9,10 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
-import numba
 import numpy as np
 import pandas as pd
 from rich.console import Console
@@ -20,12 +21,14 @@ from rich.table import Table as Printed
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
 from stringcast.pipeline.origin import PACKAGES, code, versions
+from tests.speed.estimates import ESTIMATES, estimates, summary
 from tests.speed.measures import Row, framed, measured
 from tests.speed.picture import picture
 from tests.speed.waits import waits
 
 FOLDER = Path(__file__).resolve().parents[2] / "data" / "results" / "speed"
 COMMAND = "python3 tasks.py bench"
+PEERS = ("mujoco", "pyelastica")
 MEANING = {
     "measure": "what is measured",
     "subject": "of what",
@@ -52,11 +55,16 @@ def main(parts: list[str]) -> None:
     if parts == ["waits"]:
         Console(width=150).print(printed(framed(waits())))
         return
-    rows = framed([*measured(), *waits()])
-    Console(width=150).print(printed(rows))
     FOLDER.mkdir(parents=True, exist_ok=True)
-    write_table(SPEED, rows, FOLDER / "speed.parquet", origin())
-    picture(rows, FOLDER / "speed.png")
+    alone = parts == ["estimates"]
+    made = origin(() if alone else PEERS)
+    estimated = estimates()
+    write_table(ESTIMATES, estimated, FOLDER / "estimates.parquet", made)
+    rows = framed(summary(estimated) if alone else [*measured(), *waits(), *summary(estimated)])
+    Console(width=150).print(printed(rows))
+    if not alone:
+        write_table(SPEED, rows, FOLDER / "speed.parquet", made)
+        picture(rows, FOLDER / "speed.png")
     print(f"Kept in {FOLDER}")
 
 
@@ -88,15 +96,14 @@ def goal(row) -> str:  # type: ignore[no-untyped-def]
     return ""
 
 
-def origin() -> dict[str, object]:
-    """What made the table."""
+def origin(peers: Sequence[str]) -> dict[str, object]:
+    """What makes a table. peers: packages that it compares with."""
     return {
         "command": COMMAND,
         "machine": {"processor": processor(), "cores": os.cpu_count(), "load": os.getloadavg()[0]},
         "system": platform.platform(),
         "python": platform.python_version(),
-        "threading": numba.threading_layer(),
-        "packages": versions((*PACKAGES, "llvmlite", "mujoco", "pyelastica")),
+        "packages": versions((*PACKAGES, "llvmlite", *peers)),
         "code": code(),
     }
 

@@ -1,17 +1,16 @@
-"""How soon, and how surely, eight parameters are found from four casts: `python -m tests.speed.estimates`.
+"""How soon, and how surely, eight parameters are found from four casts: `python3 tasks.py bench estimates`.
 
-Every set of `estimation_sets` is estimated by each contender in turn, in the processor time of one thread. A minute or
-two for each. Leaves --out, a row for each set and contender.
+Every set of `estimation_sets` is estimated by each contender in turn, in the processor time of one thread. Ten minutes
+of a core, most of it SciPy's. Leaves a row for each set and contender in `estimates.parquet`.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from unittest.mock import patch
 
 import numba
@@ -20,7 +19,6 @@ import pandas as pd
 from scipy.optimize import least_squares as trust_region
 
 from stringcast.data.schema import Column, Table
-from stringcast.data.store import write_table
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference import batch
@@ -30,14 +28,14 @@ from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.search import refined, screened
 from stringcast.stages.inference.solver import FIRST, slopes
 from stringcast.stages.model import model as forward_model
+from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import chi_of, values_of
 from tests.speed.estimation_sets import MATCHED, CastSet, configured, drawn, model
-from tests.speed.trial import ROOT
+from tests.speed.measures import Row, seen
 
 SETS = 32
 NEAR = 5.0  # of the log-likelihood below its maximum: nearer is the right minimum
-HELD_OUT = 2e-4  # [m] rms of a cast that was not fitted: the goal
-SECONDS = 2.0  # of one core: the goal
+GOALS = {"seconds": 2.0, "held_out": 0.2, "right": 0.95}  # [s] of one core, [mm] of a cast that was not fitted, share
 ESTIMATES = Table(
     "estimates",
     "a row for each set of casts and each way to estimate eight parameters from it",
@@ -45,7 +43,7 @@ ESTIMATES = Table(
         Column("contender", "", "way", "text"),
         Column("seed", "1", "of the set", "int"),
         Column("string", "", "of the virtual lab, or drawn", "text"),
-        Column("matched", "", "what was measured is a chain like the one that is fitted", "bool"),
+        Column("matched", "", "what was measured is a chain like the one that is fitted with 20 points", "bool"),
         Column("seconds", "s", "processor time of one thread"),
         Column("simulations", "1", "strings simulated, each in one trial", "int"),
         Column("simulated", "s", "their time in all"),
@@ -56,20 +54,30 @@ ESTIMATES = Table(
 )
 
 
-def ours(given: CastSet) -> np.ndarray:
+@dataclass(frozen=True)
+class Contender:
+    """A way to find the values (P,) of a model's parameters, and sets that it is asked for: those from a chain like its
+    own, the others, or both."""
+
+    model: Model
+    way: Callable[[Model, CastSet], np.ndarray]
+    matched: tuple[bool, ...] = (True, False)
+
+
+def ours(fitted: Model, given: CastSet) -> np.ndarray:
     """The estimate stage as it is configured, E and intervals included."""
     settings = configured("estimate/least_squares.yaml")
     settings["matching"] = Matching(**settings["matching"])
-    found = least_squares.estimate(model(), given.trials, None, seed=0, manipulation=1, **settings)
-    return model().values(found.values())
+    found = least_squares.estimate(fitted, given.trials, None, seed=0, manipulation=1, **settings)
+    return fitted.values(found.values())
 
 
-def scipy(given: CastSet) -> np.ndarray:
+def scipy(fitted: Model, given: CastSet) -> np.ndarray:
     """SciPy's trust region on the same residuals, from the best of as many random strings; slopes in our batches."""
     settings = configured("estimate/least_squares.yaml")
-    likelihood = likelihood_of(given)
-    drawn = np.random.default_rng([0, 1]).uniform(0, 1, (settings["screening"], len(model().parameters)))
-    start = np.clip(screened(likelihood, drawn, 1)[0], 1e-6, 1 - 1e-6)
+    likelihood = likelihood_of(fitted, given)
+    tried = np.random.default_rng([0, 1]).uniform(0, 1, (settings["screening"], len(fitted.parameters)))
+    start = np.clip(screened(likelihood, tried, 1)[0], 1e-6, 1 - 1e-6)
 
     def residual(chi: np.ndarray) -> np.ndarray:
         return likelihood.residuals(chi[None])[0]
@@ -78,15 +86,19 @@ def scipy(given: CastSet) -> np.ndarray:
         return slopes(likelihood, chi[None], residual(chi)[None], np.full((1, len(chi)), FIRST))[0].T
 
     found = trust_region(residual, start, jacobian, bounds=(0, 1), x_scale="jac", max_nfev=100)
-    return values_of(model().parameters, found.x)
+    return values_of(fitted.parameters, found.x)
 
 
-CONTENDERS: dict[str, Callable[[CastSet], np.ndarray]] = {"least_squares": ours, "scipy": scipy}
+CONTENDERS = {
+    "least_squares": Contender(model(), ours),
+    "least_squares, 39 points": Contender(model(39, 5e-4), ours, (False,)),
+    "SciPy's trust region, our simulation": Contender(model(), scipy),
+}
 
 
-def likelihood_of(given: CastSet) -> Likelihood:
+def likelihood_of(fitted: Model, given: CastSet) -> Likelihood:
     """Of the set's trials."""
-    return Likelihood(model(), tuple(case(model(), trial) for trial in given.trials))
+    return Likelihood(fitted, tuple(case(fitted, trial) for trial in given.trials))
 
 
 @contextmanager
@@ -106,62 +118,42 @@ def counted() -> Iterator[list[tuple[int, float]]]:
 
 def row(name: str, seed: int) -> dict[str, object]:
     """One contender on one set."""
-    given = drawn(seed)
+    given, fitted = drawn(seed), CONTENDERS[name].model
     with counted() as calls:
         begun = time.thread_time()
-        found = CONTENDERS[name](given)
+        found = CONTENDERS[name].way(fitted, given)
         seconds = time.thread_time() - begun
-    likelihood, held_out = likelihood_of(given), case(model(), given.held_out)
-    parameters = model().parameters
-    here, truth = (chi_of(parameters, values)[None] for values in (found, given.truth))
+    likelihood, held_out = likelihood_of(fitted, given), case(fitted, given.held_out)
+    here, truth = (chi_of(fitted.parameters, values)[None] for values in (found, given.truth))
     judge, best = refined(likelihood, truth[0])
     least, left = (loss(judge.residuals(chi), judge.limit)[0] for chi in (best[None], here))
     above = 0.5 * judge.residuals(here).size * np.log(left / least)
-    off = [np.sqrt(held_out.off(values)[0]) for values in (found, values_of(parameters, best))]
+    off = [np.sqrt(held_out.off(values)[0]) for values in (found, values_of(fitted.parameters, best))]
     counts = {"simulations": sum(n for n, _ in calls), "simulated": sum(n * t for n, t in calls)}
     about = {"contender": name, "seed": seed, "string": given.name, "matched": seed < MATCHED}
     return about | counts | {"seconds": seconds, "held_out": off[0], "least": off[1], "above": above}
 
 
-def summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """Of each contender, on matched sets and on the others."""
-    marked = rows.assign(
-        right=rows["above"] < NEAR,
-        goal=(rows["held_out"] < HELD_OUT) & (rows["seconds"] <= SECONDS),
-        held_out_mm=1e3 * rows["held_out"],
-        over_least=rows["held_out"] / rows["least"],
-    )
-    parts = marked.groupby(["contender", "matched"])
-    return pd.DataFrame(
-        {
-            "sets": parts.size(),
-            "right": parts["right"].sum(),
-            "0.2 mm in 2 s": parts["goal"].sum(),
-            "seconds": parts["seconds"].median(),
-            "slowest": parts["seconds"].max(),
-            "simulations": parts["simulations"].median(),
-            "held out / mm": parts["held_out_mm"].median(),
-            "worst / mm": parts["held_out_mm"].max(),
-        }
-    )
-
-
-def main() -> None:
-    """Measure, print, keep."""
-    parser = argparse.ArgumentParser("python -m tests.speed.estimates", description=__doc__)
-    parser.add_argument("--sets", type=int, default=SETS)
-    parser.add_argument("--only", nargs="*", default=list(CONTENDERS), choices=list(CONTENDERS))
-    parser.add_argument("--out", type=Path, default=ROOT / "outputs" / "speed" / "estimates.parquet")
-    asked = parser.parse_args()
+def estimates(sets: int = SETS) -> pd.DataFrame:
+    """Table ESTIMATES of the first sets, by all contenders in turn; the first of each, which may compile, is made
+    twice."""
     numba.set_num_threads(1)
-    row(asked.only[0], 0)  # compiles
+    for name in CONTENDERS:
+        row(name, 0)
+    asked = [(n, s) for s in range(sets) for n, c in CONTENDERS.items() if (s < MATCHED) in c.matched]
+    return ESTIMATES.check(pd.DataFrame([row(name, seed) for name, seed in asked]))
+
+
+def summary(table: pd.DataFrame) -> list[Row]:
+    """Table ESTIMATES in a few rows of the bench's: of each contender, on matched sets and on the others."""
     rows = []
-    for seed in range(asked.sets):
-        rows += [row(name, seed) for name in asked.only]
-        print(pd.DataFrame(rows[-len(asked.only) :]).round(5).to_string(index=False, header=seed == 0), flush=True)
-    write_table(ESTIMATES, pd.DataFrame(rows), asked.out, {"command": "python -m tests.speed.estimates"})
-    print(summary(pd.DataFrame(rows)).round(3).to_string())
-
-
-if __name__ == "__main__":
-    main()
+    for (name, matched), some in table.groupby(["contender", "matched"], sort=False):
+        what = f"eight parameters from four casts of a {'like' if matched else 'finer'} chain"
+        right = float(np.mean(some["above"] < NEAR))
+        rows += [
+            seen(what, name, some["seconds"], "s", threads=1, at_most=GOALS["seconds"]),
+            seen(what, f"{name}: held out", 1e3 * some["held_out"], "mm", at_most=GOALS["held_out"]),
+            Row(what, f"{name}: right minimum", right, f"of {len(some)}", at_least=GOALS["right"]),
+            seen(what, f"{name}: simulations", some["simulations"].astype(float), "1"),
+        ]
+    return rows

@@ -2,8 +2,9 @@
 
 Four casts of a second and one that is held out. Even seeds are the virtual lab's strings A to D in turn, odd ones are
 drawn from the whole of the paper's ranges (Table 3), limp and stiff, with next to no drag and with much. Places that
-are measured are the mass points of the fitted chain, with noise. Seeds below MATCHED come from a chain like the one that is fitted, so
-that nothing but noise keeps a fit from the truth; those above from a finer one, whose difference no fit can explain.
+are measured are the mass points of the fitted chain, with noise. Seeds below MATCHED come from a chain like the one
+that is fitted, so that nothing but noise keeps a fit from the truth; those above from a finer one, whose difference no
+fit can explain.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from stringcast.stages.model.simulate import simulate
-from tests.speed import measures
+from tests.speed import estimates, measures
 from tests.speed.__main__ import printed
 from tests.speed.engine import step_loop
 from tests.speed.trial import TIMES, engine_tip, hand, string_b
@@ -31,6 +31,22 @@ def test_a_table_of_the_smallest_size_is_printed(monkeypatch, capsys):
     rows = pd.DataFrame([measures.asdict(row) for row in measures.batches()])
     Console(width=150).print(printed(rows))
     assert "candidates per second" in capsys.readouterr().out
+
+
+def test_an_estimate_is_judged_by_what_it_foretells():
+    """String B from four casts, by the estimate stage; and one of another string is told from it."""
+    found = estimates.row("least_squares", 2)
+    assert found["held_out"] < 2e-4
+    assert abs(found["above"]) < estimates.NEAR
+    assert found["simulations"] < 10_000
+    other = estimates.Contender(estimates.model(), lambda fitted, given: given.truth * 1.2)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(estimates.CONTENDERS, "other", other)
+        wrong = estimates.row("other", 2)
+    assert wrong["held_out"] > 2e-4
+    assert wrong["above"] > estimates.NEAR
+    text = [row.subject for row in estimates.summary(pd.DataFrame([found, wrong]))]
+    assert "least_squares: right minimum" in text
 
 
 def test_mujoco_is_read_at_the_frames_time():
