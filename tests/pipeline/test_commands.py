@@ -401,3 +401,14 @@ def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
     study = toy_experiment(mode=mode, trials=str(tmp_path))
     with pytest.raises(UserError, match="this run, of a study or a calibration, has no steps of its own"):
         walk(study, tmp_path, lambda step: None)
+
+
+def test_stored_trials_are_looked_for_where_they_were_named(tmp_path, monkeypatch):
+    """A run lies elsewhere than its `trials`, which may be named from the folder where the command was given."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("data/arm.parquet", "run/iterations/01/points/points.parquet", "secret"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"PAR1")
+    asked_for = {"data/arm.parquet": "", "iterations/01/points": "", "secret": "", "data/gone.parquet": ""}
+    found = staleness._there(tmp_path / "run", asked_for, "data")
+    assert set(found) == {"data/arm.parquet", "iterations/01/points"}
