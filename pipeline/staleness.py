@@ -62,8 +62,8 @@ def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[
 
 
 def _there(folder: Path, paths: Mapping[str, str], trials: str | None) -> dict[str, str]:
-    """Content hashes of those of the paths that lie in the run's folder or that of its stored trials, whose paths are as
-    `trials` was given."""
+    """Content hashes of those of the paths that lie in the run's folder, or in that of its stored trials, which
+    begin as `trials` does."""
     homes = [Path(home).resolve() for home in (folder, trials) if home is not None]
     places = {path: (folder / path if path.startswith("iterations/") else Path(path)).resolve() for path in paths}
     known = {path: place for path, place in places.items() if any(place.is_relative_to(home) for home in homes)}

@@ -274,7 +274,7 @@ def many(finished, tmp_path):
     for name in ("failed", "interrupted"):
         (outputs / "day" / name / "run.json").unlink()
     (outputs / "day/failed/failed.txt").write_text("the camera is not there\n")
-    (outputs / "day/damaged/iterations/01/estimate/fit.parquet").write_bytes(b"PAR1")
+    (outputs / "day/damaged/iterations/01/estimate/fit.parquet").write_bytes(b"t")
     shutil.rmtree(outputs / "day/interrupted/iterations/02/estimate")
     config = outputs / "day/stale/config.json"
     config.write_text(config.read_text().replace('"points": 31', '"points": 30'))
@@ -406,9 +406,9 @@ def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
 def test_stored_trials_are_looked_for_where_they_were_named(tmp_path, monkeypatch):
     """A run lies elsewhere than its `trials`, which may be named from the folder where the command was given."""
     monkeypatch.chdir(tmp_path)
-    for name in ("data/arm.parquet", "run/iterations/01/points/points.parquet", "secret"):
+    for name in ("data/arm.csv", "run/iterations/01/points/points.csv", "secret"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_bytes(b"PAR1")
-    asked_for = {"data/arm.parquet": "", "iterations/01/points": "", "secret": "", "data/gone.parquet": ""}
+        (tmp_path / name).write_bytes(b"t")
+    asked_for = {"data/arm.csv": "", "iterations/01/points": "", "secret": "", "data/gone.csv": ""}
     found = staleness._there(tmp_path / "run", asked_for, "data")
-    assert set(found) == {"data/arm.parquet", "iterations/01/points"}
+    assert set(found) == {"data/arm.csv", "iterations/01/points"}
