@@ -3,7 +3,7 @@
 run [OVERRIDES]    the main job: `python -m pipeline OVERRIDES`, by default +experiment=stringB
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
 test --all         ... with the long ones
-bench              how fast strings are simulated, beside MuJoCo and PyElastica; see tests/speed
+bench              how fast strings are simulated and estimated, beside peers; see tests/speed
 setup              only make the environment
 
 The environment is `.venv`, made from `requirements.lock` and made again when that changes. In it, the package

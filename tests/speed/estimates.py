@@ -1,7 +1,7 @@
 """How soon, and how surely, eight parameters are found from four casts: `python3 tasks.py bench estimates`.
 
-Every set of `estimation_sets` is estimated by each contender in turn, in the processor time of one thread. Ten minutes
-of a core, most of it SciPy's. Leaves a row for each set and contender in `estimates.parquet`.
+Every set of `estimation_sets` is estimated by each contender in turn, in the processor time of one thread. Five minutes
+of a core. Leaves a row for each set and contender in `estimates.parquet`.
 """
 
 from __future__ import annotations
