@@ -59,23 +59,31 @@ def closure(roots: Iterable[Path]) -> set[Path]:
     return found
 
 
-@cache
 def _imported(file: Path) -> tuple[Path, ...]:
     """Files of ours that a file imports itself, wherever in it."""
-    if file == LIBRARY:
-        return (*files().values(), *_named_in(file))
-    return _named_in(file)
+    return (*files().values(), *_read(file)[0]) if file == LIBRARY else _read(file)[0]
 
 
-def _named_in(file: Path) -> tuple[Path, ...]:
+def _digest(file: Path) -> str:
+    """Of the code as Python runs it: comments, line breaks and docstrings make no step stale."""
+    return _read(file)[1]
+
+
+@cache
+def _read(file: Path) -> tuple[tuple[Path, ...], str]:
+    """The files of ours that a file imports, and its digest: of one tree, for it takes as long to parse as all else."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
     names: set[str] = set()
-    for node in _statements(_parsed(file)):
+    for node in (tree, *_statements(tree)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            del node.body[0]
     packages = {".".join(name.split(".")[:end]) for name in names for end in range(1, name.count(".") + 2)}
-    return tuple(path for name in sorted(packages) if (path := _file(name)) is not None)
+    imported = tuple(path for name in sorted(packages) if (path := _file(name)) is not None)
+    return imported, hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
 
 
 def _statements(node: ast.AST) -> Iterator[ast.stmt]:
@@ -94,20 +102,6 @@ def _file(module: str) -> Path | None:
         return None
     place = ROOT.joinpath(*parts)
     return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
-
-
-@cache
-def _digest(file: Path) -> str:
-    """Of the code as Python runs it: comments, line breaks and docstrings make no step stale."""
-    tree = _parsed(file)
-    for node in (tree, *_statements(tree)):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
-            del node.body[0]
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
-
-
-def _parsed(file: Path) -> ast.Module:
-    return ast.parse(file.read_text(encoding="utf-8"))
 
 
 def _short(file: Path) -> str:
