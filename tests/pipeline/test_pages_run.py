@@ -156,6 +156,7 @@ ELSEWHERE = {  # which test runs it, or why none can
     "tasks.py setup": "made the environment that this runs in",
     "tasks.py bench": "installs what it compares with; a small one: tests/speed/test_smoke.py",
     "tasks.py bench waits": "compares two commits by the clock of an idle machine",
+    "tasks.py bench estimates": "takes five minutes; one set of it: tests/speed/test_smoke.py",
     "pip install dynamixel-sdk": "installs",
     'pytest --noconftest -p no:xdist -x -q ..."': "of cosmic-ray, for an hour, in an environment of its own",
 }
