@@ -58,5 +58,8 @@ FIRST = Version(
         *("vibration", "vortex"),
     ),
 )
-VERSIONS = {1: FIRST}
+SECOND = Version(  # dry friction with a memory
+    tuple("maxwell_slip" if name == "internal_friction" else name for name in FIRST.effects), FIRST.outside
+)
+VERSIONS = {1: FIRST, 2: SECOND}
 LATEST = max(VERSIONS)

@@ -14,13 +14,15 @@ from stringcast.stages.model.effect import (
 
 
 class InternalFriction(StringEffect):
-    """A moment of constant size against the rate of curvature, smooth through rest; it keeps no memory.
+    """A moment of constant size against the rate of curvature, smooth through rest. Retired for `maxwell_slip`.
 
-    Below 100/(m s), slow for a cast, it is viscous: the string creeps home where a dry one would stick. Cables swing
-    more slowly: there `maxwell_slip` is dry friction. Told as a drag, moment over rate, that falls as it bends faster.
+    It keeps no memory: below 100/(m s) it is viscous, and the string creeps home where a dry one would stick. Runs that
+    are stored and benches that are recorded mean it by its name; no diagnosis asks for it. Told as a drag, moment over
+    rate, that falls as it bends faster.
     """
 
     name = "internal_friction"
+    told = True
     parameters = (Parameter("friction", "m3/s2", "dry friction moment over mass per length", 0.0, 0.05, 0.0),)
     reference = "Coulomb friction, regularised; Dahl, Solid friction damping of mechanical vibrations (1976)"
     symmetries = (even("hinge_drag", "rate"), nothing_at_zero("hinge_drag", "friction"), never_negative("hinge_drag"))

@@ -8,12 +8,10 @@ class MaxwellSlip(StringEffect):
 
     The stop of Prandtl and Ishlinskii: it follows the curvature and is cut off at +-slip. Its stiffness while it sticks
     is cap / slip; several side by side round its corner. Where swings are far wider than `slip`, the data tell only the
-    cap, and of `slip` an upper bound. Whoever wants it names it: while it sticks a string is stiff and takes short
-    steps, which the search of a diagnosis does not pay for yet.
+    cap, and of `slip` an upper bound.
     """
 
     name = "maxwell_slip"
-    told = True
     parameters = (
         Parameter("cap", "m3/s2", "moment over mass per length at which it slips", 0.0, 0.3, 0.0),
         Parameter("slip", "1/m", "curvature from rest at which it slips", 5e-3, 2.0, 0.1),
