@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from threadpoolctl import threadpool_limits
 
 import stringcast
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
@@ -64,8 +65,11 @@ def pytest_sessionfinish(session, exitstatus):
 
 @pytest.fixture(autouse=True, scope="session")
 def cores_are_shared():
-    """Side by side, each worker has its share of the cores: with all of them each, they would wait for one another."""
+    """Side by side, each worker has its share of the cores: with all of them each, they would wait for one another.
+    Linear algebra has one thread, as in a command: two spin while they wait, 4 of a diagnosis' 24 s of processor."""
     numba.set_num_threads(share())
+    with threadpool_limits(1, "blas"):
+        yield
 
 
 def share():
