@@ -90,12 +90,14 @@ def pipeline(*words):
 def called(monkeypatch, capsys):
     """The same in this process, where nothing is asked of the process: one of its own takes 2 s to start."""
     from stringcast.pipeline import __main__ as shell
+    from stringcast.pipeline.sweep.begun import BegunLater
 
     def call(*words):
         capsys.readouterr()
         monkeypatch.setattr(sys, "argv", ["pipeline", *map(str, words)])
         monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")  # as Hydra finds it when it is run
         monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set, and then put back
+        monkeypatch.setattr(BegunLater, "sweep", None)  # of this process only if this command is one
         monkeypatch.chdir(ROOT)
         try:
             status = shell.called()

@@ -18,10 +18,10 @@ PACKAGES = {"joblib": "joblib", "ray": "ray", "slurm": "submitit"}
 HERE = {"joblib": "workers=2", "ray": "address=null", "slurm": "cluster=local"}
 
 
-def sweep(folder, trials, threads, *overrides, betas="0.9,0.99"):
+def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
     asked = ["+experiment=estimate", f"trials={trials}", "estimate.candidates=32", f"estimate.beta={betas}", "leave=[]"]
     how = [f"hydra.sweep.dir={folder}", f"hydra.launcher.threads={threads}"]
-    return pipeline("--multirun", *asked, *how, *overrides)
+    return call("--multirun", *asked, *how, *overrides)
 
 
 @pytest.fixture(scope="module")
@@ -88,12 +88,12 @@ def test_the_table_is_that_of_the_runs_and_each_column_has_its_unit(swept):
     assert store.origin_of(folder / "sweep.parquet")["code"]
 
 
-def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(swept, trials):
+def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(swept, trials, called):
     folder, _ = swept
     before = numbers(folder)
     table = folder / "sweep.parquet"
     table.write_bytes(table.read_bytes()[:100] + b"damaged" + table.read_bytes()[107:-30])
-    grown = sweep(folder, trials, 1, "hydra.launcher.retry=true", betas="0.90,0.99,1.5")
+    grown = sweep(folder, trials, 1, "hydra.launcher.retry=true", betas="0.90,0.99,1.5", call=called)
     assert grown.returncode == 1
     assert attempts(folder) == {0.9: ("done", 1), 0.99: ("done", 1), 1.5: ("failed", 2)}
     assert numbers(folder) == before

@@ -36,7 +36,7 @@ def with_one_more(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("case", ["clock_drift"])
-def test_a_new_effect_moves_no_bench(case, arm, camera, tmp_path, request):
+def test_the_same_seed_is_the_same_bench_and_a_new_effect_moves_none(case, arm, camera, tmp_path, request):
     """Case, values and noise, to the bit: of what is read, what hangs there, and what could pass for another."""
     seed = VERSIONS[1].cases.index(case)
     for when in ("before", "after"):
