@@ -1,10 +1,13 @@
 """What several tests need: the default world, and trials filmed once."""
 
+import io
 import os
 import subprocess
 import sys
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numba
@@ -12,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from omegaconf import OmegaConf
 from threadpoolctl import threadpool_limits
 
 import stringcast
@@ -69,6 +73,19 @@ def cores_are_shared():
     Linear algebra has one thread, as in a command: two spin while they wait, 4 of a diagnosis' 24 s of processor."""
     numba.set_num_threads(share())
     with threadpool_limits(1, "blas"):
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def files_of_settings_are_parsed_once():
+    """A command composes its settings of 30 files, and the tests' process runs hundreds of commands: what OmegaConf
+    makes of a text is kept, a quarter of the time of a composition."""
+    parse = OmegaConf.load
+    kept = cache(lambda text: parse(io.StringIO(text)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            OmegaConf, "load", lambda file: deepcopy(kept(file.read())) if hasattr(file, "read") else parse(file)
+        )
         yield
 
 
