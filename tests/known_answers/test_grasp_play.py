@@ -2,23 +2,32 @@
 
 import numpy as np
 
-from stringcast.stages.model.effects.grasp_play import GraspPlay
+from stringcast.stages.model.effects.axial_damper import AxialDamper
+from stringcast.stages.model.effects.axial_spring import AxialSpring
+from stringcast.stages.model.effects.grasp_spring import GraspSpring
+from stringcast.stages.model.effects.gravity import Gravity
+from stringcast.stages.model.effects.hinge_damper import HingeDamper
+from stringcast.stages.model.effects.hinge_spring import HingeSpring
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.library import named
 from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
-from stringcast.stages.model.string import BASE, String
+from stringcast.stages.model.string import String
 
 LENGTH = 0.3
 WEIGHT = 9.81 * LENGTH**2 / 2  # [m3/s2] the moment that holds it level
 ROD = {
     **{"axial_stiffness": 9e6, "axial_damping": 100.0, "bending_stiffness": 4e5, "bending_damping": 0.05},
-    **{"linear_drag": 1e-12, "quadratic_drag": 1e-12, "grasp_stiffness": 1e-12, "grasp_damping": 1e-12},
+    "grasp_stiffness": 1e-12,
 }
+# With the laws of `laws/test_memory_in_motion.py`, absent by their values: there is one loop to compile for both.
+FORCES = (Gravity, AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)
+MEMORY = named(["maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play"])
 HELD = String(
     LENGTH,
     8,
-    (*BASE, GraspPlay),
+    (*FORCES, *MEMORY),
     tip_cell=0.5,
     grasp_cell=0.5,
     integrator=ImplicitLeapfrog(),
