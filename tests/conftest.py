@@ -9,6 +9,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -124,6 +125,13 @@ def called(monkeypatch, capsys):
         return subprocess.CompletedProcess(sys.argv, 1 if words else status or 0, said.out, said.err + words)
 
     return call
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pictures of pages are empty, but for their words: drawing takes most of a page's time."""
+    empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
+    monkeypatch.setattr("stringcast.stages.report.picture.FigureCanvasSVG", lambda figure: empty)
 
 
 @contextmanager

@@ -6,7 +6,6 @@ import json
 import re
 import sys
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -172,10 +171,8 @@ def pages(written):
 
 
 @pytest.fixture
-def worded(write, monkeypatch):
-    """The page of a diagnosis whose pictures are empty, but for their words: drawing takes most of the time."""
-    empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
-    monkeypatch.setattr("stringcast.stages.report.picture.FigureCanvasSVG", lambda figure: empty)
+def worded(write, undrawn):
+    """The page of a diagnosis whose pictures are empty, but for their words."""
     return write
 
 

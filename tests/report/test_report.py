@@ -400,7 +400,7 @@ def test_estimation_alone_has_a_page(arm, small):
 
 
 # --- from one cast to ten ---------------------------------------------------------------------
-def test_ten_casts_share_the_frames_of_the_animation(arm, small):
+def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     """One and two casts are those of the tests above."""
     page = Page(report(record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])))
     assert len(page.animations()) == len(page.all("canvas")) == 10
