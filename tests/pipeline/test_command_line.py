@@ -274,9 +274,16 @@ def composed(*overrides):
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_composes_and_is_valid(name):
     stored = ["trials=outputs/some-run"] if name in ("estimate", "diagnose", "decide", "measured_study") else []
-    points = {"stringD": 25, "robust": 20, "window": 20, "gap": 20, "several": 20, "long": 30, "gain_study": 20}.get(
-        name, 10
-    )
+    points = {
+        "stringD": 25,
+        "robust": 20,
+        "window": 20,
+        "gap": 20,
+        "several": 20,
+        "long": 30,
+        "gain_study": 20,
+        "estimate": 20,
+    }.get(name, 10)
     assert composed(f"+experiment={name}", *stored).string.points == points
 
 

@@ -63,7 +63,7 @@ RUN = {
     "pipeline +experiment=diagnose trials=outputs/...": Run(**DIAGNOSED),
     "pipeline +experiment=decide trials=outputs/...": Run(**DIAGNOSED),
     "pipeline +experiment=estimate trials=outputs/...": Run(leaves=("report.html", "run.json")),
-    "pipeline +experiment=estimate estimate=least_squares string=cable 'effects=[rest_curvature,maxwell_slip]' "
+    "pipeline +experiment=estimate estimate=least_squares 'effects=[rest_curvature,maxwell_slip]' "
     "trials=outputs/...": Run(leaves=("report.html", "run.json")),
     "pipeline +experiment=align": Run(leaves=("report.html", "extended.yaml")),
     "pipeline +experiment=align trials=outputs/...": Run(leaves=("report.html", "extended.yaml")),
