@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import venv
@@ -30,8 +31,9 @@ PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python
 SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
 PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")  # how the folders of this clone are one package
 TYPES = ENVIRONMENT / "types" / "stringcast"
-TIMED = "tests/drivers"  # by real clocks: they run with nothing beside them but one another, and wait most of the time
-BY_CLOCKS = ("--numprocesses=2", "--dist=loadfile", "--no-loadscope-reorder", TIMED)
+TIMED = "tests/drivers"  # by real clocks: they run beside one another alone, and wait most of the time
+BY_CLOCKS = ("--numprocesses=3", "--dist=worksteal", TIMED)
+GENTLY = ("nice", "-n", "19") if shutil.which("nice") else ()  # what takes only the time that others leave
 STYLE = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
 
 
@@ -96,9 +98,9 @@ def install(*what: str | Path, made_of: Sequence[Path]) -> None:
     mark(*made_of).write_text(digest(*made_of))
 
 
-def call(*command: str) -> int:
-    """Run a module of the environment in the project's folder."""
-    return subprocess.run([PYTHON, "-m", *command], cwd=ROOT, check=False).returncode
+def call(*command: str, before: Sequence[str] = ()) -> int:
+    """Run a module of the environment in the project's folder. before: the program that runs it, with its arguments."""
+    return subprocess.run([*before, PYTHON, "-m", *command], cwd=ROOT, check=False).returncode
 
 
 def run(rest: list[str]) -> int:
@@ -107,17 +109,18 @@ def run(rest: list[str]) -> int:
 
 
 def test(rest: list[str]) -> int:
-    """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run side by side, on all cores, and
-    types are checked meanwhile: what goes by clocks must not have them beside it."""
+    """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run side by side, on all cores; then
+    what goes by clocks, mostly waiting, while types are checked in the time that it leaves."""
     results = [call(*check) for check in STYLE]
     if rest not in ([], ["--all"]):
         return worst(*results, call("mypy"), call("pytest", *rest))
     which = ["-m", ""] if rest else []
+    results.append(call("pytest", *SIDE_BY_SIDE, f"--ignore={TIMED}", *which))
     with ThreadPoolExecutor(1) as beside:
-        types = beside.submit(call, "mypy")
-        results.append(call("pytest", *SIDE_BY_SIDE, f"--ignore={TIMED}", *which))
+        types = beside.submit(call, "mypy", before=GENTLY)
+        results.append(call("pytest", *BY_CLOCKS, *which))
         results.append(types.result())
-    return worst(*results, call("pytest", *BY_CLOCKS, *which))
+    return worst(*results)
 
 
 def worst(*codes: int) -> int:

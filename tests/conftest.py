@@ -46,6 +46,7 @@ LONGEST = (
     *("drivers/test_filming", "drivers/test_run_interrupted", "drivers/test_serial_link"),
     *("diagnosis/test_hidden_causes", "pipeline/test_command_line", "sweep/test_sweep_command"),
     *("extraction/test_extract", "diagnosis/test_from_the_command_line", "virtual_lab/test_blind"),
+    *("faults/test_full_disk", "faults/test_run_faults", "pipeline/test_new_stage", "estimation/test_estimate"),
 )
 
 

@@ -10,15 +10,15 @@ import tasks
 @pytest.mark.parametrize("rest", [[], ["--all"], ["tests/laws"]])
 def test_any_command_that_does_not_end_with_0_fails(monkeypatch, code, command, rest):
     """A negative code is a signal's; pytest ends with 5 where it ran no test."""
-    monkeypatch.setattr(tasks, "call", lambda name, *_: code if name == command else 0)
+    monkeypatch.setattr(tasks, "call", lambda name, *_, **__: code if name == command else 0)
     assert tasks.test(rest) == 1
-    monkeypatch.setattr(tasks, "call", lambda *_: 0)
+    monkeypatch.setattr(tasks, "call", lambda *_, **__: 0)
     assert tasks.test(rest) == 0
 
 
 def test_all_selects_the_long_ones_too(monkeypatch):
     called = []
-    monkeypatch.setattr(tasks, "call", lambda *command: called.append(command) or 0)
+    monkeypatch.setattr(tasks, "call", lambda *command, **_: called.append(command) or 0)
     tasks.test([])
     short = [command for command in called if command[0] == "pytest"]
     called.clear()
