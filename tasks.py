@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 import subprocess
 import sys
 import venv
@@ -33,7 +32,6 @@ PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")  # how the folders of thi
 TYPES = ENVIRONMENT / "types" / "stringcast"
 TIMED = "tests/drivers"  # by real clocks: they run beside one another alone, and wait most of the time
 BY_CLOCKS = ("--numprocesses=3", "--dist=worksteal", TIMED)
-GENTLY = ("nice", "-n", "19") if shutil.which("nice") else ()  # what takes only the time that others leave
 STYLE = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
 
 
@@ -98,9 +96,9 @@ def install(*what: str | Path, made_of: Sequence[Path]) -> None:
     mark(*made_of).write_text(digest(*made_of))
 
 
-def call(*command: str, before: Sequence[str] = ()) -> int:
-    """Run a module of the environment in the project's folder. before: the program that runs it, with its arguments."""
-    return subprocess.run([*before, PYTHON, "-m", *command], cwd=ROOT, check=False).returncode
+def call(*command: str) -> int:
+    """Run a module of the environment in the project's folder."""
+    return subprocess.run([PYTHON, "-m", *command], cwd=ROOT, check=False).returncode
 
 
 def run(rest: list[str]) -> int:
@@ -109,18 +107,17 @@ def run(rest: list[str]) -> int:
 
 
 def test(rest: list[str]) -> int:
-    """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run side by side, on all cores; then
-    what goes by clocks, mostly waiting, while types are checked in the time that it leaves."""
+    """Style, types, tests: all of them, and 0 only if each is clean. Files of tests run side by side, on all cores, and
+    types are checked meanwhile: what goes by clocks must not have them beside it."""
     results = [call(*check) for check in STYLE]
     if rest not in ([], ["--all"]):
         return worst(*results, call("mypy"), call("pytest", *rest))
     which = ["-m", ""] if rest else []
-    results.append(call("pytest", *SIDE_BY_SIDE, f"--ignore={TIMED}", *which))
     with ThreadPoolExecutor(1) as beside:
-        types = beside.submit(call, "mypy", before=GENTLY)
-        results.append(call("pytest", *BY_CLOCKS, *which))
+        types = beside.submit(call, "mypy")
+        results.append(call("pytest", *SIDE_BY_SIDE, f"--ignore={TIMED}", *which))
         results.append(types.result())
-    return worst(*results)
+    return worst(*results, call("pytest", *BY_CLOCKS, *which))
 
 
 def worst(*codes: int) -> int:
