@@ -92,18 +92,19 @@ def measured(points: np.ndarray, frame: np.ndarray, place: np.ndarray) -> np.nda
     """
     count, last = len(points), points.shape[2] - 1
     nodes = min(ALONG, last + 1)
-    result = np.zeros((count, len(place), 2))
-    for c in range(count):
-        for k in range(len(place)):
-            at = min(max(place[k], 0.0), float(last))
-            first = min(max(int(at) - 1, 0), last + 1 - nodes)
+    result, weight = np.zeros((count, len(place), 2)), np.empty(nodes)
+    for k in range(len(place)):
+        at = min(max(place[k], 0.0), float(last))
+        first = min(max(int(at) - 1, 0), last + 1 - nodes)
+        for i in range(nodes):
+            weight[i] = 1.0
+            for m in range(nodes):
+                if m != i:
+                    weight[i] *= (at - first - m) / (i - m)
+        for c in range(count):
             for i in range(nodes):
-                weight = 1.0
-                for m in range(nodes):
-                    if m != i:
-                        weight *= (at - first - m) / (i - m)
-                result[c, k, 0] += weight * points[c, frame[k], first + i, 0]
-                result[c, k, 1] += weight * points[c, frame[k], first + i, 1]
+                result[c, k, 0] += weight[i] * points[c, frame[k], first + i, 0]
+                result[c, k, 1] += weight[i] * points[c, frame[k], first + i, 1]
     return result
 
 
