@@ -58,13 +58,14 @@ class State:
 def states_of(settings: Mapping[str, Any], folder: Path) -> list[State]:
     """Of all steps of a run, iteration by iteration, and what an unfinished one lacks next. settings: the run's."""
     states: dict[str, State] = {}
-    for place in _steps(folder):
+    places = _steps(folder)
+    for place in places:
         name = place.relative_to(folder).as_posix()
         above = [states[other] for other in _inputs(place) if other in states]
         doubt = (f"{one.place}, an input, is to be made again" for one in above if one.reasons and not one.stays)
         stays = performed(settings, folder, int(place.parent.name), place.name)
         states[name] = State(name, (*reasons_of(folder, place, settings), *doubt), stays=stays)
-    return [*states.values(), *_missing(settings, folder, len({place.parent for place in _steps(folder)}))]
+    return [*states.values(), *_missing(settings, folder, len({place.parent for place in places}))]
 
 
 def _steps(folder: Path) -> list[Path]:
