@@ -61,16 +61,17 @@ Values = Mapping[str, float]  # of parameters, by name
 # All that an effect's file imports, beside numpy.
 __all__ = [
     "Axes", "Camera", "CameraEffect", "ClockEffect", "Effect", "HandEffect", "ModelChange", "Parameter", "Quantity",
-    "StringEffect", "Values", "another", "brakes", "carried", "components", "even", "follows", "line", "never_negative",
-    "nothing_at_zero", "odd", "placed", "resists", "turns", "turns_about_centre", "unmoved",
+    "StringEffect", "Values", "another", "beside_weight", "brakes", "carried", "components", "even", "follows", "line",
+    "never_negative", "nothing_at_zero", "odd", "placed", "resists", "turns", "turns_about_centre", "unmoved",
 ]  # fmt: skip
 
 
 class Effect(ABC):
     """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
 
-    told: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, or what `align`
-    measures beforehand. of_string: it is of the thing itself, and not of how a simulation divides it.
+    told: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, what `align`
+    measures beforehand, or what looks like another that is looked for. of_string: it is of the thing itself, and not of
+    how a simulation divides it.
     """
 
     name: ClassVar[str]
@@ -235,6 +236,11 @@ def components(effect: type[Effect]) -> tuple[Parameter, ...]:
     """The parameters that are an effect's size: its first, and others in the same unit, which are other components of a
     vector."""
     return tuple(p for p in effect.parameters if p.unit == effect.parameters[0].unit)
+
+
+def beside_weight(moment: float) -> float:
+    """A moment over mass per length [m3/s2] in per cent of the one that holds 100 mm of the string out level."""
+    return 100 * moment / (9.81 * 0.1**2 / 2)
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, beside_weight, odd
 
 
 class GraspPlay(StringEffect):
@@ -25,7 +25,7 @@ class GraspPlay(StringEffect):
     @staticmethod
     def words(values: Values) -> str:
         """What is so."""
-        share = 100 * values["cap"] / (9.81 * 0.1**2 / 2)
+        share = beside_weight(values["cap"])
         return f"the string turns in the gripper, beyond {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod

@@ -7,6 +7,7 @@ from stringcast.stages.model.effect import (
     Quantity,
     StringEffect,
     Values,
+    beside_weight,
     even,
     never_negative,
     nothing_at_zero,
@@ -30,7 +31,7 @@ class InternalFriction(StringEffect):
     @staticmethod
     def words(values: Values) -> str:
         """What is so."""
-        share = 100 * values["friction"] / (9.81 * 0.1**2 / 2)
+        share = beside_weight(values["friction"])
         return f"bending has dry friction: {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod

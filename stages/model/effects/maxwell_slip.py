@@ -1,6 +1,6 @@
 """Strands that stick to one another until they slip: bending hysteresis with memory."""
 
-from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, odd
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, beside_weight, odd
 
 
 class MaxwellSlip(StringEffect):
@@ -22,7 +22,7 @@ class MaxwellSlip(StringEffect):
     @staticmethod
     def words(values: Values) -> str:
         """What is so."""
-        share = 100 * values["cap"] / (9.81 * 0.1**2 / 2)
+        share = beside_weight(values["cap"])
         return f"bending sticks and slips, with {share:.1f} % of the moment that holds 100 mm of it out level"
 
     @staticmethod
