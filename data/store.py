@@ -40,7 +40,7 @@ def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
     be written; what was there before is then still there. Only a kill between the two renames
     of a replacement leaves neither.
     """
-    with _aside(folder) as aside:
+    with whole(folder) as aside:
         disk.make_folder(aside)
         tables = artifact.tables() if hasattr(artifact, "tables") else artifact.TABLES
         for name, table in tables.items():
@@ -75,7 +75,7 @@ def images(folder: Path, frames: pd.DataFrame) -> ImageFiles:
 
 def write_table(table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]) -> None:
     """Write one table as `path`, whole or not at all."""
-    with _aside(path) as aside:
+    with whole(path) as aside:
         _write_parquet(table, frame, aside, origin)
 
 
@@ -110,7 +110,7 @@ def origin_of(path: Path) -> dict[str, Any]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
-    with _aside(path) as aside:
+    with whole(path) as aside:
         disk.write(aside, text.encode())
 
 
@@ -172,7 +172,7 @@ def _write_images(artifact: Any, folder: Path) -> None:
 
 
 @contextmanager
-def _aside(path: Path) -> Iterator[Path]:
+def whole(path: Path) -> Iterator[Path]:
     """A name beside `path` to write to; on success it becomes `path`, else it goes, and what was there stays."""
     aside = _beside(path)
     try:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import difflib
 import re
 import shlex
-import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
+from stringcast.pipeline.called import called_as
 from stringcast.pipeline.commands import NAMES
 from stringcast.pipeline.settings import CONF, UserError
 
@@ -23,14 +23,6 @@ def refuse_mistakes(words: Sequence[str]) -> None:
     """Raise UserError for the first word that is not what it is meant for, with the command to paste instead."""
     for fault, better in _found(words):
         raise UserError(f"{fault} Try: {called_as()} {shlex.join(better)}" if better else fault)
-
-
-def called_as() -> str:
-    """How this program was called, so that what is printed can be pasted."""
-    if Path(sys.argv[0]).stem == "stringcast":
-        return "stringcast"
-    here, python = Path.cwd(), Path(sys.executable)
-    return f"{python.relative_to(here) if python.is_relative_to(here) else python} -m pipeline"
 
 
 def _found(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:

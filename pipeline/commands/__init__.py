@@ -8,15 +8,29 @@ from __future__ import annotations
 
 import ast
 from importlib import import_module
+from keyword import iskeyword
 from pathlib import Path
 from types import ModuleType
 
-NAMES = ("check", "board", "draw", "resume", "index", "verify", "why", "diff", "lineage", "pictures", "export")
+NAMES = (
+    "import",
+    "check",
+    "board",
+    "draw",
+    "resume",
+    "index",
+    "verify",
+    "why",
+    "diff",
+    "lineage",
+    "pictures",
+    "export",
+)
 
 
 def command(name: str) -> ModuleType:
     """A command, loaded: some draw, which takes a second to load, and neither a run nor the help needs any."""
-    return import_module(f"stringcast.pipeline.commands.{name}")
+    return import_module(f"stringcast.pipeline.commands.{_module(name)}")
 
 
 def listed() -> str:
@@ -24,6 +38,11 @@ def listed() -> str:
     return "\n".join(f"  {name:<8} {_first_line(name)}" for name in NAMES)
 
 
+def _module(name: str) -> str:
+    """A command's module: Python keeps some names for itself."""
+    return f"{name}_" if iskeyword(name) else name
+
+
 def _first_line(name: str) -> str:
-    text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
+    text = Path(__file__).with_name(f"{_module(name)}.py").read_text(encoding="utf-8")
     return (ast.get_docstring(ast.parse(text)) or "").splitlines()[0]

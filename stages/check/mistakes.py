@@ -1,7 +1,7 @@
 """Mistakes that make a string impossible: units, axes, the end from which arc length is counted.
 
 A string is as long as it is, so that neighbouring points lie as far apart as their arc lengths say, and begins in the
-hand. Where it cannot be so, each common mistake is undone in turn; the first that makes it possible is named.
+hand. Where it cannot be so, each common mistake is undone in turn, then two at once; what makes it possible is said.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial, reduce
+from itertools import product
 
 import numpy as np
 
@@ -109,13 +110,17 @@ def views(seen: Seen, camera: Camera) -> tuple[View, View]:
 
 @dataclass(frozen=True)
 class Mistake:
-    """table, field: where it was made. said: what is so. remedy: what undoes it. undone: the string without it."""
+    """table, field: where it was made. said: what is so. remedy: what undoes it. undone: the string without it. parts,
+    factor: of a wrong unit, which lengths are too large, and metres in one of it. option: for `import`."""
 
     table: str
     field: str
     said: str
     remedy: str
     undone: Callable[[View], View]
+    parts: tuple[str, ...] = ()
+    factor: float = 1.0
+    option: str = ""
 
 
 SCALE: Mapping[str, Callable[[View, float], View]] = {
@@ -149,7 +154,8 @@ def in_unit(unit: str, factor: float) -> tuple[Mistake, ...]:
     said, remedy = f"in {unit}, not in metres", f"by {factor:g}"
     return tuple(
         Mistake(
-            table, field, f"{what} {said}", f"Multiply {those} {remedy}", partial(scaled, factor=factor, parts=parts)
+            *(table, field, f"{what} {said}", f"Multiply {those} {remedy}"),
+            *(partial(scaled, factor=factor, parts=parts), parts, factor),
         )
         for table, field, what, those, parts in LENGTHS_OF
     )
@@ -176,6 +182,7 @@ MISTAKES = (
         "y points down, not up",
         "Multiply y by -1",
         lambda v: replace(v, xy=v.xy * np.array([1, -1])),
+        option="--y-down",
     ),
     Mistake(
         "points",
@@ -183,6 +190,7 @@ MISTAKES = (
         "x points to the left, not to the right",
         "Multiply x by -1",
         lambda v: replace(v, xy=v.xy * np.array([-1, 1])),
+        option="--plane=-x,y",
     ),
     Mistake(
         "points",
@@ -190,6 +198,7 @@ MISTAKES = (
         "x and y have changed places",
         "Exchange the two columns",
         lambda v: replace(v, xy=v.xy[:, ::-1]),
+        option="--plane=y,x",
     ),
     Mistake(
         "points",
@@ -204,30 +213,54 @@ MISTAKES = (
         "angles are in degrees, not in radians",
         "Multiply them by pi / 180",
         lambda v: v if v.joints is None else replace(v, joints=np.radians(v.joints)),
+        option="--deg",
     ),
 )
 
 
 def mistakes(measured: Measured) -> Iterator[Finding]:
     """Strings that cannot be, and the mistake that would explain all of them best."""
-    looked = {seen.name: views(seen, measured.camera) for seen in measured.with_points()}
-    strange = {name: both for name, both in looked.items() if not any(here.possible for here in both)}
+    strange = impossible(measured)
     if not strange:
         return
-    explained = {n: left for n, m in enumerate(MISTAKES) if (left := left_strange(m, strange.values())) is not None}
-    if not explained:
+    made = best_explanation(strange)
+    if not made:
         yield from (unexplained(measured, name, both[0]) for name, both in strange.items())
-        return
-    made = MISTAKES[min(explained, key=lambda number: explained[number])]
-    file = made.table if "." in made.table else measured.file(made.table)
-    said = f"{made.said} as it seems: {shown(next(iter(strange.values()))[0])}"
-    yield Finding(Severity.ERROR, file, made.field, said, made.remedy, tuple(strange))
+    for mistake in made:
+        file = mistake.table if "." in mistake.table else measured.file(mistake.table)
+        said = f"{mistake.said} as it seems: {shown(next(iter(strange.values()))[0])}"
+        yield Finding(Severity.ERROR, file, mistake.field, said, mistake.remedy, tuple(strange))
 
 
-def left_strange(mistake: Mistake, strange: Iterable[tuple[View, View]]) -> float | None:
-    """How strange strings still are if a mistake is undone, or None if one of them still cannot be."""
-    left = [[v.strangeness for here in both if (v := mistake.undone(here)).possible] for both in strange]
-    return sum(min(each) for each in left) if all(left) else None
+def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
+    """Strings that cannot be, by trial."""
+    looked = {seen.name: views(seen, measured.camera) for seen in measured.with_points()}
+    return {name: both for name, both in looked.items() if not any(here.possible for here in both)}
+
+
+def best_explanation(strange: Mapping[str, tuple[View, View]]) -> tuple[Mistake, ...]:
+    """The mistake without which all of these strings are possible, and least strange; where no single one is enough, a
+    unit and a direction that are both wrong; none if these are not enough either."""
+    units = [
+        m for m in MISTAKES if m.parts and "s" not in m.parts
+    ]  # with s in another unit, all would lie at one place
+    directions = [m for m in MISTAKES if m.option]
+    for tried in (((m,) for m in MISTAKES), product(units, directions)):
+        explained = {made: left for made in tried if (left := left_strange(made, strange.values())) is not None}
+        if explained:
+            return min(explained, key=lambda made: explained[made])
+    return ()
+
+
+def left_strange(made: tuple[Mistake, ...], strange: Iterable[tuple[View, View]]) -> float | None:
+    """How strange strings still are if mistakes are undone, or None if one of them still cannot be."""
+    left = []
+    for both in strange:
+        undone = (reduce(lambda view, mistake: mistake.undone(view), made, here) for here in both)
+        left.append([view.strangeness for view in undone if view.possible])
+        if not left[-1]:
+            return None
+    return sum(min(each) for each in left)
 
 
 def shown(here: View) -> str:

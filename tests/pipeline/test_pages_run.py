@@ -127,6 +127,8 @@ RUN = {
 TEN_MINUTES = "tests/pipeline/test_readme_commands.py::test_the_first_ten_minutes_go_as_the_page_says"
 SHORT = "tests/pipeline/test_readme_commands.py::test_short_commands_do_what_the_front_page_says"
 ELSEWHERE = {  # which test runs it, or why none can
+    "pipeline import robot_*.csv tracker_*.csv --to mine --length 304mm --links 0.25,0.20,0.135 --base 0.2,0.2": "tests/"
+    "importing/test_import.py::test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of",
     "pipeline check mine": TEN_MINUTES,
     "pipeline check wrong": TEN_MINUTES,
     "pipeline check data/sample": SHORT,

@@ -1,0 +1,30 @@
+"""Which reader reads which file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from stringcast.data.films import VIDEOS
+from stringcast.data.importers import deeplabcut, optitrack, tables
+from stringcast.data.importers.recording import Recording
+from stringcast.data.schema import DataError
+
+READERS = (deeplabcut, optitrack, tables)  # the first that knows a file reads it
+
+
+def recordings(paths: Sequence[Path]) -> list[Recording]:
+    """All that these files hold. Raises DataError naming the file and the remedy."""
+    return [recording for path in paths for recording in _read(path)]
+
+
+def _read(path: Path) -> list[Recording]:
+    if not path.exists():
+        raise DataError(f"{path}: there is no such file. Look at its name.")
+    if path.suffix.lower() in VIDEOS:
+        return [Recording(path, tables.NOTHING, film=path)]
+    for reader in READERS:
+        if reader.reads(path):
+            return reader.read(path)
+    known = ", ".join((*tables.ENDINGS, *VIDEOS))
+    raise DataError(f"{path}: no such file is read. Export it as one of {known}.")

@@ -1,0 +1,61 @@
+"""OptiTrack's CSV (Motive, "Tracking Data Export"): markers and rigid bodies with times.
+
+Its first line holds names and values of the recording. The lines above `Frame,Time (Seconds)` say of each column what
+it is of (rigid body, marker), its name, and whether it is a place or a quaternion.
+"""
+
+from __future__ import annotations
+
+import csv as lines
+from pathlib import Path
+
+import pandas as pd
+
+from stringcast.data.foreign import csv
+from stringcast.data.importers.recording import Recording
+from stringcast.data.schema import DataError
+
+FIRST = "Format Version,"
+UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
+HEADING_LINES = 12  # at most, before the numbers
+BODY = "Rigid Body"
+KINDS = (BODY, "Marker")  # columns that count: a rigid body's own markers move as it does
+
+
+def reads(path: Path) -> bool:
+    """Whether a file begins as Motive's CSV does."""
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        return False
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        return file.read(len(FIRST)) == FIRST
+
+
+def read(path: Path) -> list[Recording]:
+    """Places, and quaternions of rigid bodies, by time: one recording. Raises DataError where it is damaged."""
+    with csv(path).open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        head = [line for _, line in zip(range(HEADING_LINES), lines.reader(file), strict=False)]
+    last = next((n for n, line in enumerate(head) if line[:1] == ["Frame"]), None)
+    above = [line for line in head[1 : last or 0] if any(line)]
+    if last is None or len(above) < 3:
+        raise DataError(f"{path}: it has no line 'Frame,Time (Seconds),...'. Export it again, with header and names.")
+    about = dict(zip(head[0][::2], head[0][1::2], strict=False))
+    if about.get("Rotation Type", "Quaternion") != "Quaternion":
+        raise DataError(f"{path}: its rotations are {about['Rotation Type']}. Export it with the type Quaternion.")
+    kinds, names, places = above[0], above[1], above[-1]
+    unit = UNITS.get(about.get("Length Units", "Meters"), "m")
+    try:
+        frame = pd.read_csv(path, header=None, skiprows=last + 1, encoding="utf-8-sig", names=range(len(head[last])))
+    except (ValueError, OSError) as error:
+        raise DataError(f"{path}: cannot be read as Motive's CSV ({error}). Export it again.") from error
+    columns = zip(kinds, names, places, head[last], strict=False)
+    kept = {n: _column(*column, unit) for n, column in enumerate(columns) if n > 1 and column[0] in KINDS}
+    kept = {0: "frame", 1: "time [s]"} | {n: name for n, name in kept.items() if name}
+    return [Recording(path, frame[list(kept)].rename(columns=kept))]
+
+
+def _column(kind: str, name: str, place: str, axis: str, unit: str) -> str:
+    """A name that says what the column is: `marker 1 x [m]`, `hand qx`; empty for one that is neither."""
+    short = name.rpartition(":")[2] or name
+    if place.startswith("Position"):
+        return f"{'hand ' if kind == BODY else ''}{short} {axis.lower()} [{unit}]"
+    return f"hand {short} q{axis.lower()}" if place.startswith("Rotation") and kind == BODY else ""

@@ -1,0 +1,196 @@
+"""From what files of others hold to a folder in our own format: arc lengths, clocks and dataset.yaml are added."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from stringcast.data import disk
+from stringcast.data.about import FORMAT, NAME
+from stringcast.data.artifacts import ARM, GRASP, MASKS, POINTS, READINGS, Observation
+from stringcast.data.dataset import OVERLAP, with_trial
+from stringcast.data.importers.gathered import Gathered
+from stringcast.data.schema import DataError, Table
+from stringcast.data.store import content_hash, write_table
+from stringcast.stages.check.at_rest import arc_lengths, grasp_of, with_arc_lengths
+from stringcast.stages.check.lay import shifts
+from stringcast.stages.check.measured import Seen
+from stringcast.stages.model.arm import Arm
+
+JOINTS = 3  # of an arm whose angles our format holds; the pose of the hand stands for any other
+LINKS = ("0.25", "0.20", "0.135")  # [m] of an example
+ABOUT = """\
+# Written by `import`. All is in metres, seconds, radians and kilograms; what each name means: data/README.md.
+"""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a person says of the bench. length: of the string [m]. links, base: of the arm [m]. at: how far along the
+    string each point is [m], by its name. fit_clock: lay the clocks over one another by the motion. moving: the string
+    swings already when trials begin. turn: added to the hand's direction [rad]. fps, px_per_m, origin_px: of films."""
+
+    length: float | None = None
+    links: tuple[float, ...] = ()
+    base: tuple[float, float] = (0.0, 0.0)
+    at: Mapping[str, float] = field(default_factory=dict)
+    fit_clock: bool = False
+    moving: bool = False
+    turn: float = 0.0
+    fps: float | None = None
+    px_per_m: float | None = None
+    origin_px: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Brought:
+    """A dataset that is not written yet. hand: the table of the hand's motion, ARM or GRASP, and its rows. points: rows
+    of POINTS. films: video files by trial. about: dataset.yaml. notes: what was worked out, for people."""
+
+    hand: Table
+    motion: pd.DataFrame
+    points: pd.DataFrame
+    films: Mapping[str, Path]
+    about: dict[str, Any]
+    notes: Sequence[str]
+
+    @property
+    def apart(self) -> list[str]:
+        """Trials of which arm and camera have next to nothing in common by their clocks."""
+        both = [{name: rows["t"] for name, rows in table.groupby("trial")} for table in (self.motion, self.points)]
+        return [
+            name
+            for name in sorted(both[0].keys() & both[1].keys())
+            if min(t[name].max() for t in both) - max(t[name].min() for t in both) < OVERLAP
+        ]
+
+
+def brought(what: Gathered, told: Told) -> Brought:
+    """The dataset that recordings make. Raises DataError naming the option where something must be said."""
+    notes: list[str] = []
+    grasp = _grasp(what, told)
+    as_joints = len(what.joints) == JOINTS
+    motion = what.motion[["trial", "t", *what.joints]] if as_joints else grasp
+    points, length = _along(what, grasp, told, notes)
+    if told.fit_clock:
+        points = _laid_over(points, grasp, length, notes)
+    about: dict[str, Any] = {"format": FORMAT, "string": {"length": length}}
+    about |= {"arm": {"links": list(told.links), "base": list(told.base)}} if as_joints else {}
+    about |= {"camera": _camera(what, told)} if what.films else {}
+    about |= {"initial": "moving"} if told.moving else {}
+    return Brought(ARM if as_joints else GRASP, motion, points, what.films, about, notes)
+
+
+def _grasp(what: Gathered, told: Told) -> pd.DataFrame:
+    """Poses of the grasp, as measured or by the arm's links."""
+    named = what.motion[["trial", "t"]]
+    if not what.joints:
+        return named.assign(**{axis: what.motion[axis] for axis in "xy"}, theta=what.motion["theta"] + told.turn)
+    count = len(what.joints)
+    if len(told.links) != count:
+        there = f"{len(told.links)} links are named" if told.links else "its links are not"
+        raise DataError(
+            f"there are the angles of {count} joint{'s' * (count > 1)}, and {there}. Say how long they are, base "
+            f"first: --links {','.join((LINKS * count)[:count])} --base 0,0. Where some do not turn in the plane, name "
+            "those that do: --map q1=<column> --map q2=<column>."
+        )
+    return pd.concat([named, grasp_of(what.motion, np.array(told.links), np.array(told.base))], axis=1)
+
+
+def _along(what: Gathered, grasp: pd.DataFrame, told: Told, notes: list[str]) -> tuple[pd.DataFrame, float]:
+    """Points with arc lengths, and the string's length [m]: as said, or as it hangs at rest."""
+    points = what.points
+    if points.empty:
+        return POINTS.empty().assign(trial=""), _said_length(told)
+    names = list(points["point"].unique())
+    for name in told.at:
+        if name not in names:
+            raise DataError(f"--at {name}=...: there is no such point. There are {', '.join(map(repr, names))}.")
+    if "s" in points:
+        return _columns(points), told.length or _noted(float(points["s"].max()), "the largest s", notes)
+    hanging = {} if told.moving else arc_lengths(points, grasp)
+    at = dict(told.at) or ({names[0]: told.length} if len(names) == 1 and told.length else hanging)
+    if not at:
+        _said_length(told)
+        raise DataError("it is not said how far along the string points are. Say it, in metres: --at tip=0.30.")
+    length = told.length or (max(told.at.values()) if told.at else _noted(max(at.values()), "it hangs at rest", notes))
+    if not told.at and len(at) > 1:
+        at = {name: s * length / max(at.values()) for name, s in at.items()}
+        places = ", ".join(f"{name or 'point'} {s:.3f} m" for name, s in at.items())
+        notes.append(f"points are taken to lie along the string as it hangs at rest: {places}. Say it with --at")
+    return _columns(with_arc_lengths(points, at)), length
+
+
+def _said_length(told: Told) -> float:
+    if told.length is None:
+        raise DataError("the string's length is not said. Measure it from the grasp to the tip: --length 0.30.")
+    return told.length
+
+
+def _noted(length: float, why: str, notes: list[str]) -> float:
+    notes.append(f"the string is taken to be {length:.3f} m long ({why}). Measure it, and say --length")
+    return round(length, 4)
+
+
+def _columns(points: pd.DataFrame) -> pd.DataFrame:
+    """Those of our format."""
+    optional = [name for name in ("sigma", "valid") if name in points]
+    whole = points[["trial", "t", "s", "x", "y", *optional]]
+    return whole.assign(valid=whole["valid"].fillna(True).astype(bool)) if "valid" in optional else whole
+
+
+def _laid_over(points: pd.DataFrame, grasp: pd.DataFrame, length: float, notes: list[str]) -> pd.DataFrame:
+    """Points with times by the arm's clock, as far as the motion tells it."""
+    hands = {str(name): rows.drop(columns="trial").sort_values("t") for name, rows in grasp.groupby("trial")}
+    empty = READINGS.empty(), MASKS.empty()
+    trials = [
+        Seen(Observation(str(name), part.dropna(), *empty, grasp=hands[str(name)]), _any_arm(), length)
+        for name, part in points.groupby("trial")
+        if str(name) in hands
+    ]
+    later = shifts(trials)
+    still = [seen.name for seen in trials if seen.name not in later]
+    if still:
+        raise DataError(f"trial {still[0]}: hand or string never begins to move. Say what to add: --clock=-0.35")
+    same = len({*later.values()}) == 1
+    for name, shift in list(later.items())[: 1 if same else None]:
+        who = "in all trials" if same else f"in trial {name}"
+        notes.append(f"{shift:+.3f} s are added to the camera's clock {who}, by the motion of hand and string")
+    return points.assign(t=points["t"] + points["trial"].map(later).fillna(0.0))
+
+
+def _any_arm() -> Arm:
+    """An arm to which nobody looks: poses of its hand are given."""
+    return Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
+
+
+def _camera(what: Gathered, told: Told) -> dict[str, Any]:
+    """dataset.yaml's camera, of films."""
+    fps = told.fps or what.fps
+    said = {"fps": fps, "px_per_m": told.px_per_m, "origin_px": told.origin_px and list(told.origin_px)}
+    options = {"fps": "--fps 240", "px_per_m": "--px-per-m 340", "origin_px": "--origin-px 251.5,387.5"}
+    missing = [options[name] for name, value in said.items() if not value]
+    if missing:
+        raise DataError(f"of a film it must be known where it was taken from. Say {' '.join(missing)}, as it was.")
+    return said
+
+
+def written(what: Brought, folder: Path, files: Sequence[Path], command: str) -> None:
+    """Write a dataset as a folder that is not there yet. command: that makes it again."""
+    disk.make_folder(folder)
+    origin = {"step": "import", "files": {file.name: content_hash(file) for file in files}, "command": command}
+    write_table(with_trial(what.hand), what.motion, folder / f"{what.hand.name}.parquet", origin)
+    if len(what.points):
+        write_table(with_trial(POINTS), what.points, folder / f"{POINTS.name}.parquet", origin)
+    for name, film in what.films.items():
+        disk.make_folder(folder / "videos")
+        shutil.copyfile(film, folder / "videos" / f"{name}{film.suffix}")
+    about = {**what.about, "imported": origin["files"]}
+    disk.write(folder / NAME, (ABOUT + yaml.safe_dump(about, sort_keys=False)).encode())

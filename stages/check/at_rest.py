@@ -1,0 +1,55 @@
+"""What a string that hangs at rest tells of itself: how long it is, how far along it its points lie, and when it begins
+to move. Needed where files of others say where points are, and not of which piece of the string."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+STILL = 5  # frames at the beginning, of which the median tells where a point rests
+
+
+def grasp_of(motion: pd.DataFrame, links: np.ndarray, base: np.ndarray) -> pd.DataFrame:
+    """Poses of the grasp: columns x, y [m], theta [rad], from joint angles q1, q2 ... [rad] of a planar arm.
+
+    links: (J,) [m], base first. base: (2,) where joint 1 sits [m].
+    """
+    turned = np.cumsum(motion[[f"q{n + 1}" for n in range(len(links))]].to_numpy(), axis=1)
+    place = [axis + (links * turn(turned)).sum(axis=1) for axis, turn in zip(base, (np.cos, np.sin), strict=True)]
+    return pd.DataFrame({"x": place[0], "y": place[1], "theta": turned[:, -1]}, index=motion.index)
+
+
+def resting(points: pd.DataFrame) -> pd.DataFrame:
+    """Where each point of each trial rests at first: index trial and point, columns x, y [m]."""
+    known = points[np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)]
+    first = known.sort_values("t", kind="stable").groupby(["trial", "point"]).head(STILL)
+    return first.groupby(["trial", "point"])[["x", "y"]].median()
+
+
+def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, float]:
+    """How far along the string each of its named points lies [m], as the median over trials.
+
+    At rest a limp string hangs straight, so that from the grasp on, in the order of their distance, points are as far
+    from one another as along the string; a stiff one bends below the grasp, and is longer. points: columns trial, t,
+    point, x, y. grasp: columns trial, x, y [m], in the order of time.
+    """
+    rest, hand = resting(points), grasp.groupby("trial")[["x", "y"]].first()
+    found: dict[str, list[float]] = {}
+    for trial, there in rest.groupby(level="trial"):
+        if trial not in hand.index:
+            continue
+        place = hand.loc[trial].to_numpy()
+        xy = there.droplevel("trial")
+        order = np.argsort(np.linalg.norm(xy.to_numpy() - place, axis=1))
+        way = np.linalg.norm(np.diff(np.vstack([place, xy.to_numpy()[order]]), axis=0), axis=1).cumsum()
+        for name, s in zip(xy.index[order], way, strict=True):
+            found.setdefault(str(name), []).append(float(s))
+    return {name: float(np.median(values)) for name, values in sorted(found.items(), key=lambda item: item[1][0])}
+
+
+def with_arc_lengths(points: pd.DataFrame, at: Mapping[str, float]) -> pd.DataFrame:
+    """Points of which it is known how far along they lie, with that as column s [m]."""
+    kept = points[points["point"].isin(list(at))]
+    return kept.assign(s=kept["point"].map(at).astype(float))

@@ -1,0 +1,54 @@
+"""By how much two clocks differ, where nobody says: hand and string begin to move at about the same time, and a string
+is never longer than it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stringcast.stages.check.measured import Seen
+
+ALIKE = (
+    0.2  # [s] within which trials' onsets agree if their clocks differ by the same in all: the tip is so late at most
+)
+AROUND = 0.3  # [s] about the onset in which clocks are sought: a tip that hangs sqrt(length / g) below follows so late
+STEP = 1e-3  # [s]
+SLACK = 0.01  # of the length by which a string may seem longer at another shift than at the best
+
+
+def shifts(trials: Sequence[Seen]) -> dict[str, float]:
+    """What is to be added to the times of each trial's points [s], none for one without motion.
+
+    The same for all trials where their onsets agree. The latest shift is taken at which points stay about as near to
+    the hand as their arc lengths demand: the string follows the hand, so that by the onsets alone it would be early.
+    """
+    onsets = {
+        seen.name: seen.hand_onset - seen.string_onset
+        for seen in trials
+        if seen.hand_onset is not None and seen.string_onset is not None
+    }
+    moved = [seen for seen in trials if seen.name in onsets]
+    if onsets and np.ptp(list(onsets.values())) < ALIKE:
+        return dict.fromkeys(onsets, _latest(moved, max(onsets.values())))
+    return {seen.name: _latest([seen], onsets[seen.name]) for seen in moved}
+
+
+def _latest(trials: Sequence[Seen], about: float) -> float:
+    """The latest shift near `about` [s] at which these strings are hardly longer than at the best."""
+    tried = about + np.arange(-AROUND, AROUND + STEP, STEP)
+    excess = np.max([stretched(seen, tried) for seen in trials], axis=0)
+    best = int(excess.argmin())
+    bad = excess[best:] > excess[best] + SLACK
+    return float(tried[best + int(np.argmax(bad)) - 1] if bad.any() else tried[best])
+
+
+def stretched(seen: Seen, tried: np.ndarray) -> np.ndarray:
+    """By how much points are further from the hand than their arc lengths allow, (T,) in lengths of the string (rms).
+
+    tried: (T,) what is added to their times [s].
+    """
+    s, *place = seen.points[["s", "x", "y"]].to_numpy().T
+    t = seen.points["t"].to_numpy() + tried[:, None]
+    off = [at - np.interp(t, seen.hand_t, hand) for at, hand in zip(place, seen.pose.T[:2], strict=True)]
+    return np.sqrt(np.mean(np.maximum(np.hypot(*off) - s, 0.0) ** 2, axis=1)) / seen.length

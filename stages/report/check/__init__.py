@@ -1,0 +1,1 @@
+"""The page of a check, and the picture of what was measured."""

@@ -1,0 +1,102 @@
+"""A picture of a measured trial, on which a wrong unit, axis or clock is seen at a glance."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stringcast.stages.check.measured import Seen
+from stringcast.stages.report.picture import LIGHT, MM, STYLE
+
+POSES = 5  # of arm and string that are drawn, evenly over the time in which both were seen
+FAINT = 0.25  # of those but the first
+
+
+def trial_figure(seen: Seen) -> Figure:
+    """Arm and string in the plane; hand and tip over time; and how fast both move, each on its own clock."""
+    with style.context(STYLE):
+        figure = Figure(figsize=(11.0, 4.6))
+        plane, places, speeds = figure.subplot_mosaic([["plane", "places"], ["plane", "speeds"]]).values()
+        _in_the_plane(plane, seen)
+        _over_time(places, seen)
+        _speeds(speeds, seen)
+        speeds.sharex(places)
+    return figure
+
+
+def trial_words(seen: Seen) -> str:
+    """The same in words."""
+    begins = [
+        f"{who} at {onset:.2f} s"
+        for who, onset in (("the hand", seen.hand_onset), ("the string", seen.string_onset))
+        if onset is not None
+    ]
+    moved = f"; {' and '.join(begins)} began to move" if begins else ""
+    return f"Trial {seen.name}: {len(seen.frame_t)} frames of a string of {seen.length * MM:.0f} mm{moved}."
+
+
+def tip_of(seen: Seen) -> tuple[np.ndarray, np.ndarray]:
+    """Times (F,) [s] and places (F, 2) [m] of the point that is furthest along the string."""
+    end = seen.points.groupby("t").tail(1)
+    return end["t"].to_numpy(), end[["x", "y"]].to_numpy()
+
+
+def _in_the_plane(axes: Axes, seen: Seen) -> None:
+    """Arm and string at a few times, the first darkest, and the tip's way."""
+    t, tip = tip_of(seen)
+    axes.plot(*(tip * MM).T, color=LIGHT["measured"], lw=0.8, alpha=0.5, label="the tip's way")
+    low, high = max(t[0], seen.hand_t[0]), min(t[-1], seen.hand_t[-1])
+    for number, at in enumerate(np.linspace(low, max(high, low), POSES)):
+        strength = 1.0 if number == 0 else FAINT
+        now = seen.points[seen.points["t"] == seen.frame_t[np.argmin(np.abs(seen.frame_t - at))]]
+        hand = _at(seen, at)
+        line = np.vstack([hand[-1], now[["x", "y"]].to_numpy()]) * MM
+        axes.plot(*(hand * MM).T, "o-", color=LIGHT["axis"], ms=3, lw=2.4, alpha=strength, label=_first(number, "arm"))
+        label = _first(number, "string, as measured")
+        axes.plot(*line.T, ".-", color=LIGHT["after"], ms=4, lw=1.2, alpha=strength, label=label)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    axes.legend(loc="best")
+
+
+def _first(number: int, label: str) -> str | None:
+    """A label for the first of several lines."""
+    return label if number == 0 else None
+
+
+def _at(seen: Seen, at: float) -> np.ndarray:
+    """Joints and hand, (J, 2) [m], or the hand alone where its pose was measured."""
+    if seen.joints is None:
+        return np.array([[np.interp(at, seen.hand_t, seen.pose[:, axis]) for axis in (0, 1)]])
+    return seen.arm.joints(np.array([np.interp(at, seen.hand_t, angle) for angle in seen.joints.T]))
+
+
+def _over_time(axes: Axes, seen: Seen) -> None:
+    """Where hand and tip are."""
+    t, tip = tip_of(seen)
+    for axis, dashes in (("x", "-"), ("y", "--")):
+        number = "xy".index(axis)
+        axes.plot(seen.hand_t, seen.pose[:, number] * MM, dashes, color=LIGHT["axis"], label=f"hand {axis}")
+        axes.plot(t, tip[:, number] * MM, dashes, color=LIGHT["measured"], label=f"tip {axis}")
+    axes.set_ylabel("place [mm]")
+    axes.legend(loc="best", ncols=2)
+
+
+def _speeds(axes: Axes, seen: Seen) -> None:
+    """How fast hand and tip are, each as a share of its fastest: on one clock they begin together."""
+    t, tip = tip_of(seen)
+    for when, where, colour, who in (
+        (seen.hand_t, seen.pose[:, :2], "axis", "hand, by the arm's clock"),
+        (t, tip, "measured", "tip, by the camera's clock"),
+    ):
+        speed = np.linalg.norm(np.diff(where, axis=0), axis=1) / np.maximum(np.diff(when), 1e-9)
+        fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
+        if fastest > 0:
+            shown = np.minimum(speed / fastest, 1.2)
+            axes.plot((when[1:] + when[:-1]) / 2, shown, color=LIGHT[colour], lw=1, label=f"{who}: {fastest:.1f} m/s")
+    for onset, colour in ((seen.hand_onset, "axis"), (seen.string_onset, "measured")):
+        if onset is not None:
+            axes.axvline(onset, color=LIGHT[colour], ls=":", lw=1)
+    axes.set(xlabel="time [s]", ylabel="speed [of fastest]")
+    axes.legend(loc="best")
