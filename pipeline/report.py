@@ -11,8 +11,8 @@ from stringcast.data.store import write_text
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.result import Result
-from stringcast.stages.report import Cast, Record, cast_record, report
-from stringcast.stages.report.facts import Facts
+from stringcast.stages.report.pages.cast import cast_page
+from stringcast.stages.report.records import Cast, Facts, Record, cast_record
 from stringcast.stages.spec import StageSpec
 
 
@@ -21,7 +21,7 @@ def write(experiment: Experiment, result: Result) -> None:
     if result.stage is not None:
         write_page(experiment, result.stage, result.answer, result.sentence, result.folder)
     else:
-        write_text(result.folder / "report.html", report(casting(experiment, result)))
+        write_text(result.folder / "report.html", cast_page(casting(experiment, result)))
 
 
 def write_page(experiment: Experiment, stage: StageSpec, made: Any, sentence: str, folder: Path) -> None:

@@ -112,7 +112,7 @@ class StageSpec:
     Functions that are named as text are within `stringcast`.
 
     summary: what is said of an artifact. files: texts that a run leaves in its folder, by name, from the artifact and
-    the folder of the iteration after it. page: the function that makes report.html from a `stages.report.Facts`.
+    the folder of the iteration after it. page: the function that makes report.html from `report.records.Facts`.
     """
 
     name: str
@@ -124,4 +124,4 @@ class StageSpec:
     by: tuple[str, ...] = ()
     summary: Callable[[Any], Summary] = _tables
     files: Callable[[Any, Path], Mapping[str, str]] = lambda made, ahead: {}
-    page: str = "stages.report.tables.tables_report"
+    page: str = "stages.report.pages.tables.tables_page"

@@ -132,7 +132,7 @@ def called(monkeypatch, capsys):
 def undrawn(monkeypatch):
     """Pictures of pages are empty, but for their words: drawing takes most of a page's time."""
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
-    monkeypatch.setattr("stringcast.stages.report.picture.FigureCanvasSVG", lambda figure: empty)
+    monkeypatch.setattr("stringcast.stages.report.theme.FigureCanvasSVG", lambda figure: empty)
 
 
 @contextmanager

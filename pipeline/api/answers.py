@@ -28,7 +28,8 @@ from stringcast.stages.check.check import refuse
 from stringcast.stages.check.measured import Measured
 from stringcast.stages.common import Progress
 from stringcast.stages.model.library import library
-from stringcast.stages.report.diagnosis import DiagnosisRecord, diagnosis_report
+from stringcast.stages.report.pages.diagnosis import diagnosis_page
+from stringcast.stages.report.records import DiagnosisRecord
 
 MM = 1e3
 
@@ -86,7 +87,7 @@ class Diagnosed:
         """Write the page with all the evidence; one file that needs no network. Returns its path."""
         here = self.experiment
         record = DiagnosisRecord("diagnosis", self.made, here.model, library(), here.config, made_by(here))
-        write_text(Path(page), diagnosis_report(record))
+        write_text(Path(page), diagnosis_page(record))
         return Path(page)
 
     def __repr__(self) -> str:

@@ -10,7 +10,8 @@ from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.sweep.ledger import DONE, Job, Ledger
 from stringcast.pipeline.sweep.table import SWEEP, factors, sweep_table
-from stringcast.stages.report.sweep import SweepRecord, sweep_report
+from stringcast.stages.report.pages.sweep import sweep_page
+from stringcast.stages.report.records import SweepRecord
 from stringcast.stages.report.words import settings as flat
 
 
@@ -32,7 +33,7 @@ def finish(folder: Path) -> list[Job]:
         settings=common(jobs),
         origin={"seed": "of each job"} | made,
     )
-    write_text(folder / "report.html", sweep_report(record))
+    write_text(folder / "report.html", sweep_page(record))
     return jobs
 
 

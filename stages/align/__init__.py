@@ -42,5 +42,5 @@ STAGE = StageSpec(
     by=("stages.align.align.align",),
     summary=summary,
     files=files,
-    page="stages.report.alignment.alignment_report",
+    page="stages.report.pages.alignment.alignment_page",
 )

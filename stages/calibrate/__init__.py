@@ -50,5 +50,5 @@ STAGE = StageSpec(
     by=("stages.calibrate.calibrate.calibrate",),
     summary=summary,
     files=files,
-    page="stages.report.calibration.calibration_report",
+    page="stages.report.pages.calibration.calibration_page",
 )

@@ -43,5 +43,5 @@ STAGE = StageSpec(
     by=("stages.diagnose.diagnose.diagnose",),
     summary=summary,
     files=files,
-    page="stages.report.diagnosis.page.stage_report",
+    page="stages.report.pages.diagnosis.stage_page",
 )

@@ -1,6 +1,2 @@
-"""Report: one self-contained HTML page from everything a run has made."""
-
-from stringcast.stages.report.page import report
-from stringcast.stages.report.record import Cast, Record, cast_record
-
-__all__ = ["Cast", "Record", "cast_record", "report"]
+"""Report: self-contained HTML pages from what runs have made. `page.py` is what a page is, `pages/` those there are,
+`charts/` what is drawn in them."""

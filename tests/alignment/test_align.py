@@ -26,8 +26,8 @@ from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.report.alignment import alignment_report
-from stringcast.stages.report.facts import Facts
+from stringcast.stages.report.pages.alignment import alignment_page
+from stringcast.stages.report.records import Facts
 from tests.alignment.stand import OFF, SWING, stand, still
 
 MISSED = 1.5  # half widths of a 95 % interval: one in 300 is further out by chance
@@ -220,7 +220,7 @@ def test_the_arm_is_read_in_frames(model, arm_is):
     for name in set(OFF) - {"time_offset.offset"}:
         assert found[name] == pytest.approx(OFF[name], abs=3e-3), name
     assert len(made.seen) > 10 * len(t)
-    page = alignment_report(Facts("a", made.sentence, made, None, {}, {"seed": 0, "code": {"commit": "0" * 10}}))
+    page = alignment_page(Facts("a", made.sentence, made, None, {}, {"seed": 0, "code": {"commit": "0" * 10}}))
     assert page.count("<figure") == 3
     assert "looked for, not seen" in page
 

@@ -9,7 +9,7 @@ from stringcast.pipeline.settings import CONF, composed
 from stringcast.pipeline.studies.paper.finish import finish
 from stringcast.pipeline.studies.paper.numbers import numbers, of
 from stringcast.stages.model.string import String
-from stringcast.stages.report.paper.record import LABELS
+from stringcast.stages.report.records import LABELS
 
 EXPERIMENTS = [name for name in LABELS if name != "nine"]
 SYMBOLS = {p.name: p.symbol for p in String(0.3, points=10).parameters}

@@ -16,7 +16,8 @@ from stringcast.pipeline.studies.paper import scores, shown
 from stringcast.pipeline.studies.paper.finish import TABLES, finish
 from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
-from stringcast.stages.report.paper import PaperRecord, figures
+from stringcast.stages.report.pages.paper import figures
+from stringcast.stages.report.records import PaperRecord
 
 INF = np.inf
 

@@ -18,14 +18,12 @@ from stringcast.data.artifacts import Diagnosis
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.report.diagnosis import DiagnosisRecord, diagnosis_report
-from stringcast.stages.report.diagnosis.figures.colours import ABOVE, BELOW
-from stringcast.stages.report.diagnosis.figures.maps import maps, parts
-from stringcast.stages.report.diagnosis.figures.overlay import worst
-from stringcast.stages.report.diagnosis.figures.tip import last
-from stringcast.stages.report.diagnosis.record import TRIALS, away, rms
-from stringcast.stages.report.diagnosis.words import gain, headline, interval, percent, quantity
-from stringcast.stages.report.picture import STYLE
+from stringcast.stages.report.charts.residual import ABOVE, BELOW, maps, parts
+from stringcast.stages.report.charts.string import last, worst
+from stringcast.stages.report.pages.diagnosis import diagnosis_page
+from stringcast.stages.report.records import TRIALS, DiagnosisRecord, away, rms
+from stringcast.stages.report.theme import STYLE
+from stringcast.stages.report.words import gain, headline, interval, percent, quantity
 
 SIGMA = 7e-4
 S = np.linspace(0.05, 0.3, 6)
@@ -157,7 +155,7 @@ def record(arm, camera):
 @pytest.fixture(scope="module")
 def write(record):
     """The page of a diagnosis."""
-    return lambda diagnosis, **other: diagnosis_report(record(diagnosis, **other))
+    return lambda diagnosis, **other: diagnosis_page(record(diagnosis, **other))
 
 
 @pytest.fixture(scope="module")

@@ -22,16 +22,14 @@ from stringcast.stages.hit_test import LONGEST_GAP, Verdict
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from stringcast.stages.report import Cast, Record, report
-from stringcast.stages.report.figures.joints import joints
-from stringcast.stages.report.figures.matching import matching
-from stringcast.stages.report.figures.parameters import history
-from stringcast.stages.report.figures.paths import path, paths
-from stringcast.stages.report.figures.progress import progress
-from stringcast.stages.report.figures.residual import residual, residuals
-from stringcast.stages.report.picture import STYLE, THEME
-from stringcast.stages.report.player import FEWEST, FRAMES, animation, choose
-from stringcast.stages.report.scene import draw, frame_figure, whole_view
+from stringcast.stages.report.charts.camera import FEWEST, FRAMES, animation, choose, draw, frame_figure, whole_view
+from stringcast.stages.report.charts.parameters import history
+from stringcast.stages.report.charts.residual import residual, residuals
+from stringcast.stages.report.charts.string import path, paths
+from stringcast.stages.report.charts.time import joints, matching, progress
+from stringcast.stages.report.pages.cast import cast_page
+from stringcast.stages.report.records import Cast, Record
+from stringcast.stages.report.theme import STYLE, THEME
 
 VOID = {"meta", "img", "input", "br", "link"}
 STRING = String(0.3)
@@ -180,7 +178,7 @@ def decoded(source):
 
 @pytest.fixture(scope="module")
 def page(record):
-    return Page(report(record))
+    return Page(cast_page(record))
 
 
 # --- whole in itself ----------------------------------------------------------------------
@@ -249,14 +247,14 @@ def test_no_label_is_cut_off(record, monkeypatch):
 
 def test_the_same_record_gives_the_same_page(record):
     one = replace(record, casts=record.casts[:1])
-    assert report(one) == report(one)
+    assert cast_page(one) == cast_page(one)
 
 
 def test_what_data_say_cannot_become_code(arm, small):
     evil = "</script><img src=x onerror=alert(1)>"
     cast = manipulation(arm, small)
     cast.points.readings.loc[5, "reason"] = evil
-    text = report(record_of(arm, small, [cast], name=evil, sentence=evil, config={evil: evil}))
+    text = cast_page(record_of(arm, small, [cast], name=evil, sentence=evil, config={evil: evil}))
     assert not [a for _, a in Page(text).elements if "onerror" in a]
     assert evil in Page(text).text
 
@@ -384,7 +382,7 @@ def unreported(cast):
     ],
 )
 def test_what_is_missing_is_said(arm, small, spoil, words):
-    page = Page(report(record_of(arm, small, [spoil(manipulation(arm, small))])))
+    page = Page(cast_page(record_of(arm, small, [spoil(manipulation(arm, small))])))
     for word in words:
         assert word in re.sub(r"\s+([.:,])", r"\1", page.text)
     assert not re.search(r"\b(nan|inf|None)\b", page.text.replace("null", ""))
@@ -393,7 +391,7 @@ def test_what_is_missing_is_said(arm, small, spoil, words):
 
 def test_estimation_alone_has_a_page(arm, small):
     cast = manipulation(arm, small)
-    page = Page(report(record_of(arm, small, [], estimates=(cast.estimate,), sentence="Estimated from 1 trial.")))
+    page = Page(cast_page(record_of(arm, small, [], estimates=(cast.estimate,), sentence="Estimated from 1 trial.")))
     assert "Estimated from 1 trial." in page.text
     assert len(page.all("img")) == len(STRING.parameters) + 1
     assert "Cast 1" not in page.text
@@ -402,7 +400,7 @@ def test_estimation_alone_has_a_page(arm, small):
 # --- from one cast to ten ---------------------------------------------------------------------
 def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     """One and two casts are those of the tests above."""
-    page = Page(report(record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])))
+    page = Page(cast_page(record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])))
     assert len(page.animations()) == len(page.all("canvas")) == 10
     assert sum(len(data["frames"]) for data in page.animations()) <= max(FRAMES, 10 * FEWEST)
 
@@ -427,7 +425,7 @@ def test_the_closest_frame_is_always_among_the_chosen(record):
 @pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
 def test_a_browser_runs_the_player(record, tmp_path):
     """The clock under the animation is written by the player, so it ran, under the page's own policy."""
-    (tmp_path / "report.html").write_text(report(record))
+    (tmp_path / "report.html").write_text(cast_page(record))
     quiet = "--disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync"
     command = [
         "chromium",

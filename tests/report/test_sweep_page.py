@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.stages.report.sweep import SweepRecord, sweep_report
-from stringcast.stages.report.sweep.outcomes import OUTCOMES, average, magnitude, parameter, response, share
+from stringcast.stages.report.outcomes import OUTCOMES, average, magnitude, parameter, response, share
+from stringcast.stages.report.pages.sweep import sweep_page
+from stringcast.stages.report.records import SweepRecord
 
 BETA = "estimate.beta"
 HIT, CASTS, E = OUTCOMES[:3]
@@ -69,7 +70,7 @@ def test_a_response_is_the_mean_over_the_other_settings():
 
 
 def test_the_page_shows_each_factor_and_each_pair():
-    page = sweep_report(record(swept()))
+    page = sweep_page(record(swept()))
     for factor in (BETA, "target"):
         assert f"<h2>Response to {factor}</h2>" in page
     assert "Response to experiment" not in page
@@ -79,7 +80,7 @@ def test_the_page_shows_each_factor_and_each_pair():
     assert re.search(r"hit rate % over target: 0 \(.*\) at far, 100 \(.*\) at near", page.replace("[%]", "%"))
     for forbidden in ("http://", "https://", "<script", "nan"):
         assert forbidden not in page.replace("http://www.w3.org", "")
-    assert page == sweep_report(record(swept()))
+    assert page == sweep_page(record(swept()))
 
 
 def test_failed_jobs_are_listed_and_left_out_of_the_means():
@@ -87,21 +88,21 @@ def test_failed_jobs_are_listed_and_left_out_of_the_means():
     table.loc[0, ["state", "error", "hit", "E_after"]] = ["failed", "the <string> is too short", np.nan, np.nan]
     shown = record(table)
     assert len(shown.done) == 15
-    page = sweep_report(shown)
+    page = sweep_page(shown)
     assert "15 of 16" in page
     assert "the &lt;string&gt; is too short" in page
 
 
 @pytest.mark.parametrize("state", ["failed", "pending"])
 def test_a_sweep_of_which_nothing_is_done_has_a_page_too(state):
-    page = sweep_report(record(swept().assign(state=state)))
+    page = sweep_page(record(swept().assign(state=state)))
     assert "0 of 16" in page
     assert "no job is done" in page
 
 
 def test_one_setting_one_seed_and_no_casts():
     table = swept(targets=("near",), seeds=(0,)).drop(columns="seed").assign(hit=np.nan, miss_m=np.nan)
-    page = sweep_report(record(table, ("experiment", BETA)))
+    page = sweep_page(record(table, ("experiment", BETA)))
     assert "With one seed nobody can say" in page
     assert "hit rate" not in page.split("<section", 1)[1]
 
@@ -110,7 +111,7 @@ def test_what_all_jobs_found_alike_is_drawn_without_a_warning():
     """Where the mean of equal values differs from them by rounding, too: no axis of powers of ten has such ends."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        sweep_report(record(swept().assign(**{STIFFNESS[0]: 1e-3})))
+        sweep_page(record(swept().assign(**{STIFFNESS[0]: 1e-3})))
 
 
 def reached():
@@ -129,10 +130,10 @@ def reached():
 
 def test_the_map_of_the_workspace_says_what_became_of_each_target():
     table = pd.concat([reached().assign(**{"target.y": y}) for y in (0.2, 0.5)], ignore_index=True)
-    page = sweep_report(record(table, ("target.x", "target.y", "seed")))
+    page = sweep_page(record(table, ("target.x", "target.y", "seed")))
     assert "Where it hits" in page
     assert "Of 6 targets 2 were hit, 2 in the first cast; 2 were not, 2 did not run." in page
     twice = pd.concat([table.assign(specimen=name) for name in "AB"], ignore_index=True)
-    page = sweep_report(record(twice, ("specimen", "target.x", "target.y", "seed")))
+    page = sweep_page(record(twice, ("specimen", "target.x", "target.y", "seed")))
     assert page.count("Of 6 targets") == 2 * 2  # alt and caption of either string's map
-    assert "Where it hits" not in sweep_report(record(swept()))
+    assert "Where it hits" not in sweep_page(record(swept()))

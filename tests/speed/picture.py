@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stringcast.stages.report.picture import LIGHT, STYLE
+from stringcast.stages.report.theme import LIGHT, STYLE
 
 TICKS = (0.2, 0.5, 1, 2, 5)
 COST = "ns per mass-point-step and core"

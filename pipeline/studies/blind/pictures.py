@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from stringcast.pipeline.studies.counts import bars
-from stringcast.stages.report.picture import LIGHT, STYLE
+from stringcast.stages.report.theme import LIGHT, STYLE
 
 COLOURS = {"effect": "after", "outside": "measured", "pair": "before"}
 LAST = ("none", "unknown", "ambiguous", "insufficient", "failed")  # answers that are no effect

@@ -18,7 +18,7 @@ from stringcast.data import store
 from stringcast.pipeline.origin import PACKAGES, ROOT, code, versions
 from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED
 from stringcast.pipeline.studies.counts import bars, counted
-from stringcast.stages.report.picture import LIGHT, STYLE
+from stringcast.stages.report.theme import LIGHT, STYLE
 
 FOLDER = ROOT / "data" / "results" / "blind_study"
 SHOWN = {"cause found": "before", "false alarm": "measured", "outside called unknown": "after"}

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.report.picture import LIGHT, STYLE
+from stringcast.stages.report.theme import LIGHT, STYLE
 
 
 def overview(shares: pd.DataFrame, path: Path) -> None:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from stringcast.pipeline.studies.counts import bars
 from stringcast.pipeline.studies.hitting.scores import ALL, WANTED
-from stringcast.stages.report.picture import LIGHT, MM, STYLE
+from stringcast.stages.report.theme import LIGHT, MM, STYLE
 
 ACROSS = 5  # pictures side by side
 MARKS = "os^Dv<>"  # of methods, whose colours come again after the fourth

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stringcast.stages.report.picture import LIGHT, MM, STYLE
+from stringcast.stages.report.theme import LIGHT, MM, STYLE
 
 COLOURS = ("before", "target", "after", "measured")  # of sets, in their order within a family
 ACROSS = 4  # trials side by side

@@ -13,7 +13,8 @@ from stringcast.pipeline.studies.paper import scores, shown
 from stringcast.pipeline.studies.paper.numbers import NUMBERS, numbers
 from stringcast.pipeline.sweep.finish import common
 from stringcast.pipeline.sweep.ledger import Job, Ledger
-from stringcast.stages.report.paper import PaperRecord, figures, paper_report
+from stringcast.stages.report.pages.paper import figures, paper_page
+from stringcast.stages.report.records import PaperRecord
 
 TABLES: tuple[Table, ...] = (scores.RUNS, scores.CASTS, scores.RATES, scores.NEEDED, shown.PARAMETERS, *shown.TABLES)
 
@@ -31,7 +32,7 @@ def finish(folder: Path) -> list[Job]:
     drawn = figures(record)
     for name, picture in drawn.items():
         picture.figure.savefig(folder / f"{name}.png", dpi=150, facecolor="white")
-    write_text(folder / "report.html", paper_report(record, drawn))
+    write_text(folder / "report.html", paper_page(record, drawn))
     return jobs
 
 

@@ -1,1 +1,0 @@
-"""Figures of a calibration's page: each file draws one."""

@@ -1,0 +1,157 @@
+"""Outcomes of a sweep over its settings and over the workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullLocator
+
+from stringcast.stages.report.outcomes import Outcome, response
+from stringcast.stages.report.theme import (
+    LIGHT,
+    MM,
+    Picture,
+    powers,
+    vector,
+)
+from stringcast.stages.report.words import significant
+
+DECADES = 20  # a setting whose levels span more than this ratio has an axis in powers of ten
+Place = Callable[[pd.Series], np.ndarray]
+
+
+def named(values: pd.Series) -> dict[Any, str]:
+    """The levels in order, and how they are written."""
+    return {level: f"{level:g}" if pd.api.types.is_number(level) else str(level) for level in sorted(values.unique())}
+
+
+def marked(axes: Axes, values: pd.Series) -> Place:
+    """Mark the levels on the x axis, numbers at their place and words side by side. Returns where each value is."""
+    levels = named(values)
+    if not pd.api.types.is_numeric_dtype(values):
+        axes.set_xticks(range(len(levels)), list(levels.values()), rotation=20, ha="right", rotation_mode="anchor")
+        axes.set_xlim(-0.5, len(levels) - 0.5)
+        return lambda some: some.map(list(levels).index).to_numpy(float)
+    if min(levels) > 0 and max(levels) / min(levels) > DECADES:
+        axes.set_xscale("log")
+    axes.set_xticks(list(levels), list(levels.values()))
+    axes.xaxis.set_minor_locator(NullLocator())
+    return lambda some: some.to_numpy(float)
+
+
+ALIKE = 1e-9  # relative; a geometric mean of equal values is off by 1e-15, which no axis can show
+
+
+def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
+    """None where nothing is known of it. jobs: those that ended."""
+    means = response(jobs, outcome, [factor])
+    if means.empty:
+        return None
+    figure = Figure(figsize=(2.9, 2.2))
+    axes = figure.subplots()
+    place = marked(axes, jobs[factor])
+    known = jobs[jobs[outcome.name].notna()]
+    axes.plot(
+        place(known[factor]), known[outcome.name] * outcome.scale, "o", ms=3, mew=0, color=LIGHT["wall"], alpha=0.5
+    )
+    x = place(means[factor])
+    joined = "-" if pd.api.types.is_numeric_dtype(jobs[factor]) else "none"  # between words there is nothing
+    axes.plot(x, means["mean"], "o", ls=joined, ms=4.5, color=LIGHT["after"])
+    axes.vlines(x, means["low"], means["high"], color=LIGHT["after"], lw=4, alpha=0.35)
+    low, high = axes.dataLim.intervaly
+    if outcome.axis == "log" and high < low * (1 + ALIKE):
+        axes.set_ylim(low / 2, high * 2)
+    axes.set_yscale(outcome.axis)
+    if outcome.axis == "log":
+        axes.yaxis.set_major_formatter(powers())
+        axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel(factor, fontsize=8)
+    return vector(figure, _words(means, outcome, factor))
+
+
+def _words(means: pd.DataFrame, outcome: Outcome, factor: str) -> str:
+    """For those who cannot see it."""
+    each = [f"{significant(row['mean'])}{_ends(row)} at {row[factor]}" for _, row in means.iterrows()]
+    return f"{outcome.title} over {factor}: {', '.join(each)}."
+
+
+def _ends(row: pd.Series) -> str:
+    return f" ({significant(row['low'])} to {significant(row['high'])})" if np.isfinite(row["low"]) else ""
+
+
+DARKEST = 0.75  # opacity of the largest mean, dark enough to see and light enough to read on
+
+
+def plane(jobs: pd.DataFrame, outcome: Outcome, across: str, up: str) -> Picture | None:
+    """None where nothing is known of it. jobs: those that ended. across, up: the settings."""
+    means = response(jobs, outcome, [across, up])
+    if means.empty:
+        return None
+    columns, rows = (named(jobs[factor]) for factor in (across, up))
+    figure = Figure(figsize=(1.6 + 0.62 * len(columns), 1.0 + 0.4 * len(rows)))
+    axes = figure.subplots()
+    low, high = means["mean"].min(), means["mean"].max()
+    for _, row in means.iterrows():
+        x, y = list(columns).index(row[across]), list(rows).index(row[up])
+        shade = DARKEST * (row["mean"] - low) / (high - low) if high > low else 0.0
+        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, lw=0, facecolor=LIGHT["after"], alpha=shade))
+        axes.text(x, y, significant(row["mean"]), ha="center", va="center", fontsize=8)
+    axes.set_xticks(range(len(columns)), list(columns.values()), rotation=20, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(rows)), list(rows.values()))
+    axes.set(xlim=(-0.5, len(columns) - 0.5), ylim=(-0.5, len(rows) - 0.5), xlabel=across, ylabel=up)
+    axes.grid(False)
+    axes.tick_params(length=0)
+    return vector(figure, f"Mean {outcome.title} over {across} and {up}: {significant(low)} to {significant(high)}.")
+
+
+PLACE = ("target.x", "target.y")
+FAINTEST = 0.15  # opacity of the most manipulations
+
+
+def reach(jobs: pd.DataFrame, most: int) -> Picture:
+    """A mark at each target: filled the darker, the fewer manipulations the median of its seeds took until the tip hit.
+
+    jobs: those that ended, with columns target.x and target.y [m], state, hit, manipulations. most: of any job. Hollow:
+    the median seed did not hit; crosses: no job ran to its end, mostly because the target is out of reach.
+    """
+    needed = jobs["manipulations"].where(jobs["hit"] == 1, np.inf).where(jobs["state"] == "done", np.nan)
+    median = needed.groupby([jobs[name] for name in PLACE]).agg(_lower_median)
+    figure = Figure(figsize=(4.4, 4.2))
+    axes = figure.subplots()
+    for (x, y), casts in median.items():
+        _mark(axes, x * MM, y * MM, casts, most)
+    axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]", aspect="equal", adjustable="datalim")
+    axes.margins(0.12)
+    return vector(figure, _reached(median))
+
+
+def _lower_median(needed: pd.Series) -> float:
+    """NaN where no seed's job ran to its end; infinite where more than half never hit."""
+    known = np.sort(needed.dropna().to_numpy(float))
+    return float(known[(len(known) - 1) // 2]) if len(known) else np.nan
+
+
+def _mark(axes: Axes, x: float, y: float, casts: float, most: int) -> None:
+    if np.isnan(casts):
+        axes.plot(x, y, "x", color=LIGHT["wall"], ms=7)
+    elif np.isinf(casts):
+        axes.plot(x, y, "s", mfc="none", mec=LIGHT["before"], ms=17)
+    else:
+        shade = 1 - (1 - FAINTEST) * (casts - 1) / max(most - 1, 1)
+        axes.plot(x, y, "s", color=LIGHT["after"], alpha=shade, mew=0, ms=18)
+        axes.annotate(f"{casts:.0f}", (x, y), ha="center", va="center", fontsize=8, color=LIGHT["ink"])
+
+
+def _reached(median: pd.Series) -> str:
+    hit, never = int(np.isfinite(median).sum()), int(np.isinf(median).sum())
+    first = int((median == 1).sum())
+    failed = int(median.isna().sum())
+    return (
+        f"Of {len(median)} targets {hit} were hit, {first} in the first cast; {never} were not, {failed} did not run."
+    )

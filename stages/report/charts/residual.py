@@ -1,0 +1,262 @@
+"""How far simulated strings are from the measured one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from stringcast.stages.report.charts.time import mark_movement
+from stringcast.stages.report.records import (
+    Cast,
+    DiagnosisRecord,
+    Record,
+    rms,
+)
+from stringcast.stages.report.theme import (
+    LIGHT,
+    MM,
+    Picture,
+    framed,
+    vector,
+)
+from stringcast.stages.report.words import gain, mm
+
+# --- the same colours for the same things
+MODEL = {"base": LIGHT["before"], "extended": LIGHT["after"]}
+NAMES = {"base": "base model", "extended": "extended model"}
+# Zero is the page itself, light or dark; both ends stand out on either.
+BELOW, ABOVE = (0.10, 0.50, 0.80), (0.93, 0.45, 0.08)
+DIVERGING = LinearSegmentedColormap.from_list(
+    "diverging", [(0, (*BELOW, 1)), (0.5, (*BELOW, 0)), (0.5, (*ABOVE, 0)), (1, (*ABOVE, 1))]
+)
+NOTHING = (0.55, 0.58, 0.62, 0.35)  # where nothing was measured
+
+
+# --- a cast
+CELLS = 30  # along the string
+
+
+def residual(record: Record, cast: Cast) -> Picture | None:
+    """Above, where and when, after estimation; below, over the whole string, before and after."""
+    if not cast.measured:
+        return None
+    before, after = (residuals(record, cast, simulated) for simulated in (cast.before, cast.after))
+    figure = framed(5.4, 3.7)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    _cells((top, bottom), record, cast, after)
+    for name, table in (("before", before), ("after", after)):
+        bottom.plot(cast.t * MM, _rms(table, cast) * MM, color=LIGHT[name], label=f"{name} estimation")
+    mark_movement(bottom, cast)
+    bottom.set(xlabel="time [ms]", ylabel="RMS [mm]", ylim=(0, None))
+    figure.legend(*bottom.get_legend_handles_labels(), loc="upper left", ncols=3)
+    whole = [mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1) for table in (before, after)]
+    return vector(
+        figure, f"Distance of the simulated from the measured string: RMS {whole[0]} before, {whole[1]} after."
+    )
+
+
+def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame:
+    """Table of frame, s [m] and away [m]: each measured point's distance from the simulated string (F, n, 2)
+    at the same arc length."""
+    frame = np.repeat(list(cast.measured), [len(line) for line in cast.measured.values()])
+    x, y, s = np.concatenate(list(cast.measured.values())).T
+    place = np.clip(s / record.string.segment, 0, record.string.points - 1)
+    first = np.minimum(place.astype(int), record.string.points - 2)
+    share = (place - first)[:, None]
+    there = (1 - share) * simulated[frame, first] + share * simulated[frame, first + 1]
+    return pd.DataFrame({"frame": frame, "s": s, "away": np.hypot(*(there - np.stack([x, y], axis=-1)).T)})
+
+
+def _cells(panels: tuple[Axes, Axes], record: Record, cast: Cast, table: pd.DataFrame) -> None:
+    """Mean distance in cells of arc length and frame, in the upper panel; frames not read stay empty."""
+    axes = panels[0]
+    half = np.median(np.diff(cast.t)) / 2 if len(cast.t) > 1 else cast.motion.duration
+    moments = np.append(cast.t - half, cast.t[-1] + half)
+    edges = np.linspace(0, max(record.string.length, table["s"].max()), CELLS + 1)
+    places = (table["s"], cast.t[table["frame"]])
+    total, count = (np.histogram2d(*places, (edges, moments), weights=w)[0] for w in (table["away"], None))
+    with np.errstate(invalid="ignore"):
+        cells = total / count
+    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap="viridis", vmin=0)
+    axes.grid(visible=False)
+    axes.set_ylabel("arc length [mm]")
+    assert axes.figure is not None
+    axes.figure.colorbar(drawn, ax=panels, aspect=30, label="distance [mm]", pad=0.02)
+
+
+def _rms(table: pd.DataFrame, cast: Cast) -> np.ndarray:
+    """(F,) root mean square over the string, NaN where the frame was not read."""
+    squares = (table["away"] ** 2).groupby(table["frame"]).mean()
+    return np.sqrt(squares.reindex(range(len(cast.t))).to_numpy())
+
+
+# --- a diagnosis
+PLACES, MOMENTS = 30, 80  # cells at most, along the string and in time
+LEAST = 5.0  # standard deviations: the end of the colour scale is never nearer
+PARTS = {"normal": "across the string", "tangential": "along the string"}
+
+
+def maps(record: DiagnosisRecord, model: str) -> Picture | None:
+    """A row for each trial: the normal and the tangential part of the residual, over the noise floor."""
+    if not record.trials:
+        return None
+    rows = len(record.trials)
+    figure = framed(5.4, 1.3 + 1.05 * rows, top=0.45, bottom=1.0, between=0.3)
+    panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
+    end = _end(record)
+    scale = AsinhNorm(2.0, -end, end)
+    for line, (trial, table) in zip(panels, record.trials.items(), strict=True):
+        split = parts(table, model)
+        drawn = [_map(axes, table, split[part], scale) for axes, part in zip(line, PARTS, strict=True)]
+        line[0].set_ylabel("s [mm]")
+        # above the row, for names may be longer than it is high
+        line[0].text(0.0, 1.05, trial, fontsize=8, transform=line[0].transAxes)
+    for axes, words in zip(panels[0], PARTS.values(), strict=True):
+        axes.set_title(words, fontsize=9, pad=16)
+    for axes in panels[-1]:
+        axes.set_xlabel("time [ms]")
+    _bar(figure, drawn[0], end)
+    return vector(figure, f"Residuals of the {NAMES[model]} over arc length and time in {rows} trials.")
+
+
+def _bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
+    """What the colours mean, below all panels."""
+    place = (0.15, 0.46 / figure.get_figheight(), 0.8, 0.09 / figure.get_figheight())
+    bar = figure.colorbar(drawn, cax=figure.add_axes(place), orientation="horizontal", extend="both")
+    above = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= end]
+    ticks = [*(-tick for tick in reversed(above)), 0, *above]
+    bar.set_ticks(ticks, labels=[str(tick).replace("-", "−") for tick in ticks])
+    bar.minorticks_off()
+    bar.set_label("measured less simulated [noise floor]")
+
+
+def parts(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
+    """Normal and tangential part of the residual over the noise floor, (n,) each, in the base string's directions.
+
+    As complex numbers a residual is its two parts times the direction of the string.
+    """
+    base = (table["x"] - table["base_x"]) + 1j * (table["y"] - table["base_y"])
+    split = table["base_tangential"] + 1j * table["base_normal"]
+    direction = np.divide(base, split, out=np.ones(len(table), complex), where=np.abs(split) > 0)
+    off = (table["x"] - table[f"{model}_x"]) + 1j * (table["y"] - table[f"{model}_y"])
+    along = (off / direction / table["sigma"]).to_numpy()
+    return {"normal": along.imag, "tangential": along.real}
+
+
+def _end(record: DiagnosisRecord) -> float:
+    """Of the colour scale, the same for all trials and models."""
+    sizes = [np.abs(part) for table in record.trials.values() for part in parts(table, "base").values()]
+    return max(LEAST, float(np.quantile(np.concatenate(sizes), 0.99)))
+
+
+def _map(axes: Axes, table: pd.DataFrame, values: np.ndarray, scale: AsinhNorm) -> ScalarMappable:
+    """Means in cells of arc length and time."""
+    edges = _along(table["s"].to_numpy()), _over(table["t"].to_numpy())
+    total, count = (np.histogram2d(table["s"], table["t"], edges, weights=w)[0] for w in (values, None))
+    cells = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    axes.grid(visible=False)
+    colours = DIVERGING.with_extremes(bad=NOTHING)
+    return axes.pcolorfast(edges[1] * MM, edges[0] * MM, cells, cmap=colours, norm=scale)
+
+
+def _along(s: np.ndarray) -> np.ndarray:
+    """Edges of cells around the places measured, or even ones where there are many [m]."""
+    places = np.unique(np.round(s, 4))
+    if len(places) > PLACES:
+        return np.linspace(0, s.max() * (1 + 1e-9), PLACES + 1)
+    middle = (places[1:] + places[:-1]) / 2
+    half = middle[0] - places[0] if len(middle) else max(places[0] / 4, 1e-3)
+    last = places[-1] - middle[-1] if len(middle) else half
+    return np.concatenate([[max(places[0] - half, 0)], middle, [places[-1] + last]])
+
+
+def _over(t: np.ndarray) -> np.ndarray:
+    """Edges of even cells, a frame or more each; gaps between frames stay empty [s]."""
+    times = np.unique(t)
+    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
+    width = max(frame, float(np.ptp(times)) / MOMENTS)
+    return np.arange(times[0] - width / 2, times[-1] + width, width)
+
+
+def size(record: DiagnosisRecord) -> Picture | None:
+    """Root mean square of the residual in each trial, with what noise alone and noise and simulation leave."""
+    table = record.diagnosis.residuals
+    if table.empty:
+        return None
+    names = list(rms(table, "base").index)
+    place = np.arange(len(names))
+    figure = Figure(figsize=(5.4, 1.2 + 0.3 * len(names)))
+    axes = figure.subplots()
+    expected = {c: np.sqrt(2 * (table[c] ** 2).groupby(table["trial"]).mean()) * MM for c in ("sigma", "doubt")}
+    axes.barh(place, expected["doubt"], height=0.7, color=LIGHT["grid"], label="noise and the simulation's own error")
+    axes.plot(expected["sigma"], place, "|", ms=14, mew=1.6, color=LIGHT["ink"], label="noise floor")
+    for model in record.models:
+        axes.plot(rms(table, model) * MM, place, "o", ms=6, color=MODEL[model], label=NAMES[model])
+    axes.set(xlabel="residual, RMS [mm]", xlim=(0, None), yticks=place, yticklabels=names)
+    axes.invert_yaxis()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    whole = " and ".join(f"{mm(float(rms(table, m).max()), 1)} for the {NAMES[m]}" for m in record.models)
+    return vector(figure, f"Residual in each trial against the noise floor: at most {whole}.")
+
+
+# --- on trials left out of the fit
+def foretold(record: DiagnosisRecord) -> Picture | None:
+    """Residual over the whole string and at its tip, trial by trial."""
+    table = record.diagnosis.held_out
+    if table.empty:
+        return None
+    figure = Figure(figsize=(5.4, 1.2 + 0.3 * len(table)))
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, column, words in zip(panels, ("rms", "tip_rms"), ("whole string", "tip"), strict=True):
+        _pairs(axes, record, column)
+        axes.set(title=words, xlabel="RMS [mm]", xlim=(0, None))
+    if (
+        len(record.models) > 1
+        and "rms_known" in table
+        and set(table["trial"]) <= set(record.document["trials"]["used"])
+    ):
+        known = table["rms_known"] * MM
+        panels[0].plot(known, range(len(table)), "o", ms=10, mfc="none", color=MODEL["extended"], label="fitted to all")
+    panels[0].set_yticks(range(len(table)), table["trial"])
+    panels[0].invert_yaxis()
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    mean = ", ".join(
+        f"{mm(float(np.sqrt((table[f'rms_{m}'] ** 2).mean())), 1)} for the {NAMES[m]}" for m in record.models
+    )
+    return vector(figure, f"Residual on trials left out of the fit: {mean}.")
+
+
+def _pairs(axes: Axes, record: DiagnosisRecord, column: str) -> None:
+    table = record.diagnosis.held_out
+    place = np.arange(len(table))
+    ends = np.stack([table[f"{column}_{model}"] * MM for model in record.models])
+    axes.hlines(place, ends.min(axis=0), ends.max(axis=0), color=LIGHT["axis"], lw=1.2)
+    axes.plot(table["noise_floor"] * MM, place, "|", ms=14, mew=1.6, color=LIGHT["ink"], label="noise floor")
+    for model, values in zip(record.models, ends, strict=True):
+        axes.plot(values, place, "o", ms=6, color=MODEL[model], label=NAMES[model])
+
+
+def likelier(record: DiagnosisRecord) -> Picture | None:
+    """Gain of the log-likelihood trial by trial, and its mean with the standard error."""
+    table = record.diagnosis.held_out
+    if table.empty or len(record.models) == 1:
+        return None
+    figure = Figure(figsize=(5.4, 1.2 + 0.3 * len(table)))
+    axes = figure.subplots()
+    difference = table["log_likelihood_difference"]
+    bars = axes.barh(table["trial"], difference, height=0.6, color=LIGHT["after"], alpha=0.6)
+    axes.bar_label(bars, [gain(value) for value in difference], padding=4, fontsize=8, color=LIGHT["soft"])
+    mean, error = difference.mean(), difference.sem()
+    axes.axvline(mean, color=LIGHT["ink"], lw=1.4, label="mean")
+    if np.isfinite(error):
+        axes.axvspan(mean - error, mean + error, color=LIGHT["axis"], alpha=0.3, lw=0, label="its standard error")
+    axes.axvline(0, color=LIGHT["axis"], lw=1)
+    axes.set(xlabel="log-likelihood, extended less base")
+    axes.margins(x=0.15)
+    axes.invert_yaxis()
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return vector(figure, f"Gain of the log-likelihood on each trial left out; on average {gain(mean)}.")

@@ -1,0 +1,298 @@
+"""Strings, hands and tips in the plane of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from stringcast.stages.model.box import Box
+from stringcast.stages.report.charts.residual import MODEL
+from stringcast.stages.report.records import (
+    LABELS,
+    Cast,
+    DiagnosisRecord,
+    Drawn,
+    PaperRecord,
+    Record,
+    away,
+)
+from stringcast.stages.report.theme import (
+    LIGHT,
+    MM,
+    Picture,
+    framed,
+    vector,
+)
+from stringcast.stages.report.words import mm, ms, plain
+
+# --- a cast
+SIZE = (5.4, 4.9)
+
+
+def path(record: Record, cast: Cast) -> Picture | None:
+    """One manipulation: the ways of hand and tip, the arm at the start and at the closest approach."""
+    if cast.trial.arm.empty:
+        return None
+    figure, axes = _plane_of(record)
+    joints = cast.joints(record.arm) * MM
+    for frame, alpha in ((0, 0.35), (_row(cast), 1.0)):
+        axes.plot(*joints[frame].T, "-o", color=LIGHT["soft"], lw=3, ms=4, alpha=alpha)
+    axes.plot(*joints[:, -1].T, color=LIGHT["after"], label="hand")
+    way = cast.tip(np.arange(0, cast.motion.duration, 0.001)) * MM
+    if np.isfinite(way).any():
+        axes.plot(*way.T, color=LIGHT["measured"], lw=1, label="string's tip")
+    _legend_above(figure, axes)
+    return vector(figure, f"Way of the hand, {mm(_length(joints[:, -1]))} long, and of the tip; {_where(record)}.")
+
+
+def paths(record: Record) -> Picture | None:
+    """The hand's way in each manipulation, dark to bright."""
+    casts = [cast for cast in record.casts if not cast.trial.arm.empty]
+    if len(casts) < 2:
+        return None
+    figure, axes = _plane_of(record)
+    for number, cast in enumerate(record.casts, start=1):
+        hand = cast.joints(record.arm)[:, -1] * MM
+        share = (number - 1) / max(len(record.casts) - 1, 1)
+        axes.plot(*hand.T, color=LIGHT["after"], alpha=0.25 + 0.75 * share, lw=1 + share, label=f"cast {number}")
+    axes.plot(*np.array(record.arm.base) * MM, "s", ms=6, color=LIGHT["soft"])
+    _legend_above(figure, axes)
+    return vector(figure, f"Way of the hand in {len(casts)} casts; {_where(record)}.")
+
+
+def _plane_of(record: Record) -> tuple[Figure, Axes]:
+    """Target and obstacles, to scale."""
+    figure = framed(*SIZE)
+    axes = figure.subplots()
+    axes.margins(0.08)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    axes.add_patch(_box(record.target, fill=False, edgecolor=LIGHT["target"], lw=1.8, label="target"))
+    for obstacle in record.obstacles:
+        axes.add_patch(_box(obstacle, facecolor=LIGHT["wall"], alpha=0.5, lw=0, label="obstacle"))
+    return figure, axes
+
+
+def _box(box: Box, **style: object) -> Rectangle:
+    corner = ((box.x - box.w / 2) * MM, (box.y - box.h / 2) * MM)
+    return Rectangle(corner, box.w * MM, box.h * MM, **style)  # type: ignore[arg-type]
+
+
+def _legend_above(figure: Figure, axes: Axes) -> None:
+    """Above the axes, every label once."""
+    once = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    figure.legend(once.values(), once.keys(), loc="upper left", ncols=6)
+    figure.subplots_adjust(top=1 - (0.1 + 0.18 * np.ceil(len(once) / 6)) / SIZE[1])  # [inches]
+
+
+def _row(cast: Cast) -> int:
+    """The measured posture nearest to the closest approach."""
+    at = cast.verdict.t if np.isfinite(cast.verdict.t) else cast.motion.duration
+    return int(np.argmin(np.abs(cast.trial.arm["t"].to_numpy() - at)))
+
+
+def _length(way: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(way, axis=0).T).sum() / MM)
+
+
+def _where(record: Record) -> str:
+    walls = len(record.obstacles)
+    around = f" and {walls} obstacle{'s' if walls > 1 else ''}" if walls else ""
+    return f"target at ({record.target.x * MM:.0f}, {record.target.y * MM:.0f}) mm{around}"
+
+
+# --- a diagnosis
+FAR = 0.75  # quantile along the string that says how wrong a frame is: a few outliers do not
+
+
+def overlays(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
+    """For each trial what it shows, and the picture."""
+    return [_overlay(record, trial, worst(table)) for trial, table in record.trials.items()]
+
+
+def worst(table: pd.DataFrame) -> pd.DataFrame:
+    """Rows of the frame of a trial in which the base model is furthest off, against what may be doubted."""
+    doubts = pd.Series(away(table, "base") / table["doubt"].to_numpy(), index=table.index)
+    moment = doubts.groupby(table["t"]).quantile(FAR).idxmax()
+    return table[table["t"] == moment].sort_values("s")
+
+
+def _overlay(record: DiagnosisRecord, trial: str, frame: pd.DataFrame) -> tuple[str, Picture]:
+    figure = framed(3.4, 3.2, top=0.08)
+    axes = figure.subplots()
+    for model in record.models:
+        axes.plot(frame[f"{model}_x"] * MM, frame[f"{model}_y"] * MM, color=MODEL[model], marker=".", ms=3)
+    axes.plot(frame["x"] * MM, frame["y"] * MM, "o", ms=4, mfc="none", color=LIGHT["measured"])
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    axes.margins(0.1)
+    moment = ms(float(frame["t"].iloc[0]))
+    off = ", ".join(f"{m} {mm(float(np.sqrt(np.mean(away(frame, m) ** 2))), 1)}" for m in record.models)
+    return f"{trial} at {moment}: {off} off", vector(
+        figure, f"Trial {trial} at {moment}, string measured and simulated; off by {off}."
+    )
+
+
+NEAR = 0.05  # of the length measured: a point as near to the end stands for the tip
+
+
+def tips(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
+    """For each trial what it shows, and the picture."""
+    return [_tip(record, trial, last(table)) for trial, table in record.trials.items()]
+
+
+def last(table: pd.DataFrame) -> pd.DataFrame:
+    """The outermost point of each frame in which the tip was seen, in the order of time."""
+    ends = table.loc[table.groupby("t")["s"].idxmax()]
+    return ends[ends["s"] >= (1 - NEAR) * table["s"].max()].sort_values("t")
+
+
+def _tip(record: DiagnosisRecord, trial: str, ends: pd.DataFrame) -> tuple[str, Picture]:
+    """Above, the way in the plane; below, the distance from it over time."""
+    figure = framed(3.4, 4.2, top=0.08, between=0.35)
+    top, bottom = figure.subplots(2, 1, height_ratios=[5, 3])
+    top.plot(ends["x"] * MM, ends["y"] * MM, ".", ms=3, color=LIGHT["measured"])
+    for model in record.models:
+        top.plot(ends[f"{model}_x"] * MM, ends[f"{model}_y"] * MM, lw=1.1, color=MODEL[model])
+        bottom.plot(ends["t"] * MM, away(ends, model) * MM, lw=1.1, color=MODEL[model])
+    top.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    bottom.set(xlabel="time [ms]", ylabel="off [mm]", ylim=(0, None))
+    furthest = ", ".join(f"{model} {mm(float(away(ends, model).max()), 1)}" for model in record.models)
+    words = f"{trial}: at most {furthest} off"
+    return words, vector(figure, f"The tip's way in trial {words}, in the plane and over time.")
+
+
+# --- the motion proposed
+THEORIES = ("after", "before", "measured", "target")  # the likeliest theory first
+DASHES = ("-", "--", "-.", ":")
+
+
+def proposed(record: DiagnosisRecord) -> Picture | None:
+    """Where the theories are farthest apart, and how far they are over time; None where no motion is proposed."""
+    table = record.diagnosis.foretold
+    if table.empty:
+        return None
+    theories = {str(name): rows.reset_index(drop=True) for name, rows in table.groupby("theory", sort=False)}
+    apart = {name: _apart(rows, theories) for name, rows in list(theories.items())[1:]}
+    closest = min(apart, key=lambda name: float(apart[name].max()))
+    t = float(apart[closest].idxmax())
+    figure = Figure(figsize=(7.2, 3.2))
+    left, right = figure.subplots(1, 2)
+    _strings(left, theories, t)
+    _distances_apart(right, record, apart)
+    right.axvline(t * MM, color=LIGHT["axis"], lw=1)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    most = ", ".join(f"{plain(name)} {mm(float(way.max()), 1)}" for name, way in apart.items())
+    return vector(figure, f"The proposed motion at {ms(t)}; away from {plain(next(iter(theories)))} at most: {most}.")
+
+
+def _apart(rows: pd.DataFrame, theories: dict[str, pd.DataFrame]) -> pd.Series:
+    """Largest distance from the likeliest theory anywhere on the string [m], by time."""
+    first = next(iter(theories.values()))
+    return pd.Series(np.hypot(rows["x"] - first["x"], rows["y"] - first["y"])).groupby(first["t"].to_numpy()).max()
+
+
+def _strings(axes: Axes, theories: dict[str, pd.DataFrame], t: float) -> None:
+    """Each theory's string at a moment."""
+    for (name, rows), colour, style in zip(theories.items(), THEORIES, DASHES, strict=False):
+        now = rows[rows["t"] == t].sort_values("s")
+        axes.plot(now["x"] * MM, now["y"] * MM, style, marker=".", ms=4, color=LIGHT[colour], label=plain(name))
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {ms(t)}", aspect="equal", adjustable="datalim")
+
+
+def _distances_apart(axes: Axes, record: DiagnosisRecord, apart: dict[str, pd.Series]) -> None:
+    """How far each theory is from the likeliest, over time, against the noise floor."""
+    for (_, way), colour, style in zip(apart.items(), THEORIES[1:], DASHES[1:], strict=False):
+        axes.plot(way.index * MM, way * MM, style, lw=1.2, color=LIGHT[colour])
+    floor = float(record.diagnosis.residuals["sigma"].median() * MM)
+    axes.axhspan(0, floor, color=LIGHT["grid"], lw=0)
+    axes.annotate("noise floor", (1, floor), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8)
+    axes.set(xlabel="time [ms]", ylabel="apart, at most [mm]", ylim=(0, None))
+
+
+# --- the paper's experiments
+LOOK: dict[str, dict[str, Any]] = {
+    "arm": {"color": LIGHT["soft"], "lw": 2.2, "marker": "o", "ms": 3},
+    "foretold": {"color": LIGHT["before"], "lw": 1.5, "ls": (0, (3, 1.5))},
+    "measured": {"color": LIGHT["measured"], "lw": 1.7},
+}
+CALLED = {"arm": "arm", "foretold": "string, simulated", "measured": "string, filmed"}
+
+
+def shapes(record: PaperRecord, casts: Sequence[tuple[str, int]]) -> Drawn | None:
+    """A panel a cast. casts: experiment and number of the manipulation."""
+    if not casts:
+        return None
+    figure = Figure(figsize=(2.75 * max(len(casts), 2), 3.5))
+    panels = np.atleast_1d(figure.subplots(1, len(casts), sharex=True, sharey=True))
+    for axes, (condition, number) in zip(panels, casts, strict=True):
+        _cast_panel(axes, record, condition, number)
+        axes.set_title(_title(record, condition, number), fontsize=8.5)
+    panels[0].set_ylabel("y [mm]")
+    figure.legend(*_legend_of_kinds(panels[0]), loc="outside upper left", ncols=3)
+    said = [_title(record, *cast).replace("\n", ", ") for cast in casts]
+    return Drawn(figure, f"Drawn are {'; '.join(said)}.")
+
+
+def boxes(axes: Axes, of: pd.DataFrame) -> None:
+    """Target and obstacles. of: table boxes."""
+    for box in of.itertuples():
+        corner = ((box.x - box.w / 2) * MM, (box.y - box.h / 2) * MM)
+        target = box.kind == "target"
+        look: dict[str, Any] = {"fc": LIGHT["wall"], "alpha": 0.5}
+        look = {"fill": False, "ec": LIGHT["target"], "lw": 1.6} if target else look
+        axes.add_patch(Rectangle(corner, box.w * MM, box.h * MM, zorder=3, **look))
+
+
+def _cast_panel(axes: Axes, record: PaperRecord, condition: str, number: int) -> None:
+    """Fainter the earlier."""
+    lines = record.cast("lines", condition, number)
+    last = lines["moment"].max()
+    for (moment, kind), line in lines.groupby(["moment", "kind"]):
+        share = 0.25 + 0.75 * (moment / last) ** 2
+        faint = share if kind != "arm" else 0.5 * share
+        label = CALLED[kind] if moment == last else None
+        axes.plot(line["x"] * MM, line["y"] * MM, alpha=faint, label=label, **LOOK[kind])
+    boxes(axes, record.of("boxes", condition))
+    axes.set(xlabel="x [mm]", aspect="equal")
+    axes.locator_params(nbins=5)
+
+
+def _title(record: PaperRecord, condition: str, number: int) -> str:
+    verdict = record.verdict(condition, number)
+    ended = "hit" if verdict["hit"] else f"missed by {mm(verdict['miss_m'])}"
+    return f"{LABELS[condition]}\nmanipulation {number}, {ended}"
+
+
+def _legend_of_kinds(axes: Axes) -> tuple[list[Any], list[str]]:
+    """In the order of CALLED, with the target."""
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    names = [name for name in CALLED.values() if name in handles]
+    return [handles[name] for name in names], names
+
+
+TARGETS = ("after", "before", "measured")
+
+
+def trajectories(record: PaperRecord, conditions: Sequence[str]) -> Drawn | None:
+    """The last cast of each experiment; a dot where the hand starts."""
+    there = [name for name in conditions if record.casts(name)]
+    if not there:
+        return None
+    figure = Figure(figsize=(5.4, 4.9))
+    axes = figure.subplots()
+    rises = []
+    for name, colour in zip(there, TARGETS, strict=False):
+        hand = record.cast("hands", name, record.casts(name)[-1]).sort_values("t")
+        x, y = hand["x"].to_numpy() * MM, hand["y"].to_numpy() * MM
+        axes.plot(x, y, color=LIGHT[colour], label=LABELS[name])
+        axes.plot(x[0], y[0], "o", color=LIGHT[colour], ms=5)
+        boxes(axes, record.of("boxes", name))
+        rises.append(f"{LABELS[name]}: the hand ends {abs(y[-1] - y[0]):.0f} mm {'above' if y[-1] > y[0] else 'below'}")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    return Drawn(figure, f"Ways of the hand. {'; '.join(rises)} its start.")

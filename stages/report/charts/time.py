@@ -1,0 +1,205 @@
+"""What changes over time, and from cast to cast."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from stringcast.data.artifacts import JOINTS, Estimate
+from stringcast.stages.hit_test import LONGEST_GAP
+from stringcast.stages.report.records import (
+    TRIALS,
+    Cast,
+    DiagnosisRecord,
+    Drawn,
+    PaperRecord,
+    Record,
+)
+from stringcast.stages.report.theme import (
+    LIGHT,
+    MM,
+    Picture,
+    framed,
+    vector,
+)
+from stringcast.stages.report.words import mm, rate, significant
+
+
+def broken(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values over times [s], NaN after each gap too long to draw a line across."""
+    return np.where(np.diff(t, prepend=t[:1]) > LONGEST_GAP, np.nan, values)
+
+
+def mark_movement(axes: Axes, cast: Cast) -> None:
+    """Shade the arm's movement and mark the closest approach. The axis is in ms."""
+    axes.axvspan(0, cast.motion.duration * MM, color=LIGHT["axis"], alpha=0.16, lw=0)
+    if np.isfinite(cast.verdict.t):
+        axes.axvline(cast.verdict.t * MM, color=LIGHT["target"], lw=1.2, ls="--", label="closest approach")
+
+
+# --- a cast
+COLOURS = (LIGHT["after"], LIGHT["before"], LIGHT["measured"])
+
+
+def joints(cast: Cast) -> Picture | None:
+    """Above, the angles commanded (dashed) and measured; below, their difference."""
+    commanded, measured = cast.motion.commands, cast.trial.arm
+    if measured.empty:
+        return None
+    figure = framed(5.4, 3.7, left=0.85)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    behind = []
+    for joint, colour in zip(JOINTS, COLOURS, strict=True):
+        wanted = np.interp(measured["t"], commanded["t"], commanded[joint])
+        away = np.degrees(measured[joint] - wanted)
+        top.plot(measured["t"] * MM, np.degrees(measured[joint]), color=colour, label=joint)
+        top.plot(measured["t"] * MM, np.degrees(wanted), color=LIGHT["ink"], lw=0.9, ls=(0, (3, 2)))
+        bottom.plot(measured["t"] * MM, away, color=colour)
+        behind.append(f"{joint} {np.abs(away).max():.1f}°")
+    top.plot([], [], color=LIGHT["ink"], lw=0.9, ls=(0, (3, 2)), label="commanded")
+    top.set_ylabel("angle [°]")
+    bottom.set(xlabel="time [ms]", ylabel="measured −\ncommanded [°]")
+    figure.legend(*top.get_legend_handles_labels(), loc="upper left", ncols=4)
+    return vector(figure, f"Joint angles, commanded and measured; largest differences {', '.join(behind)}.")
+
+
+def matching(estimate: Estimate | None, cast: Cast | None = None) -> Picture | None:
+    """E_f before and after an estimation, in the newest of the trials it saw."""
+    if estimate is None or estimate.matching.empty:
+        return None
+    table = estimate.matching
+    table = table[table["trial"] == table["trial"].iloc[-1]].sort_values("t")
+    figure = framed(5.4, 2.7)
+    axes = figure.subplots()
+    t = table["t"].to_numpy()
+    for name in ("before", "after"):
+        axes.plot(t * MM, broken(t, table[name].to_numpy()), color=LIGHT[name], label=f"{name} estimation")
+    if cast is not None:
+        mark_movement(axes, cast)
+    axes.set(xlabel="time [ms]", ylabel="matching rate E_f [1]", ylim=(0, 1.02))
+    figure.legend(*axes.get_legend_handles_labels(), loc="upper left", ncols=3)
+    means = [rate(float(np.nanmean(table[name]))) for name in ("before", "after")]
+    return vector(figure, f"Matching rate over time: on average {means[0]} before estimation, {means[1]} after.")
+
+
+# --- from cast to cast
+def progress(record: Record) -> Picture | None:
+    """The closest approach of each cast (filled: a hit), and E before and after its estimation."""
+    if len(record.casts) < 2:
+        return None
+    figure = framed(5.4, 4.9)
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    _distances(top, record)
+    _rates(bottom, record)
+    bottom.set_xticks(range(1, len(record.casts) + 1))
+    bottom.set_xlim(0.6, len(record.casts) + 0.4)
+    figure.legend(loc="upper left", ncols=4)
+    closest = ", ".join(mm(cast.verdict.distance) for cast in record.casts)
+    return vector(figure, f"Closest approach of the tip to the target's centre, cast by cast: {closest}.")
+
+
+def _distances(axes: Axes, record: Record) -> None:
+    distances = np.array([cast.verdict.distance for cast in record.casts]) * MM
+    number = np.arange(1, len(distances) + 1)
+    hits = np.array([cast.verdict.hit for cast in record.casts])
+    axes.plot(number, distances, color=LIGHT["target"])
+    for these, words, fill in ((~hits, "missed", "none"), (hits, "hit", LIGHT["target"])):
+        if these.any():
+            axes.plot(number[these], distances[these], "o", color=LIGHT["target"], label=words, mfc=fill)
+    axes.set(ylabel="closest to centre [mm]", ylim=(0, None))
+
+
+def _rates(axes: Axes, record: Record) -> None:
+    for number, cast in enumerate(record.casts, start=1):
+        if cast.estimate is not None:
+            rates = cast.estimate.fit.iloc[0][["before", "after"]].astype(float)
+            axes.plot([number, number], rates, color=LIGHT["axis"], lw=1.2, zorder=1)
+            for name in ("before", "after"):
+                label = f"{name} estimation" if number == 1 else ""
+                axes.plot(number, rates[name], "o", color=LIGHT[name], label=label)
+    axes.set(xlabel="cast", ylabel="matching rate E [1]", ylim=(0, 1.02))
+
+
+# --- a diagnosis
+LONGEST = 0.28  # [inch] an arrow
+
+
+def missing(record: DiagnosisRecord) -> Picture | None:
+    """A row for each trial: arrows over time and arc length, or x and y over time for what acts on all of it."""
+    table = record.diagnosis.missing.assign(size=lambda t: np.hypot(t["x"].fillna(0), t["y"].fillna(0)))
+    if table.empty:
+        return None
+    shown = list(table.groupby("trial")["size"].max().sort_values(ascending=False).index[:TRIALS])
+    rows = table[table["trial"].isin(shown)].fillna({"x": 0.0, "y": 0.0}).groupby("trial")
+    figure = Figure(figsize=(6.0, 0.7 + 1.25 * len(rows)))
+    panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    draw = _lines if table["s"].isna().all() else _arrows
+    for axes, (trial, part) in zip(panels, rows, strict=True):
+        draw(axes, part, float(table["size"].max()))
+        axes.text(1.0, 1.0, trial, transform=axes.transAxes, ha="right", va="bottom", color=LIGHT["soft"])
+    panels[-1].set_xlabel("time [ms]")
+    top = table.loc[table["size"].idxmax()]
+    words = f"strongest {significant(top['size'])} in trial {top['trial']} at {top['t'] * MM:.0f} ms"
+    return vector(figure, f"The missing {top['kind']} over time in {len(rows)} trials; {words}.")
+
+
+def _arrows(axes: Axes, part: pd.DataFrame, longest: float) -> None:
+    """Arrows point as the force does in the plane, x to the right and y up."""
+    place = (part["t"] * MM, part["s"] * MM)
+    axes.plot(*place, ".", ms=1.5, color=LIGHT["axis"])
+    arrows: dict[str, Any] = {"angles": "uv", "scale_units": "inches", "scale": longest / LONGEST, "width": 0.0022}
+    axes.quiver(*place, part["x"], part["y"], color=LIGHT["target"], **arrows)
+    axes.margins(0.06, 0.3)
+    axes.set_ylabel("s [mm]")
+
+
+def _lines(axes: Axes, part: pd.DataFrame, longest: float) -> None:
+    """Along x and along y."""
+    rows = part.sort_values("t")
+    for axis, colour in (("x", LIGHT["target"]), ("y", LIGHT["measured"])):
+        axes.plot(rows["t"] * MM, rows[axis] * MM, color=colour, label=axis)
+    axes.axhline(0, color=LIGHT["axis"], lw=0.8)
+    axes.set(ylabel="[mm]", ylim=np.array([-1.1, 1.1]) * longest * MM)
+    axes.legend(loc="upper left", ncols=2)
+
+
+# --- Fig. 14 of the paper
+LATER = 4  # the manipulation that the paper compares with the first
+AROUND = 0.05  # [s] each side of the closest approach, over which E_f is averaged for comparison
+
+
+def fig_14(record: PaperRecord, condition: str) -> Drawn | None:
+    """E_f with the parameters with which each motion was made; dashed: the closest approach."""
+    made = [number for number in record.casts(condition) if len(record.cast("matching", condition, number))]
+    if not made:
+        return None
+    figure = Figure(figsize=(5.4, 3.0))
+    axes = figure.subplots()
+    near: dict[int, float] = {}
+    for number, colour in zip(dict.fromkeys([made[0], compared(made)]), ("before", "after"), strict=False):
+        table = record.cast("matching", condition, number).sort_values("t")
+        t, rates = table["t"].to_numpy(), table["before"].to_numpy()
+        axes.plot(t * MM, broken(t, rates), color=LIGHT[colour], label=f"manipulation {number}")
+        closest = record.verdict(condition, number)["t_closest"]
+        axes.axvline(closest * MM, color=LIGHT[colour], lw=1, ls="--")
+        near[number] = float(np.nanmean(table.loc[(table["t"] - closest).abs() <= AROUND, "before"]))
+    axes.set(xlabel="time [ms]", ylabel="matching rate E$_f$ [1]", ylim=(0, 1.02))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return Drawn(figure, _near(near))
+
+
+def _near(near: dict[int, float]) -> str:
+    """E_f around the closest approach, by manipulation, and whether it grew."""
+    said = ", ".join(f"{rate(mean)} in manipulation {number}" for number, mean in near.items())
+    first, last = next(iter(near.values())), list(near.values())[-1]
+    grew = "" if len(near) < 2 else ": higher, as in the paper" if last > first else ": not higher, unlike in the paper"
+    return f"Around the closest approach, 50 ms each side, E is {said}{grew}."
+
+
+def compared(made: list[int]) -> int:
+    """The manipulation that stands beside the first: the fourth, or the last before it."""
+    return max(number for number in made if number <= LATER)

@@ -1,0 +1,141 @@
+"""The page of an alignment: what was measured, how well, and what looks alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+from matplotlib import style
+from matplotlib.figure import Figure as Drawing
+
+from stringcast.data.alignment import Alignment
+from stringcast.stages.report.page import (
+    Card,
+    Cell,
+    Figure,
+    Grid,
+    Page,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    number,
+)
+from stringcast.stages.report.records import Facts
+from stringcast.stages.report.theme import LIGHT, MM, STYLE, Picture, vector
+from stringcast.stages.report.words import mm
+
+WORST = 25.0  # rise of the deviance up to which it is drawn
+END = 3.84  # of a 95 % interval
+SHARES = ("before", "after")
+THOUSANDTHS = {"s": "ms", "m": "mm", "rad": "mrad", "1": "‰"}  # units that people think of
+
+
+def alignment_page(facts: Facts) -> str:
+    """The page as text; the same facts give the same page."""
+    made: Alignment = facts.made
+    with style.context(STYLE):
+        sections = [tiles(made), measured(made), fit(made)]
+    return str(
+        Page(
+            title=f"{facts.name}: camera and clock against the arm",
+            kicker=f"stringcast alignment · {facts.name}",
+            heading="Camera and clock, measured against the arm",
+            lead=facts.sentence,
+            sections=sections,
+            origin=facts.origin,
+            settings=facts.settings,
+        )
+    )
+
+
+def tiles(made: Alignment) -> Tiles:
+    """How near, from how many frames, how fast."""
+    how = made.aligned.iloc[0]
+    near = "root mean square of told less seen, before and after; noise alone would leave " + mm(how["noise"], 2)
+    return Tiles(
+        [
+            Tile(f"{mm(how['rms_before'], 2)} → {mm(how['rms_after'], 2)}", near),
+            Tile(str(len(made.seen[["trial", "t"]].drop_duplicates())), "frames in which the arm was read"),
+            Tile(f"{how['speed']:.2f} m/s", "fastest that the hand moved"),
+        ]
+    )
+
+
+def measured(made: Alignment) -> Section:
+    """Each parameter with its interval."""
+    lead = Markup(
+        "Intervals are of 95 %, by leaving out blocks of time in turn. <code>extended=&lt;this folder&gt;</code> "
+        "makes any other experiment take what is part of the alignment as measured."
+    )
+    columns = ("parameter", "meaning", "value", "from", "to", "part of the alignment")
+    rows = [_parameter(row) for row in made.measured.to_dict("records")]
+    return Section("What was measured", [Text(lead), Card("", [Table(columns, rows, named=True)])])
+
+
+def _parameter(row: dict[str, Any]) -> list[Any]:
+    values = [number(shown(row[of], row["unit"])) for of in ("value", "low", "high")]
+    return [Cell(row["name"], "code"), row["meaning"], *values, "yes" if row["found"] else "looked for, not seen"]
+
+
+def shown(value: float, unit: str) -> str:
+    """A parameter in thousandths of its unit, as people think of it: ms, mm."""
+    return f"{1e3 * value:.3f} {THOUSANDTHS[unit]}"
+
+
+def fit(made: Alignment) -> Section:
+    """Seen and told, and how sure the clocks are."""
+    alike = "Without a lag of the arm, and with one that is fitted along. Where both are low, an offset and a lag "
+    alike += "cannot be told apart."
+    outer = "Middle of the last link where it is furthest out. What is told shall lie on what is seen."
+    grid = [Figure("Seen and told", places(made.seen), outer)]
+    grid += [Figure("How sure the clocks are", likelihood(made.likelihood), alike)]
+    left = "Before and after. What is left shall be noise, without a pattern."
+    return Section("How well it fits", [Grid(grid), Figure("Told less seen over time", residuals(made.seen), left)])
+
+
+# --- pictures
+def places(seen: pd.DataFrame) -> Picture:
+    """The outermost piece that was sighted, frame by frame: where it was seen, and told before and after."""
+    outer = seen[seen["link"] == seen["link"].max()].sort_values("share").groupby(["trial", "t"]).tail(2)
+    figure = Drawing(figsize=(4.4, 4.0))
+    axes = figure.subplots()
+    for way in SHARES:
+        x, y = (outer[c] + outer[way] * outer[f"along_{c}"] for c in "xy")
+        axes.plot(x * MM, y * MM, ".", ms=2.5, color=LIGHT[way], label=f"told, {way}")
+    axes.plot(outer["x"] * MM, outer["y"] * MM, ".", ms=1.2, color=LIGHT["measured"], label="seen")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
+    axes.legend(loc="best", markerscale=3)
+    rms = [float(np.sqrt(np.mean(outer[way] ** 2))) * MM for way in SHARES]
+    return vector(figure, f"The hand as seen and as told: {rms[0]:.2f} mm apart before, {rms[1]:.2f} mm after.")
+
+
+def residuals(seen: pd.DataFrame) -> Picture:
+    """Told less seen over time, all trials on one clock."""
+    figure = Drawing(figsize=(7.2, 3.4))
+    panels = figure.subplots(2, 1, sharex=True)
+    for axes, way in zip(panels, SHARES, strict=True):
+        axes.plot(seen["t"], seen[way] * MM, ".", ms=1.2, color=LIGHT[way], alpha=0.5, rasterized=True)
+        axes.axhline(0.0, lw=0.6, color=LIGHT["axis"])
+        axes.set_ylabel(f"{way} [mm]")
+    most = float(np.quantile(np.abs(seen["after"]), 0.995)) * MM
+    panels[1].set(xlabel="time by the camera's clock [s]", ylim=(-1.5 * most, 1.5 * most))
+    return vector(figure, "Told less seen over time, as if camera and arm were aligned, and aligned.")
+
+
+def likelihood(table: pd.DataFrame) -> Picture:
+    """How much worse the fit is with another offset, with and without a lag of the arm."""
+    figure = Drawing(figsize=(4.4, 3.2))
+    axes = figure.subplots()
+    for name, words, colour in (("alone", "no lag", "before"), ("with_lag", "the arm may lag", "after")):
+        drawn = table[table[name] < 2 * WORST]
+        axes.plot(drawn["offset"] * MM, drawn[name], ".-", color=LIGHT[colour], label=words)
+    axes.axhline(END, ls="--", lw=0.8, color=LIGHT["axis"], label="95 %")
+    axes.set(xlabel="arm's clock less the camera's [ms]", ylabel="rise of the deviance", ylim=(0, WORST))
+    axes.legend(loc="best")
+    inside = table[table["with_lag"] <= END]["offset"] * MM
+    said = f"With a lag allowed, offsets from {inside.min():.2f} to {inside.max():.2f} ms fit about as well."
+    return vector(figure, said)

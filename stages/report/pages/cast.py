@@ -1,0 +1,340 @@
+"""The page of casts, and of estimation alone: what came of each, and what was learnt of the string."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib import style
+
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.report import words
+from stringcast.stages.report.charts.camera import View, animation, overlay, strip, whole_view
+from stringcast.stages.report.charts.parameters import history
+from stringcast.stages.report.charts.residual import residual
+from stringcast.stages.report.charts.string import path, paths
+from stringcast.stages.report.charts.time import joints, matching, progress
+from stringcast.stages.report.page import (
+    Card,
+    Cell,
+    Figure,
+    Grid,
+    Key,
+    Page,
+    Part,
+    Player,
+    Section,
+    Small,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    badge,
+    bold,
+    joined,
+    link,
+    number,
+    player_script,
+)
+from stringcast.stages.report.records import Cast, Record
+from stringcast.stages.report.theme import MM, ON_FRAMES, STYLE
+from stringcast.stages.report.words import UNKNOWN, mm, ms, rate, sentence, significant, symbol, unit
+
+NOT_FILMED = Text("This cast has no camera frames.", "missing")
+COLOURS = {
+    "before": "simulated, before estimation",
+    "after": "simulated, after",
+    "measured": "measured",
+    "target": "target",
+}
+
+
+def cast_page(record: Record) -> str:
+    """The page as text; the same record gives the same page."""
+    with style.context(STYLE):
+        sections = [*summary(record), learnt(record), together(record)]
+        part = whole_view(record) if record.casts else None
+        sections += [casting(record, n, cast, part) for n, cast in enumerate(record.casts, start=1) if part]
+    many = enumerate(record.casts, start=1) if len(record.casts) > 1 else ()
+    return str(
+        Page(
+            title=f"{record.name}: {record.sentence}",
+            kicker=f"stringcast report · {record.name}",
+            heading=record.sentence,
+            lead=_aim(record),
+            sections=sections,
+            origin=record.made_by,
+            settings=record.config,
+            tone=("good" if record.hit else "bad") if record.casts else "",
+            marked=bool(record.casts),
+            nav=[(f"cast-{n}", joined([f"Cast {n}", badge(cast.verdict.hit)])) for n, cast in many],
+            script=player_script(),
+        )
+    )
+
+
+def _aim(record: Record) -> str:
+    """String and target in a sentence."""
+    string, target = f"A string of {mm(record.string.length)}", record.target
+    if not record.casts:
+        return f"{string}."
+    size = f"{round(target.w * MM, 1):g} × {round(target.h * MM, 1):g} mm"
+    place = f"({target.x * MM:.0f}, {target.y * MM:.0f}) mm"
+    return (
+        f"{string}, and a target box of {size} around {place}, where x is to the right and y up from the world's "
+        "origin."
+    )
+
+
+# --- all casts ------------------------------------------------------------------------------
+def summary(record: Record) -> list[Part]:
+    """How close it came, how well the simulation agrees, and a row for each cast."""
+    if not record.casts:
+        return []
+    columns = ["cast", "tip in the box", "closest to centre", "at", "E before", "E after"]
+    columns += ["residual before", "residual after", "frames read"]
+    rows = [_row(n, cast) for n, cast in enumerate(record.casts, start=1)]
+    return [_tiles(record), Card("", [Table(columns, rows)])]
+
+
+def _tiles(record: Record) -> Tiles:
+    known = [cast for cast in record.casts if np.isfinite(cast.verdict.distance)]
+    best = min(known, key=lambda cast: (not cast.verdict.hit, cast.verdict.distance), default=None)
+    closest = "from the target's centre to the tip, at its closest"
+    closest += " in the best cast" if len(record.casts) > 1 else ""
+    unread = "No tip was read in any frame, so nobody can say how close it came."
+    fit = record.estimates[-1].fit.iloc[0] if record.estimates else None
+    rates, rms = ("not estimated", "not estimated") if fit is None else _before_after(fit)
+    return Tiles(
+        [
+            Tile(mm(best.verdict.distance), closest) if best else Tile(UNKNOWN, unread),
+            Tile(rates, "matching rate E of the last cast, before and after estimation (1 is perfect)"),
+            Tile(rms, "from the simulated to the measured centre-line, root mean square, before and after"),
+        ]
+    )
+
+
+def _before_after(fit: Any) -> tuple[str, str]:
+    """Matching rate and residual. fit: row of table FIT."""
+    rates = f"{rate(fit['before'])} → {rate(fit['after'])}"
+    return rates, f"{mm(fit['rms_before'], 1)} → {mm(fit['rms_after'], 1)}"
+
+
+def _row(n: int, cast: Cast) -> list[Any]:
+    """A cast in the table of all."""
+    fit = None if cast.estimate is None else cast.estimate.fit.iloc[0]
+    missing = [Cell("not estimated", "missing"), *[""] * 3]
+    rms = [] if fit is None else [mm(fit[name], 1) for name in ("rms_before", "rms_after")]
+    fitted = missing if fit is None else [number(x) for x in (rate(fit["before"]), rate(fit["after"]), *rms)]
+    frames = len(cast.points.readings)
+    unread = sum(row["count"] for row in words.unread(cast.points.readings))
+    closest = [number(mm(cast.verdict.distance)), number(ms(cast.verdict.t))]
+    return [link(f"#cast-{n}", n), badge(cast.verdict.hit), *closest, *fitted, number(f"{frames - unread} of {frames}")]
+
+
+def together(record: Record) -> Section | None:
+    """From cast to cast."""
+    way = paths(record)
+    if way is None:
+        return None
+    hands = "As the arm measured it; the last cast is the most marked. The square is the arm's base."
+    rates = (
+        "Above, how close the tip came to the target's centre. Below, the matching rate E; before estimation it says "
+    )
+    rates += "how well the simulation foretold the cast."
+    parts = [Figure("Way of the hand", way, hands), Figure("Progress", progress(record), rates)]
+    return Section("From cast to cast", [Grid(parts)])
+
+
+# --- what was learnt --------------------------------------------------------------------------
+def learnt(record: Record) -> Section:
+    """Each parameter of the last estimate with its history; E over time where no cast shows it."""
+    title = "What was learnt of the string"
+    known = _parameters(record)
+    if not known:
+        return Section(title, [Text("Nothing was estimated in this run.", "missing")])
+    key = [
+        ("best value; 0 is the start value", "var(--after)"),
+        ("● determined", "none"),
+        ("○ not determined by this data, or not known to be", "none"),
+        ("range searched", "band"),
+        ("95 % interval, where the method gives one", "bar"),
+    ]
+    drawn = [(_caption(row), history(parameter, record.estimates)) for parameter, row in known]
+    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit", "determined by this data")
+    table = Table(columns, [_learnt(parameter, row) for parameter, row in known])
+    rates = "How well simulation and camera agree, frame by frame. 1 is perfect."
+    none = "This estimation compared no masks, so there is no matching rate."
+    alone = [] if record.casts else [matching(estimate) for estimate in record.estimates]
+    over_time = [Figure(f"Matching rate over time, estimation {n}", p, rates, none) for n, p in enumerate(alone, 1)]
+    lead = Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))
+    return Section(title, [lead, Card("", [Key(key), Small(drawn)]), Card("", [table]), Grid(over_time)])
+
+
+def _parameters(record: Record) -> list[tuple[Parameter, Any]]:
+    """The model's parameters that were estimated, each with its row of the last estimate."""
+    if not record.estimates:
+        return []
+    last = record.estimates[-1].parameters.set_index("name", drop=False)
+    return [(p, last.loc[p.name]) for p in record.model.parameters if p.name in last.index]
+
+
+def _caption(row: Any) -> Markup:
+    named = joined([symbol(row["symbol"]) if row["symbol"] else "", bold(row["name"].replace("_", " "))])
+    return Markup("{} <span>[{}]</span>").format(named, unit(row["unit"]))
+
+
+def _learnt(parameter: Parameter, row: Any) -> list[Any]:
+    """A parameter in the table."""
+    bounded = np.isfinite(row["low"]) and np.isfinite(row["high"])
+    ends = number(f"{significant(row['low'])} to {significant(row['high'])}") if bounded else Cell("none", "n missing")
+    known = "yes" if row["determined"] else "no" if np.isfinite(row["low"]) else UNKNOWN
+    return [
+        Cell(row["name"].replace("_", " "), title=parameter.meaning),
+        symbol(row["symbol"]),
+        number(significant(row["value"])),
+        ends,
+        number(f"{significant(row['minimum'])} to {significant(row['maximum'])}"),
+        unit(row["unit"]),
+        known + (", at the end of its range" if row["at_bound"] else ""),
+    ]
+
+
+# --- one cast -----------------------------------------------------------------------------------
+def casting(record: Record, n: int, cast: Cast, part: View) -> Section:
+    """Everything of one cast."""
+    parts = [
+        Text(_told(cast)),
+        *(
+            Text(
+                f"The simulation with the parameters {when} estimation did not stay finite; it is not drawn.", "missing"
+            )
+            for when, line in (("before", cast.before), ("after", cast.after))
+            if not np.isfinite(line).all()
+        ),
+        Grid([_closest(record, cast), _animated(record, cast, part)]),
+        _over_the_movement(record, cast, part),
+        Grid([*_figures(record, cast), _attempts(cast), _link_and_frames(cast)]),
+    ]
+    return Section(f"Cast {n}", parts, f"cast-{n}", badge(cast.verdict.hit), "cast")
+
+
+def _told(cast: Cast) -> Markup:
+    """How it went, in sentences."""
+    verdict, plan = cast.verdict, cast.motion.outcome.iloc[0]
+    if np.isfinite(verdict.distance):
+        said = [
+            f"The tip came within {mm(verdict.distance)} of the target's centre, at {ms(verdict.t, 1)} of a movement "
+            f"of {ms(plan['duration'])}. The simulation expected it at {ms(plan['t_hit'])}."
+        ]
+        if np.isfinite(plan.get("chance", np.nan)):
+            chances = "{:.2f} ({:.2f} to {:.2f})".format(*plan[["chance", "chance_low", "chance_high"]])
+            said.append(f"The foretold chance of hitting was {chances}.")
+    else:
+        why = "no frame shows the string clearly enough" if len(cast.points.readings) else "there are no frames"
+        said = [f"The tip was not read in this cast: {why}."]
+    if verdict.touched:
+        said.append(
+            f"The string lay in an obstacle in {verdict.touched} frame(s); nothing is learned from what it does from "
+            "there on, and it is simulated as if nothing stood there."
+        )
+    return joined([*said, "" if cast.estimate is None else sentence(cast.estimate.fit["sentence"].iloc[0])])
+
+
+def _key(names: tuple[str, ...]) -> Key:
+    return Key([(COLOURS[name], ON_FRAMES[name]) for name in names])
+
+
+def _closest(record: Record, cast: Cast) -> Part:
+    title, drawn = "At the closest approach", overlay(record, cast)
+    if drawn is None:
+        return Card(title, [NOT_FILMED])
+    caption = (
+        "The camera frame nearest in time. Dashed: the tip's way 30 ms before and after, ring: its closest approach."
+    )
+    return Figure(title, drawn, caption, beside=_key(("before", "after", "measured", "target")))
+
+
+def _animated(record: Record, cast: Cast, part: View) -> Card:
+    film = animation(record, cast, part)
+    layers = {name: ON_FRAMES[name] for name in ("before", "after", "measured")}
+    return Card("Animation", [NOT_FILMED if film is None else Player(film, layers)])
+
+
+def _over_the_movement(record: Record, cast: Cast, part: View) -> Card:
+    stills = strip(record, cast, part)
+    shown = [_key(("before", "after", "target")), Small(stills, "strip")] if stills else [NOT_FILMED]
+    return Card("Over the movement", shown)
+
+
+def _figures(record: Record, cast: Cast) -> list[Figure]:
+    silent = "The arm reported no joint angles."
+    unmatched = (
+        "nothing was estimated from this cast" if cast.estimate is None else "no masks were compared in this estimation"
+    )
+    return [
+        Figure(
+            "Matching rate over time",
+            matching(cast.estimate, cast),
+            "How well simulation and camera agree, frame by frame; 1 is perfect. Shaded: the arm moves.",
+            f"There is no matching rate: {unmatched}.",
+        ),
+        Figure(
+            "Distance of simulated and measured string",
+            residual(record, cast),
+            "Above, over arc length and time, after estimation; gaps are frames that could not be read. Below, over "
+            "the whole string.",
+            "No frame of this cast could be read, so there is nothing to compare the simulation with.",
+        ),
+        Figure(
+            "Way of hand and tip",
+            path(record, cast),
+            "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach.",
+            silent,
+        ),
+        Figure("Joint angles", joints(cast), "Joint 1 is at the base. Dashed: commanded.", silent),
+    ]
+
+
+def _attempts(cast: Cast) -> Card:
+    title, tried = "Motions tried until one was chosen", cast.motion.attempts
+    if tried.empty:
+        return Card(title, [Text("It was not recorded how many motions were tried.", "missing")])
+    ranked = tried.sort_values("count", ascending=False)
+    rows = [(row["outcome"], number(row["count"])) for row in ranked.to_dict("records")]
+    return Card(title, [Table(("what became of them", "motions"), rows)])
+
+
+def _link_and_frames(cast: Cast) -> Card:
+    """Whether arm and camera kept their budgets, and what could not be read."""
+    how, unread = cast.trial.link.iloc[0], words.unread(cast.points.readings)
+    kept = "Arm and camera kept their budgets."
+    invalid = Markup('<b class="bad">This trial is not valid:</b> {}.').format(how["reason"])
+    parts: list[Part] = [
+        Text(kept if how["valid"] else invalid, ""),
+        Table((), _budgets(cast, how, unread), named=True),
+    ]
+    if how.get("remarks"):
+        parts.append(Text(f"Not made sure of: {how['remarks']}.", ""))
+    if unread:
+        rows = [(row["reason"], number(row["count"]), row["when"]) for row in unread]
+        parts.append(Table(("why not", "frames", "when [ms]"), rows))
+    return Card("Link and frames", parts)
+
+
+def _budgets(cast: Cast, how: Any, unread: list[dict[str, Any]]) -> list[tuple[str, Cell]]:
+    """Commands and frames: how many, how late."""
+    late = ", ".join(ms(how[name], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max"))
+    rows = {"commands sent": how["ticks"], "late or lost": how["missed"], "lateness: median, 99 %, largest": late}
+    rows["frames filmed"] = len(cast.points.readings)
+    if "frames_due" in how:
+        frames_late = ", ".join(ms(how[f"frame_{name}"], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max"))
+        rows |= {
+            "frames due, and of those dropped": f"{how['frames_due']}, {how['frames_dropped']}",
+            "frames given twice, and late": f"{how['frames_repeated']}, {how['frames_late']}",
+            "frames a second": f"{how['fps']:.2f}",
+            "lateness of frames: median, 99 %, largest": frames_late,
+        }
+    rows["frames not read"] = sum(row["count"] for row in unread)
+    return [(name, number(value)) for name, value in rows.items()]

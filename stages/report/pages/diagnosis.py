@@ -1,0 +1,432 @@
+"""The page of a diagnosis: the verdict, its evidence and the gain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+from matplotlib import style
+
+from stringcast.stages.model.library import library
+from stringcast.stages.report.charts.parameters import cause, likeness, screenings
+from stringcast.stages.report.charts.residual import foretold, likelier, maps, size
+from stringcast.stages.report.charts.string import overlays, proposed, tips
+from stringcast.stages.report.charts.time import missing
+from stringcast.stages.report.page import (
+    Card,
+    Cell,
+    Details,
+    Figure,
+    Grid,
+    Key,
+    Page,
+    Part,
+    Section,
+    Small,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    bold,
+    code,
+    joined,
+    link,
+    named,
+    number,
+)
+from stringcast.stages.report.records import DiagnosisRecord, Facts
+from stringcast.stages.report.theme import STYLE, Picture
+from stringcast.stages.report.words import (
+    enumerated,
+    gain,
+    headline,
+    interval,
+    mm,
+    percent,
+    plain,
+    quantity,
+    rate,
+)
+
+FEW = 12  # theories shown at once; the others are folded
+WORSE = 1.2  # times the residual without causes: that much more with them is worth a sentence
+RARE = 0.01  # probability up to which an alternative is not worth a line
+LIKELY = 0.5  # probability from which a cause is more likely than not
+TONES = {"none": "good", "unknown": "bad", "insufficient": "bad"}
+NOTHING = "Nothing was measured that could be compared."
+
+
+def stage_page(facts: Facts) -> str:
+    """The page of a diagnosis as a stage made it."""
+    given = (facts.name, facts.made, facts.model, library(), facts.settings, facts.origin)
+    return diagnosis_page(DiagnosisRecord(*given))
+
+
+def diagnosis_page(record: DiagnosisRecord) -> str:
+    """The page as text; the same record gives the same page."""
+    with style.context(STYLE):
+        sections = [tiles(record), rejected(record), causes(record), wrong(record), found(record), gained(record)]
+        sections += [left(record)]
+    return str(
+        Page(
+            title=f"{record.name}: {headline(record.document)}",
+            kicker=f"stringcast diagnosis · {record.name}",
+            heading=headline(record.document),
+            lead=record.diagnosis.sentence,
+            sections=sections,
+            origin=record.origin,
+            settings=record.settings,
+            tone=TONES.get(record.document["verdict"], ""),
+        )
+    )
+
+
+# --- what came out ----------------------------------------------------------------------------
+def tiles(record: DiagnosisRecord) -> Tiles:
+    """Trials looked at, and how well the models predict."""
+    trials, total = record.document["trials"], record.document["gain"]
+    used, outliers = len(trials["used"]), trials.get("points_left_out", {}).get("outliers", 0)
+    looked = f"trial{'s' * (used != 1)} looked at"
+    looked += f", {len(trials['rejected'])} rejected" if trials["rejected"] else ""
+    looked += f", {outliers} outlying point{'s' * (outliers != 1)} left out" if outliers else ""
+    first = Tile(str(used), f"{looked}, of a string of {mm(record.model.string.length)}")
+    if not total["held_out_trials"]:
+        return Tiles([first, Tile("not known", "how well it predicts: no trial could be left out of the fit")])
+    which = "base and extended model" if len(record.models) > 1 else "base model"
+    names = [row["trial"] for row in _worse(record)]
+    but = f" (worse for {enumerated(names)}: see below)" if names else ""
+    rms = (
+        f"from simulated to measured string on trials left out of the fit, root mean square, {which}{but}; noise alone "
+    )
+    rms += f"leaves {mm(total['rms_m']['noise_floor'], 1)}"
+    tip = "the same at the tip, or the outermost point measured"
+    values = [" → ".join(mm(total[of][side], 1) for side in record.models) for of in ("rms_m", "tip_rms_m")]
+    return Tiles([first, Tile(values[0], rms), Tile(values[1], tip)])
+
+
+def rejected(record: DiagnosisRecord) -> Part | None:
+    """Trials that could not be used, and why."""
+    trials = record.document["trials"]["rejected"]
+    return Card("Trials that could not be used", [Table((), list(trials.items()), named=True)]) if trials else None
+
+
+def causes(record: DiagnosisRecord) -> Section:
+    """The causes, with their parameters and laws; what looks alike; what else it may be."""
+    by_name = record.diagnosis.causes.groupby("effect", sort=False)
+    cards = [_cause(record, str(name), rows) for name, rows in by_name]
+    others = [a for a in record.document["alternatives"] if a["probability"] > RARE]
+    rows = [(plain(other["effect"]), number(percent(other["probability"]))) for other in others]
+    rest = Table((), rows, named=True) if rows else Text("Nothing else has more than 1 %.", "missing")
+    parts: list[Part] = [
+        *(Text(words) for words in _verdict(record, [rows["probability"].iloc[0] for _, rows in by_name]))
+    ]
+    parts += [Grid(cards)] if cards else []
+    return Section("Causes" if cards else "No cause is named", [*parts, Card("What else it may be", [rest])])
+
+
+def _verdict(record: DiagnosisRecord, probabilities: Sequence[float]) -> list[Markup | str]:
+    """What the verdict means, in sentences."""
+    verdict = record.document["verdict"]
+    said: list[Markup | str] = []
+    for group in record.document["indistinguishable"]:
+        alike = bold(f"These look alike here: {enumerated([plain(name) for name in group])}.")
+        said.append(
+            alike + " Each explains what was measured about as well as the others, so this data does not say which it "
+            "is. Their probabilities below are shared among them."
+        )
+    if verdict == "effect" and len(probabilities) > 1:
+        said.append(
+            f"The causes are needed together and share one probability: that of all {len(probabilities)} is "
+            f"{percent(sum(probabilities))}."
+        )
+    if verdict == "none":
+        said.append("What is left is what noise leaves. No effect of the library earned a place in the model.")
+    if verdict == "unknown":
+        said.append(
+            Markup(
+                "There is a mismatch beyond the noise, and no effect of the library removes it on trials left out of "
+                "the fit. What is left is shown under {}."
+            ).format(link("#left", "What is left"))
+        )
+    if verdict == "insufficient":
+        said.append("Naming a cause takes more data than this. What was seen is shown below.")
+    return said
+
+
+def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> Card:
+    """A cause with its parameters, its law and where it comes from."""
+    found = rows[rows["parameter"] != ""]
+    likely, said, effect = rows["probability"].iloc[0], str(rows["sentence"].iloc[0]), record.library.get(name)
+    parts: list[Part] = [Text(f"{said[:1].upper()}{said[1:]}.", "")]
+    if len(found):
+        table = [(row["meaning"], number(quantity(row)), number(interval(row))) for row in found.to_dict("records")]
+        parts.append(Table(("", "value", "95 % interval"), table))
+    if effect:
+        values = {p.parameter.rpartition(".")[2]: p.value for p in found.itertuples()}
+        caption = f"Reference: {effect.reference}." if effect.reference else ""
+        parts.append(Figure("", cause(effect, values), caption))
+    mark = Markup('{} <span class="badge {}">{}</span>')
+    return Card(mark.format(plain(name), "good" if likely > LIKELY else "", percent(likely)), parts)
+
+
+# --- what the simulation gets wrong -------------------------------------------------------------
+def wrong(record: DiagnosisRecord) -> Section:
+    """Residuals over arc length and time, trial by trial; the strings where they are worst; the way of the tip."""
+    about = (
+        "Arc length s from the grasp, over time; one row for each trial. Orange: the measured string lies to the left "
+        "of the simulated one, or further towards the tip; blue: the other way. Faint is noise; a patch of colour is a "
+        "mistake of the model, or of its arithmetic where the string moves so violently that small errors grow. Grey: "
+        "not measured. The colours mean the same in all maps."
+    )
+    much = "Dots beyond the bar are more than noise and the simulation's own error account for."
+    where = [Figure(f"Where and when: {side} model", maps(record, side), about, NOTHING) for side in record.models]
+    parts: list[Part] = [
+        *map(Text, _compared(record)),
+        Grid([*where, Figure("How much, trial by trial", size(record), much, NOTHING)]),
+    ]
+    if record.trials:
+        way = f"The way of the tip, and how far from it the model{'s are' if len(record.models) > 1 else ' is'}"
+        worst = "In the frame that the base model gets most wrong"
+        parts += [
+            Card(title, [_key(record), Small(drawn)])
+            for title, drawn in ((worst, overlays(record)), (way, tips(record)))
+        ]
+    return Section("What the simulation gets wrong", parts)
+
+
+def _compared(record: DiagnosisRecord) -> list[str]:
+    """Which models and trials are drawn."""
+    document, extended = record.document, len(record.models) > 1
+    lead = "The base model is the configured one with its parameters fitted to these trials, so what it gets wrong no "
+    lead += "choice of parameters mends."
+    if extended:
+        added = enumerated([plain(name) for name in record.extension["effects"]])
+        lead += f" The extended model adds {added} and is fitted to the same trials."
+    if len(record.trials) < len(document["trials"]["used"]):
+        lead += (
+            f" Drawn are the {len(record.trials)} trials of {len(document['trials']['used'])} that the base model gets "
+        )
+        lead += "most wrong."
+    if document["verdict"] != "effect" or extended or record.diagnosis.causes.empty:
+        return [lead]
+    points = record.extension["string"]["points"], record.model.string.points
+    return [
+        lead,
+        f"The maps are those of {points[0]} mass points in place of {points[1]}; with these, the misfit is gone.",
+    ]
+
+
+def _key(record: DiagnosisRecord) -> Key:
+    colours = {"base": "var(--before)", "extended": "var(--after)"}
+    return Key([*((f"{model} model", colours[model]) for model in record.models), ("measured", "var(--measured)")])
+
+
+# --- how it was found -----------------------------------------------------------------------------
+def found(record: DiagnosisRecord) -> Section:
+    """What effects promised, which look alike, and every theory that was fitted."""
+    promised, theories = screenings(record), _theories(record.diagnosis.theories)
+    first = (
+        "What each effect would explain to first order, once the string's parameters have done what they can. Blue: "
+    )
+    first += "named as a cause."
+    drawn = [Figure(f"Promises{f', with {at} at work' if at else ' of all effects'}", p, first) for at, p in promised]
+    alike = likeness(record)
+    if alike:
+        about = "1: the two do the same to this data and cannot be told apart; 0: nothing in common."
+        drawn.append(Figure("Who looks like whom", alike, about))
+    more = theories[FEW:]
+    tried: list[Part] = [_theories_table(theories[:FEW])]
+    tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
+    return Section(
+        "How it was found",
+        [Text(_search(record, promised)), Grid(drawn), Card("Theories tried", [*tried, Text(GAINS, "caption")])],
+    )
+
+
+GAINS = (
+    "Gains are of the log-likelihood over the base model, fitted to these trials and on trials left out of the fit. By "
+    "chance at most: what the best of all effects asked would gain on the noise that these causes leave, in all but "
+    "one of a hundred draws of it. Largest change: what these causes do to a point at most, in standard deviations. "
+    "Probability: among sets of as many causes, if one of them is right; the verdict above also weighs that none is. "
+    "These gains count the errors of neighbouring points as independent; the next section does not, and its gains are "
+    "smaller."
+)
+
+
+def _search(record: DiagnosisRecord, promised: Sequence[tuple[str, Picture]]) -> str:
+    """How causes were looked for."""
+    fitted = (
+        "fitted in full, together with the string's parameters, alone and joined, and the best were asked to predict "
+    )
+    fitted += "trials left out of the fit."
+    if promised:
+        return (
+            "First every effect of the library was asked what it would explain at best. The promising ones were "
+            f"then {fitted}"
+        )
+    if len(record.diagnosis.theories) > 1:
+        return (
+            f"Promising effects were {fitted} What each promised beside the base model is not shown: it was asked of "
+            "the beginnings of the trials, or of another range of the string's parameters."
+        )
+    return "The base model left nothing that was worth a search for causes."
+
+
+def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Those that leave least come first; the base model is among the few that are shown."""
+    rows = table.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
+    late = (rows["causes"] == "") & (np.arange(len(rows)) >= FEW)
+    order = np.where(late, FEW - 1.5, np.arange(len(rows)))
+    return rows.iloc[np.argsort(order, kind="stable")].to_dict("records")
+
+
+def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
+    columns = ["causes", "gain, fitted", "gain, left out", "by chance at most", "largest change [σ]"]
+    columns += ["left unexplained", "probability at its size"]
+    return Table(columns, [_theory(row) for row in theories])
+
+
+def _theory(row: Mapping[str, Any]) -> list[Any]:
+    asked = [
+        number(gain(row[of])) if np.isfinite(row[of]) else Cell("not asked", "n missing")
+        for of in ("held_out_gain", "by_chance")
+    ]
+    told = [number(f"{row['moved']:.1f}"), number(percent(row["unexplained"])), number(percent(row["probability"]))]
+    return [plain(row["causes"]) if row["causes"] else "base model alone", number(gain(row["fit_gain"])), *asked, *told]
+
+
+# --- what is gained ---------------------------------------------------------------------------------
+def gained(record: DiagnosisRecord) -> Section:
+    """Base against extended model on trials that were left out of the fit."""
+    title, table = "What is gained on trials left out of the fit", record.diagnosis.held_out
+    if table.empty:
+        nobody = "No trial was left out of the fit, so nobody can say how well the models predict."
+        return Section(title, [Text(nobody, "missing")])
+    ring = (
+        " The ring is the extended model fitted to all of them."
+        if len(record.models) > 1 and not _aside(record)
+        else ""
+    )
+    further = f"Each trial as predicted from the others. Further left is better; noise alone leaves the mark.{ring}"
+    right = "To the right of 0 the extended model is the likelier one on a trial that neither was fitted to."
+    drawn, more = [Figure("Prediction of trials left out", foretold(record), further)], likelier(record)
+    drawn += [Figure("Log-likelihood gained", more, right)] if more else []
+    return Section(title, [*map(Text, _prediction(record)), Grid(drawn), Card("", [_held_out(record)])])
+
+
+def _aside(record: DiagnosisRecord) -> bool:
+    """Whether trials were set aside: left out of all fits, and of the choice of causes."""
+    return not set(record.document["gain"]["held_out_trials"]) <= set(record.document["trials"]["used"])
+
+
+def _prediction(record: DiagnosisRecord) -> list[Markup | str]:
+    """How the trials were predicted, and which of them worse with the causes than without."""
+    total, aside = record.document["gain"], _aside(record)
+    who = "These trials were set aside, and predicted by" if aside else "Each trial was predicted by"
+    if len(record.models) == 1:
+        return [f"There is no extended model to compare. {who} the base model after it was fitted to the others."]
+    chosen = "" if aside else " Which causes there are was chosen from all of them."
+    rise = total["log_likelihood_per_trial"]
+    error = "" if rise["standard_error"] is None else f" ± {gain(rise['standard_error'])} (standard error)"
+    lead = f"{who} both models after they were fitted to the others.{chosen} The log-likelihood rises by "
+    lead += f"{gain(rise['difference'])}{error} a trial; the matching rate E goes from "
+    lead += f"{rate(total['matching_rate']['base'])} to {rate(total['matching_rate']['extended'])}."
+    return [lead, *map(_worse_in_words, _worse(record))]
+
+
+def _worse(record: DiagnosisRecord) -> list[dict[str, Any]]:
+    """Trials that are foretold worse with the causes than without; and whether these explain them if fitted to them."""
+    if len(record.models) == 1:
+        return []
+    table = record.diagnosis.held_out
+    worse = table[table["rms_extended"] > WORSE * table["rms_base"]]
+    known = worse.get("rms_known", worse["rms_extended"])
+    return worse.assign(explained=WORSE * known < worse["rms_base"]).to_dict("records")
+
+
+def _worse_in_words(row: Mapping[str, Any]) -> Markup:
+    """row: of `_worse`."""
+    than = f"{mm(row['rms_extended'], 1)} against {mm(row['rms_base'], 1)}"
+    fitted = (
+        f"Fitted to it as well, they leave {mm(row['rms_known'], 1)}: either it alone shows something of them, as of a "
+        "plane that no other reaches, or they are not right. Another trial like it would tell."
+    )
+    said = bold(f"{row['trial']} is foretold worse with the causes than without, {than}.")
+    return joined([said, fitted if row["explained"] else ""])
+
+
+def _held_out(record: DiagnosisRecord) -> Table:
+    """A row for each trial left out, and all together."""
+    sides, total = record.models, record.document["gain"]
+    extended = len(sides) > 1
+    columns = ["trial", *(f"RMS {side}" for side in sides), "noise floor", *(f"tip {side}" for side in sides)]
+    columns += [*(f"E {side}" for side in sides), *(["log-likelihood"] if extended else [])]
+    rows = []
+    for row in record.diagnosis.held_out.to_dict("records"):
+        cells = [*(mm(row[f"rms_{side}"], 2) for side in sides), mm(row["noise_floor"], 2)]
+        cells += [*(mm(row[f"tip_rms_{side}"], 2) for side in sides), *(rate(row[f"E_{side}"]) for side in sides)]
+        cells += [gain(row["log_likelihood_difference"])] if extended else []
+        rows.append([row["trial"], *map(number, cells)])
+    cells = [*(mm(total["rms_m"][side], 2) for side in sides), mm(total["rms_m"]["noise_floor"], 2)]
+    cells += [
+        *(mm(total["tip_rms_m"][side], 2) for side in sides),
+        *(rate(total["matching_rate"][side]) for side in sides),
+    ]
+    cells += [gain(total["log_likelihood_per_trial"]["difference"])] if extended else []
+    return Table(columns, [*rows, [bold("all"), *map(number, cells)]])
+
+
+# --- what is left -----------------------------------------------------------------------------------
+def left(record: DiagnosisRecord) -> Section:
+    """What would have to be there to explain what is left, what to try next, and the model to go on with."""
+    document = record.document
+    parts: list[Part | None] = [Text(document["unexplained"]["sentence"]), _left_over(record), _next(record)]
+    if not document["unexplained"]["sentence"]:
+        parts = parts[1:]
+    extension = Details("The extended model, as settings", [named(record.extension)])
+    return Section("What is left", [*parts, extension], "left")
+
+
+def _left_over(record: DiagnosisRecord) -> Part:
+    """A picture of what is missing, or why there is none."""
+    drawn, strongest = missing(record), _strongest(record.diagnosis.missing)
+    if drawn and record.diagnosis.missing["s"].notna().any():
+        about = (
+            "A row for each trial. Each arrow is a push on the string at its place s and time, pointing as in the "
+            f"plane (right: +x, up: +y). The longest is {strongest}; gravity is 9.8 m/s². Equally long arrows are "
+            "equally strong in all rows."
+        )
+        return Figure("What would have to be there", drawn, about)
+    if drawn:
+        much = f"How much would have to be there, along x (to the right) and y (up), at most {strongest}."
+        return Figure("What would have to be there", drawn, f"A row for each trial. {much}")
+    if len(record.models) > 1 or not record.diagnosis.causes.empty:
+        share = percent(record.document["unexplained"]["fraction"])
+        return Text(f"The extended model leaves {share} of the base model's systematic misfit unexplained.")
+    return Text("Nothing was left that could be told from noise, so no missing force, motion or shift was sought.")
+
+
+def _strongest(table: pd.DataFrame) -> str:
+    """The most that is missing anywhere, with its unit. table: MISSING."""
+    size = float(np.hypot(table["x"].fillna(0), table["y"].fillna(0)).max())
+    return f"{size:.2g} m/s²" if table["s"].notna().any() else mm(size, 1)
+
+
+def _next(record: DiagnosisRecord) -> Part | None:
+    """The experiment that would tell more, with its motion if one is proposed."""
+    following, drawn = record.document["next_experiment"], proposed(record)
+    if not following:
+        return None
+    parts: list[Part] = [Text(following["sentence"], "")]
+    if drawn:
+        about = Markup(
+            "The string on the motion proposed: as the likeliest theory has it, and as near to that as the others can "
+            "come by moving their own parameters within what these trials allow. Left: where they are farthest apart. "
+            "Right: over time, anywhere on the string. The motion is kept beside this page as {}; {} performs it and "
+            "concludes."
+        ).format(code("iterations/*/motion"), code("+experiment=decide"))
+        parts.append(Figure("", drawn, about))
+    return Card("What to try next", parts)

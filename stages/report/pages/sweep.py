@@ -1,0 +1,194 @@
+"""The page of a sweep: what was varied, what came of it, and which jobs failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib import style
+
+from stringcast.stages.report.charts.map import PLACE, curve, plane, reach
+from stringcast.stages.report.outcomes import Outcome, response
+from stringcast.stages.report.page import (
+    Card,
+    Cell,
+    Details,
+    Figure,
+    Grid,
+    Page,
+    Part,
+    Section,
+    Small,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    bold,
+    joined,
+    link,
+    number,
+)
+from stringcast.stages.report.records import SweepRecord
+from stringcast.stages.report.theme import STYLE, Picture
+from stringcast.stages.report.words import UNKNOWN, significant, unit
+
+MAPPED = ("hit", "manipulations", "E_after")
+
+
+def sweep_page(record: SweepRecord) -> str:
+    """The page as text; the same record gives the same page."""
+    with style.context(STYLE):
+        responses = [response_to(record, factor) for factor in record.factors]
+        sections = [tiles(record), failed(record), *responses, reaches(record), planes(record)]
+    return str(
+        Page(
+            title=f"{record.name}: {record.sentence}",
+            kicker=f"stringcast sweep · {record.name}",
+            heading=record.sentence,
+            lead=_varied(record),
+            sections=[*sections, combined(record), jobs(record)],
+            origin=record.origin,
+            settings=record.settings,
+        )
+    )
+
+
+def _varied(record: SweepRecord) -> str:
+    """What was varied, and how sure means are."""
+    varied = f"Varied: {', '.join(record.factors)}." if record.factors else "No setting was varied."
+    seeds = f"Each with {record.seeds} seed{'s' * (record.seeds != 1)}."
+    sure = "Bars and brackets are 95 % intervals of means over the seeds; with few seeds they are wide."
+    if record.seeds < 2:
+        sure = (
+            "With one seed nobody can say how much chance there is in these means, so they have no intervals but that "
+        )
+        sure += "of the hit rate."
+    return f"{varied} {seeds} {sure}"
+
+
+def tiles(record: SweepRecord) -> Tiles:
+    """How many jobs are done, and the mean of each outcome over all."""
+    bad = Markup(', <strong class="bad">{} failed</strong>').format(len(record.failed)) if len(record.failed) else ""
+    seconds = f"; {record.table['seconds'].sum():.0f} s of computing in their last attempts"
+    done = Tile(f"{len(record.done)} of {len(record.table)}", Markup("jobs done{}{}").format(bad, seconds))
+    means = [
+        Tile(
+            interval(_overall(record, o)) + (" %" if o.unit == "%" else ""),
+            f"{o.label}, mean of all jobs that are done",
+        )
+        for o in _mapped(record)
+    ]
+    return Tiles([done, *means])
+
+
+def interval(row: Mapping[str, Any]) -> str:
+    """A mean with its interval, where it has one. row: of `response`."""
+    ends = f" ({significant(row['low'])} to {significant(row['high'])})" if np.isfinite(row["low"]) else ""
+    return significant(row["mean"]) + ends
+
+
+def _mapped(record: SweepRecord) -> list[Outcome]:
+    return [outcome for outcome in record.outcomes if outcome.name in MAPPED]
+
+
+def _overall(record: SweepRecord, outcome: Outcome) -> Mapping[str, Any]:
+    """Mean of an outcome over all jobs."""
+    mean: dict[str, Any] = response(record.done.assign(everywhere=0), outcome, ["everywhere"]).iloc[0].to_dict()
+    return mean
+
+
+def failed(record: SweepRecord) -> Section | None:
+    """Jobs that failed, and why."""
+    if record.failed.empty:
+        return None
+    lead = "They are left out of all that follows, which may favour the levels at which they failed."
+    rows = [(_job(record, j), j["error"], number(j["attempts"]), j["host"]) for j in record.failed.to_dict("records")]
+    return Section("Failed", [Text(lead), Card("", [Table(("job", "error", "attempts", "host"), rows)])])
+
+
+def _job(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
+    """A job by the settings in which it differs from others."""
+    return Cell(" ".join(f"{name}={job[name]}" for name in record.given if record.table[name].nunique() > 1), "code")
+
+
+def response_to(record: SweepRecord, factor: str) -> Section:
+    """How each outcome responds to a setting."""
+    drawn = [(_outcome(outcome), curve(record.done, outcome, factor)) for outcome in record.outcomes]
+    known = [(words, picture) for words, picture in drawn if picture is not None]
+    lead = Text("Blue: mean over the other settings and the seeds. Grey: the jobs.")
+    nothing = Text("Nothing is known: no job is done.", "missing")
+    return Section(f"Response to {factor}", [lead, Card("", [Small(known)])] if known else [nothing])
+
+
+def _outcome(outcome: Outcome) -> Markup:
+    measured = Markup("[{}]").format(unit(outcome.unit)) if outcome.unit not in ("", "1") else ""
+    return joined([bold(outcome.label), measured])
+
+
+def reaches(record: SweepRecord) -> Section | None:
+    """Where it hits."""
+    drawn = list(_reaches(record))
+    if not drawn:
+        return None
+    lead = (
+        "A mark at each target. Blue: in how many manipulations the tip hit, median of the seeds. Hollow: the median "
+    )
+    lead += "seed did not hit. Crosses: no job ran to its end; see the failed ones."
+    grid = [Figure(title or "All", picture, picture.alt) for title, picture in drawn]
+    return Section("Where it hits", [Text(lead), Grid(grid)])
+
+
+def _reaches(record: SweepRecord) -> Iterator[tuple[str, Picture]]:
+    """A map of the workspace for each combination of the other settings, where the target's place was varied."""
+    ended = record.table[record.table["state"].isin(["done", "failed"])]
+    if not set(PLACE) <= set(record.factors) or record.done.empty:
+        return
+    most = int(record.done["manipulations"].max())
+    others = [name for name in record.factors if name not in PLACE]
+    for level, some in ended.groupby(others) if others else [((), ended)]:
+        yield ", ".join(f"{name} {value}" for name, value in zip(others, level, strict=True)), reach(some, most)
+
+
+def planes(record: SweepRecord) -> Section | None:
+    """A map of each outcome over each pair of settings."""
+    pairs = list(combinations(record.factors, 2))
+    drawn = [(_outcome(o), plane(record.done, o, *pair)) for pair in pairs for o in _mapped(record)]
+    known = [(words, picture) for words, picture in drawn if picture is not None]
+    lead = Text("Means over the seeds and all other settings; the darker, the larger.")
+    return Section("Two settings at a time", [lead, Card("", [Small(known)])]) if known else None
+
+
+def combined(record: SweepRecord) -> Section | None:
+    """Each combination of settings with the means of the outcomes there."""
+    factors, outcomes = list(record.factors), _mapped(record)
+    if not factors:
+        return None
+    means: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for outcome in outcomes:
+        for row in response(record.done, outcome, factors).to_dict("records"):
+            place = tuple(row[factor] for factor in factors)
+            means.setdefault(place, {"jobs": row["jobs"]})[outcome.name] = interval(row)
+    rows = [
+        [*place, number(means[place]["jobs"]), *(number(means[place].get(o.name, UNKNOWN)) for o in outcomes)]
+        for place in sorted(means, key=lambda place: [str(level) for level in place])
+    ]
+    if not rows:
+        return None
+    summary = f"{len(rows)} combination{'s' * (len(rows) != 1)} of settings"
+    table = Table([*factors, "jobs", *(outcome.title for outcome in outcomes)], rows)
+    return Section("All combinations", [Details(summary, [table])])
+
+
+def jobs(record: SweepRecord) -> Part:
+    """Every job, with a link to its own report."""
+    rows = []
+    for job in record.table.to_dict("records"):
+        report = link(f"{job['folder']}/report.html", job["key"]) if job["state"] == "done" else job["key"]
+        told = number(job["attempts"]), number(f"{job['seconds']:.1f}"), job["host"], report
+        rows.append((_job(record, job), job["state"], *told))
+    summary = f"{len(rows)} job{'s' * (len(rows) != 1)}, with their own reports"
+    columns = ("job", "state", "attempts", "seconds", "host", "report")
+    return Section("Jobs", [Details(summary, [Table(columns, rows)])])
