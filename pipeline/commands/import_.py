@@ -306,7 +306,7 @@ def _files(files: Sequence[Path]) -> str:
 
 def drawn(measured: Measured, folder: Path) -> Path:
     """A picture of the first trial with points, beside the folder; the path of it."""
-    from stringcast.stages.report.check.figures import trial_figure  # noqa: PLC0415
+    from stringcast.stages.report.charts.measured import trial_figure  # noqa: PLC0415
 
     path = folder.with_name(f"{folder.name}.png")
     seen = next(measured.with_points(), None)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.stages.check.measured import Seen
-from stringcast.stages.report.picture import LIGHT, MM, STYLE
+from stringcast.stages.report.theme import LIGHT, MM, STYLE
 
 POSES = 5  # of arm and string that are drawn, evenly over the time in which both were seen
 FAINT = 0.25  # of those but the first

@@ -1,1 +1,0 @@
-"""The page of a check, and the picture of what was measured."""
