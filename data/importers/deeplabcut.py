@@ -36,10 +36,10 @@ def read(path: Path) -> list[Recording]:
         raise DataError(f"{path}: its lines 'bodyparts' and 'coords' do not fit its columns. Export it again.")
     animals = named.get("individuals", [""] * frame.shape[1])
     parts = [" ".join(filter(None, both)) for both in zip(animals, named["bodyparts"], strict=True)]
-    names = ["frame", *(_column(*both) for both in zip(parts[1:], named["coords"][1:], strict=True))]
+    names = ["frame", *(column(*both) for both in zip(parts[1:], named["coords"][1:], strict=True))]
     return [Recording(path, frame.set_axis(names, axis=1))]
 
 
-def _column(part: str, coordinate: str) -> str:
+def column(part: str, coordinate: str) -> str:
     """A name that says what the column is: `tip x [px]`, `tip likelihood`."""
     return f"{part} {coordinate} [px]" if coordinate in ("x", "y") else f"{part} {coordinate}"

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stringcast.data.films import VIDEOS
-from stringcast.data.importers import deeplabcut, optitrack, tables
+from stringcast.data.importers import deeplabcut, deeplabcut_h5, lerobot, mcap, optitrack, tables
 from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 
-READERS = (deeplabcut, optitrack, tables)  # the first that knows a file reads it
+READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)  # the first that knows a file reads it
 
 
 def recordings(paths: Sequence[Path]) -> list[Recording]:
@@ -26,5 +26,5 @@ def _read(path: Path) -> list[Recording]:
     for reader in READERS:
         if reader.reads(path):
             return reader.read(path)
-    known = ", ".join((*tables.ENDINGS, *VIDEOS))
+    known = ", ".join((*tables.ENDINGS, ".h5", ".mcap", *VIDEOS))
     raise DataError(f"{path}: no such file is read. Export it as one of {known}.")
