@@ -1,7 +1,7 @@
 """The bench: arm and camera of one scene, on a clock that does not wait.
 
 Arm and camera share what happened: `perform` moves the joints and, with them, a string
-finer than the model's (other points, other integrator, other step); `stop` films it. What
+other than the model's (in points, integrator and step); `stop` films it. What
 is really so is written by `envelope`, for tests to open after the verdict.
 """
 

@@ -142,7 +142,7 @@ def diagnose(trials: Trials, *settings: str) -> Diagnosed:
     settings: words as on the command line, such as "string.points=15". Raises StringcastError for data that cannot be
     used.
     """
-    here, data = _ready(trials, settings)
+    here, data = _ready(trials, ("+experiment=diagnose", *settings))
     with progress_bar("diagnose") as progress:
         given = (here.model, list(data.trials.values()), data.rejected, held_out(data), here.obstacles)
         return Diagnosed(here.stages["diagnose"](*given, seed=here.seed, progress=progress), here)
@@ -155,7 +155,7 @@ def estimate(trials: Trials, *settings: str, string: KnownString | None = None) 
     known before. Raises StringcastError for data that cannot be used.
     """
     by = () if any(word.startswith("estimate=") for word in settings) else ("estimate=least_squares",)
-    here, data = _ready(trials, (*by, *settings), string)
+    here, data = _ready(trials, ("+experiment=estimate", *by, *settings), string)
     with progress_bar("estimate") as progress:
         seen = [trial for name, trial in data.trials.items() if name not in held_out(data)]
         given = (here.model, seen, None)
@@ -167,7 +167,7 @@ def _ready(
     trials: Trials, settings: tuple[str, ...], string: KnownString | None = None
 ) -> tuple[Experiment, dataset.Dataset]:
     """All that is asked with, and the trials that fit this string."""
-    here = prepared(("mode=diagnose", *settings), string, trials=str(trials.folder))
+    here = prepared(settings, string, trials=str(trials.folder))
     refuse(Measured(trials.data, here.arm, here.camera, here.string.length))
     return here, dataset.fits(trials.data, here.string.length)
 

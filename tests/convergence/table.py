@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import product
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import yaml
 
+from stringcast.data.artifacts import JOINTS
+from stringcast.known import KnownString, prepared
 from stringcast.stages.generate.curves import plain_cast
 from stringcast.stages.model.accuracy import accurate
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.simulate import simulate
@@ -27,11 +31,15 @@ def loaded(path: str) -> dict:
         return yaml.safe_load(file)
 
 
+def specimen(letter: str) -> dict:
+    return loaded(f"conf/specimen/{letter}.yaml")["parameters"]
+
+
 ARM = Arm(**{k: tuple(v) if isinstance(v, list) else v for k, v in loaded("conf/arm/paper.yaml").items()})
-A = loaded("conf/specimen/A.yaml")["parameters"]
+A = specimen("A")
 KINDS = {
     "A": A,
-    "D, limp": loaded("conf/specimen/D.yaml")["parameters"],
+    "D, limp": specimen("D"),
     "A, c_s and c_h at their top": A | {"axial_damping": 1.3e3, "bending_damping": 0.67},
     "A, k_s and k_h at their top": A | {"axial_stiffness": 9e5, "bending_stiffness": 400.0},
 }
@@ -45,8 +53,9 @@ def fine(points: int, **settings: object) -> String:
     return String(0.3, points, tip_cell=0.5, grasp_cell=0.5, **settings)
 
 
-def tip(string: String, named: dict) -> np.ndarray:
-    return simulate(string, HAND, string.values(named), TIMES).tip
+def tip(string: String, named: dict, hand: HandMotion = HAND) -> np.ndarray:
+    times = hand.start + hand.tick * np.arange(hand.pose.shape[1])
+    return simulate(string, hand, string.values(named), times).tip
 
 
 def off(string: String, named: dict, exact: np.ndarray) -> float:
@@ -122,6 +131,42 @@ def by_tolerance() -> list[list[str]]:
     return rows
 
 
+def paper_motions(letter: str) -> Iterator[HandMotion]:
+    """What the paper's generator finds for a string at each of its targets, from four seeds: the first motion of an
+    experiment, by the smallest parameters, and one by the true ones."""
+    true = KnownString({"known": specimen(letter)})
+    for file in sorted(Path("conf/experiment/paper").glob(f"{letter}_*.yaml")):
+        for seed, known in product(range(4), (None, true)):
+            here = prepared((f"+experiment/paper={file.stem}", "string.reference_points=10"), known)
+            made = here.stages["generate"](here.model, here.target, here.obstacles, None, None, seed=seed)
+            yield hand_motion(ARM, made.commands["t"].to_numpy(), made.commands[list(JOINTS)].to_numpy())
+
+
+def by_motion() -> list[list[str]]:
+    motions = {letter: list(paper_motions(letter)) for letter in "ABCD"}
+    exact = {s: [_extrapolated(hand, specimen(s)) for hand in hands] for s, hands in motions.items()}
+    rows = []
+    for points, step in ((10, 2e-4), (20, 1e-3), (29, 5e-4), (40, 5e-4), (57, 5e-4), (80, 5e-4)):
+        string = fine(points, integrator=ImplicitLeapfrog(), largest_step=step) if points > 10 else String(0.3)
+        cells = []
+        for letter, hands in motions.items():
+            tips = [tip(string, specimen(letter), hand) for hand in hands]
+            away = [1e3 * np.linalg.norm(a - b, axis=-1) for a, b in zip(tips, exact[letter], strict=True)]
+            rms, most = ([kind(each) for each in away] for kind in (lambda d: np.sqrt(np.mean(d**2)), np.max))
+            cells.append(f"{np.median(rms):.2f} ({np.median(most):.1f})")
+        rows.append([str(points), f"{step * 1e3:g}", *cells])
+    return rows
+
+
+def _extrapolated(hand: HandMotion, named: dict) -> np.ndarray:
+    """The tip of infinitely many points: of second order, by two meshes."""
+    coarse, finer = (
+        tip(fine(n + 1, integrator=ImplicitLeapfrog(), largest_step=h), named, hand)
+        for n, h in ((114, 1e-4), (228, 5e-5))
+    )
+    return finer + (finer - coarse) / 3
+
+
 def check() -> list[list[str]]:
     """The reference of `by_step` against an explicit method of fourth order, where that is practical."""
     rows = []
@@ -140,5 +185,7 @@ if __name__ == "__main__":
     table(["points", "string", "apart"], check)
     print("Tip, largest distance in mm from 112 segments of the same kind:\n")
     table(["string", "lumping", "9", "14", "28", "56"], by_points)
+    print("Motions of the paper's experiments, tip off in mm: root mean square of the median motion (its farthest):\n")
+    table(["points", "step ms", *"ABCD"], by_motion)
     print("Chosen by `accurate` from a tolerance; off: from 112 segments in steps of 50 us:\n")
     table(["string", "mm asked", "method", "points", "step us", "mm off", "ms for 64"], by_tolerance)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stringcast.known import prepared
 from stringcast.stages.generate.curves import plain_cast
 from stringcast.stages.model.accuracy import ToleranceError, accurate, remaining
 from stringcast.stages.model.hand import JointMotion
@@ -46,6 +47,16 @@ def thrown(arm):
     values = string.values(STRING_A)
     fine = replace(string, points=113, largest_step=5e-5)
     return hand, string, values, times, simulate(fine, hand, values, times).tip
+
+
+def test_the_default_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_not(thrown):
+    """Root mean square over a plain cast: 0.2 mm, and 25."""
+    hand, _, values, times, exact = thrown
+    default, paper = (
+        np.sqrt(np.mean(np.sum((simulate(string, hand, values, times).tip - exact) ** 2, axis=-1)))
+        for string in (prepared(words, None).string for words in ((), ("string=paper",)))
+    )
+    assert default < 1e-3 < paper
 
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.003, 0.001])

@@ -24,7 +24,7 @@ def test_every_number_stands_once_with_a_place():
 
 
 def test_table_3_is_what_is_searched():
-    ranges = composed()["string"]["ranges"]
+    ranges = composed(["string=paper"])["string"]["ranges"]
     assert of("minimum") == {SYMBOLS[name]: block["low"] for name, block in ranges.items()}
     assert of("maximum") == {SYMBOLS[name]: block["high"] for name, block in ranges.items()}
     assert all(block["start"] == block["low"] for block in ranges.values())
@@ -52,7 +52,7 @@ def test_units_are_the_same_in_both_tables():
 
 
 def test_settings_are_those_of_the_paper():
-    table, config = numbers().set_index(["what", "of"])["value"], composed()
+    table, config = numbers().set_index(["what", "of"])["value"], composed(["string=paper"])
     pairs = {
         ("beta", "estimation"): config["estimate"]["beta"],
         ("chi_0", "estimation"): config["estimate"]["chi_0"],
@@ -82,6 +82,7 @@ def test_every_experiment_is_swept_shown_and_what_its_name_says():
     for name in EXPERIMENTS:
         config = composed([f"+experiment/paper={name}"])
         assert config["name"] == name
+        assert config["string"]["integrator"]["_target_"].endswith(".SemiImplicitEuler")
         if name[1:2] == "_":
             letter, x, y = name.split("_")
             assert (config["target"]["x"], config["target"]["y"]) == (int(x) / 1000, int(y) / 1000)

@@ -1,6 +1,6 @@
 """An executor that casts on the virtual bench and measures points instead of filming: the same loop for less time.
 
-The bench's string is finer than the model's (40 points, another integrator), its arm has a velocity loop and repeats
+The bench's string is another than the model's (40 points, another integrator), its arm has a velocity loop and repeats
 itself only nearly. What is left out is the camera's picture: points have the noise that extraction leaves.
 """
 
