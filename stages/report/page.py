@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 from markupsafe import Markup
 
 from stringcast.stages.report import words
-from stringcast.stages.report.theme import THEME, Picture
+from stringcast.stages.report.theme import MM, THEME, Picture
 
 HERE = Path(__file__).parent
+SCRIPTS = ("vendor/uPlot.iife.min.js", "explore.js")
 
 
 class Part:
@@ -126,11 +128,93 @@ class Details(Part):
 
 
 @dataclass(frozen=True)
-class Player(Part):
-    """Frames with the strings drawn over them. film: see `charts.camera.animation`. layers: colours of its strings."""
+class Layer:
+    """Strings of a film that can be shown or not. name: in its data. colour: of the theme, or #... shown: at first."""
 
-    film: Mapping[str, Any] = field(repr=False)
-    layers: Mapping[str, str]
+    name: str
+    colour: str
+    dots: bool = False
+    shown: bool = True
+
+
+@dataclass(frozen=True)
+class Film(Part):
+    """Strings over time, over camera frames where there are any. data: see `charts.camera.animation`, JSON-able."""
+
+    data: Mapping[str, Any] = field(repr=False)
+    words: str
+
+
+@dataclass(frozen=True)
+class Line:
+    """A curve of a chart. values: at its times; NaN where there is none. colour: a name of the theme."""
+
+    label: str
+    values: np.ndarray = field(repr=False)
+    colour: str
+    dashed: bool = False
+
+
+@dataclass(frozen=True)
+class Chart(Part):
+    """Curves over time that are hovered over and zoomed. t: [s], ascending. axis: what is drawn, with its unit. words:
+    for those who cannot see it. moving: while the arm moves [s]. mark: a moment [s]. low: end of the axis, if given."""
+
+    title: str
+    t: np.ndarray = field(repr=False)
+    lines: Sequence[Line]
+    axis: str
+    words: str
+    caption: str = ""
+    moving: tuple[float, float] | None = None
+    mark: float | None = None
+    low: float | None = 0.0
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """What the page's script draws: times in ms, null where there is no value."""
+        return {
+            "t": np.round(np.asarray(self.t, float) * MM, 2).tolist(),
+            "lines": [
+                {"label": one.label, "colour": one.colour, "dashed": one.dashed, "values": _figures(one.values)}
+                for one in self.lines
+            ],
+            "axis": self.axis,
+            "moving": None if self.moving is None else [end * MM for end in self.moving],
+            "mark": None if self.mark is None or not np.isfinite(self.mark) else self.mark * MM,
+            "low": self.low,
+        }
+
+
+@dataclass(frozen=True)
+class Explore(Part):
+    """Films and charts with one clock. layers: of its films. times: differences between them can be enlarged."""
+
+    parts: Sequence[Part]
+    layers: Sequence[Layer] = ()
+    times: bool = False
+
+
+@dataclass(frozen=True)
+class Side(Part):
+    """Cards of trials, side by side."""
+
+    parts: Sequence[Part]
+
+
+@dataclass(frozen=True)
+class Jump(Part):
+    """A button that sets the clock of its group. t: [ms]."""
+
+    t: float
+    words: str
+
+
+@dataclass(frozen=True)
+class Commands(Part):
+    """What can be done next: why, and what to paste."""
+
+    commands: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
@@ -146,25 +230,33 @@ class Section(Part):
 
 @dataclass(frozen=True)
 class Page:
-    """title: of the window. kicker: above the heading. tone: good or bad, the heading's colour and mark. nav: links to
-    sections. origin: seed, code, packages. settings: by name. script: of the page's own."""
+    """title: of the window. kicker: above the heading. tone: good or bad, for its colour and mark. nav: links to
+    sections. origin: seed, code, packages. settings: by name. explored: it holds an `Explore`, which needs scripts."""
 
     title: str
     kicker: str
     heading: str
     lead: str
-    sections: Sequence[Section | Tiles | Part | None]
+    sections: Sequence[Part | None]
     origin: Mapping[str, Any]
     settings: Mapping[str, Any]
     tone: str = ""
     marked: bool = False
     nav: Sequence[tuple[str, str]] = ()
-    script: str = field(default="", repr=False)
+    explored: bool = False
 
     def __str__(self) -> str:
         """The page as text; the same record gives the same page. One file that needs nothing else."""
-        allowed = f"; script-src 'sha256-{_digest(self.script)}'" if self.script else ""
-        return _templates().get_template("page.html.j2").render(page=self, again=self.again, allowed=Markup(allowed))
+        scripts = [_read(name) for name in SCRIPTS] if self.explored else []
+        allowed = "; script-src " + " ".join(f"'sha256-{_digest(script)}'" for script in scripts) if scripts else ""
+        sheet = _read("theme.css") + (_read("vendor/uPlot.min.css") if scripts else "")
+        given = {
+            "again": self.again,
+            "allowed": Markup(allowed),
+            "scripts": map(Markup, scripts),
+            "sheet": Markup(sheet),
+        }
+        return _templates().get_template("page.html.j2").render(page=self, **given)
 
     @property
     def again(self) -> Section:
@@ -211,10 +303,19 @@ def joined(parts: Iterable[Any]) -> Markup:
     return Markup(" ").join(part for part in parts if part)
 
 
+def either(title: str, part: Part | None, otherwise: str) -> Part:
+    """The part, or in its place why there is none."""
+    return part or Card(title, [Text(otherwise, "missing")])
+
+
+def _figures(values: np.ndarray) -> list[float | None]:
+    """Four significant figures, which is more than a screen shows."""
+    return [float(f"{value:.4g}") if np.isfinite(value) else None for value in np.asarray(values, float)]
+
+
 @cache
-def player_script() -> str:
-    """What makes every `Player` of a page play."""
-    return (HERE / "player.js").read_text(encoding="utf-8")
+def _read(name: str) -> str:
+    return (HERE / name).read_text(encoding="utf-8")
 
 
 def _digest(script: str) -> str:
@@ -231,6 +332,5 @@ def _templates() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    sheet = (HERE / "theme.css").read_text(encoding="utf-8")
-    templates.globals |= {"theme": THEME, "sheet": Markup(sheet), "Markup": Markup}
+    templates.globals |= {"theme": THEME}
     return templates

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from matplotlib import patheffects
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from stringcast.stages.model.box import Box
@@ -24,7 +23,6 @@ from stringcast.stages.report.theme import (
     ON_FRAMES,
     Picture,
     data_uri,
-    photograph,
     raster,
     webp,
 )
@@ -179,47 +177,18 @@ def _alt(cast: Cast, frame: int) -> str:
     )
 
 
-# --- frames over the movement
-STILLS = 6
-STILL = 182  # [px] natural width of a still, drawn at twice that
-FINER = 4  # fractional bits of OpenCV's coordinates
-
-
-def strip(record: Record, cast: Cast, part: View) -> list[tuple[str, Picture]]:
-    """Frames evenly over the movement, each with its time; empty where nothing was filmed."""
-    if not len(cast.trial.images):
-        return []
-    chosen = sorted({cast.frame(t) for t in np.linspace(0, cast.motion.duration, STILLS)})
-    return [(ms(cast.t[frame]), _still(record, cast, frame, part)) for frame in chosen]
-
-
-def _still(record: Record, cast: Cast, frame: int, part: View) -> Picture:
-    """A frame with target, obstacles and strings painted into it: a tenth of what a figure of it would take."""
-    scale = 2 * STILL / float(part.size[0])
-    grey = spread_levels(part.crop(cast.trial.images[frame]), cast.levels, scale)
-    image = cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
-
-    def paint(world: np.ndarray, name: str, closed: bool = False) -> None:
-        if np.isfinite(world).all():
-            colour = [round(255 * share) for share in to_rgb(ON_FRAMES[name])]
-            line = np.rint(part.pixels(record.camera, world, scale) * (1 << FINER)).astype(np.int32)
-            cv2.polylines(image, [line[:, None]], closed, colour, 2, cv2.LINE_AA, FINER)
-
-    for obstacle in record.obstacles:
-        paint(corners(obstacle), "wall", closed=True)
-    paint(corners(record.target), "target", closed=True)
-    paint(cast.before[frame], "before")
-    paint(cast.after[frame], "after")
-    words = f"Camera frame at {ms(cast.t[frame])} with the string as simulated before and after estimation."
-    return photograph(image, words)
-
-
 # --- the player
-FRAMES = 240  # at most in one page, shared among its casts
-FEWEST = 24  # of one cast
-SIZE = 480  # [px] of the longer side
-QUALITIES = (60, 35, 15)  # of WebP, lowered where noise makes a frame larger than
-LARGEST = 12_000  # [bytes]
+FRAMES = 100  # at most in one page, shared among its casts
+FEWEST = 16  # of one cast
+SIZE = 440  # [px] of the longer side
+SMALLER = (
+    (1.0, 45),
+    (1.0, 25),
+    (0.5, 45),
+    (0.5, 25),
+)  # size and quality of WebP, until noise makes no frame larger than
+LARGEST = 6_000  # [bytes]
+STILLS = 6  # below the film
 REST = 0.03  # [s] shown before and after the movement
 
 
@@ -242,10 +211,18 @@ def animation(record: Record, cast: Cast, part: View) -> dict[str, Any] | None:
         "t": [round(float(cast.t[f]) * 1e3, 1) for f in chosen],
         "start": chosen.index(cast.nearest) if cast.nearest in chosen else 0,
         "frames": [_small(part.crop(cast.trial.images[f]), cast.levels, scale) for f in chosen],
-        "target": _pixels(record, corners(record.target), part, scale),
-        "obstacles": [_pixels(record, corners(box), part, scale) for box in record.obstacles],
+        "boxes": [
+            (ON_FRAMES[kind], _pixels(record, corners(box), part, scale))
+            for kind, box in [("target", record.target), *(("wall", box) for box in record.obstacles)]
+        ],
+        "stills": [(chosen.index(frame), ms(cast.t[frame])) for frame in _evenly(chosen)],
         "strings": {name: [_pixels(record, line, part, scale) for line in lines] for name, lines in drawn.items()},
     }
+
+
+def _evenly(chosen: list[int]) -> list[int]:
+    """Frames of the strip below the film."""
+    return sorted({chosen[i] for i in np.linspace(0, len(chosen) - 1, STILLS).round().astype(int)})
 
 
 def choose(cast: Cast, most: int) -> list[int]:
@@ -259,9 +236,8 @@ def choose(cast: Cast, most: int) -> list[int]:
 
 def _small(image: np.ndarray, black_white: tuple[float, float], scale: float) -> str:
     """A frame with its levels spread, never larger than it was filmed: the player enlarges it."""
-    clear = spread_levels(image, black_white, min(scale, 1.0))
-    for quality in QUALITIES:
-        data = webp(clear, quality)
+    for smaller, quality in SMALLER:
+        data = webp(spread_levels(image, black_white, min(scale, 1.0) * smaller), quality)
         if len(data) <= LARGEST:
             break
     return data_uri("webp", data)

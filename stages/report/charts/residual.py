@@ -9,11 +9,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from stringcast.stages.report.charts.time import mark_movement
+from stringcast.stages.report.charts.time import mark_movement, moving
+from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import (
     Cast,
     DiagnosisRecord,
     Record,
+    away,
     rms,
 )
 from stringcast.stages.report.theme import (
@@ -40,23 +42,36 @@ NOTHING = (0.55, 0.58, 0.62, 0.35)  # where nothing was measured
 CELLS = 30  # along the string
 
 
-def residual(record: Record, cast: Cast) -> Picture | None:
-    """Above, where and when, after estimation; below, over the whole string, before and after."""
+def furthest(record: Record) -> float:
+    """End of the colour scale of all casts [m]: beyond it lie the farthest 0.5 % of points after estimation."""
+    away = [residuals(record, cast, cast.after)["away"] for cast in record.casts if cast.measured]
+    return float(pd.concat(away).quantile(0.995)) if away else 0.0
+
+
+def residual_map(record: Record, cast: Cast, furthest: float) -> Picture | None:
+    """Where along the string and when the simulation after estimation is off. furthest: end of the colour scale [m]."""
     if not cast.measured:
         return None
-    before, after = (residuals(record, cast, simulated) for simulated in (cast.before, cast.after))
-    figure = framed(5.4, 3.7)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
-    _cells((top, bottom), record, cast, after)
-    for name, table in (("before", before), ("after", after)):
-        bottom.plot(cast.t * MM, _rms(table, cast) * MM, color=LIGHT[name], label=f"{name} estimation")
-    mark_movement(bottom, cast)
-    bottom.set(xlabel="time [ms]", ylabel="RMS [mm]", ylim=(0, None))
-    figure.legend(*bottom.get_legend_handles_labels(), loc="upper left", ncols=3)
-    whole = [mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1) for table in (before, after)]
-    return vector(
-        figure, f"Distance of the simulated from the measured string: RMS {whole[0]} before, {whole[1]} after."
-    )
+    figure = framed(5.4, 2.6)
+    axes = figure.subplots()
+    table = residuals(record, cast, cast.after)
+    _cells(axes, record, cast, table, furthest)
+    mark_movement(axes, cast)
+    axes.set_xlabel("time [ms]")
+    whole = mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1)
+    return vector(figure, f"Distance of the simulated from the measured string after estimation: RMS {whole}.")
+
+
+def residual_curves(record: Record, cast: Cast) -> Chart | None:
+    """Over the whole string, before and after estimation, frame by frame."""
+    if not cast.measured:
+        return None
+    tables = {"before": residuals(record, cast, cast.before), "after": residuals(record, cast, cast.after)}
+    lines = [Line(f"{name} estimation", _rms(table, cast) * MM, name) for name, table in tables.items()]
+    whole = [mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1) for table in tables.values()]
+    words = f"Distance of the simulated from the measured string: RMS {whole[0]} before, {whole[1]} after."
+    caption = "Root mean square over the whole string. Gaps are frames that could not be read."
+    return Chart("Distance over time", cast.t, lines, "RMS [mm]", words, caption, moving(cast), cast.verdict.t)
 
 
 def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame:
@@ -71,9 +86,8 @@ def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame
     return pd.DataFrame({"frame": frame, "s": s, "away": np.hypot(*(there - np.stack([x, y], axis=-1)).T)})
 
 
-def _cells(panels: tuple[Axes, Axes], record: Record, cast: Cast, table: pd.DataFrame) -> None:
-    """Mean distance in cells of arc length and frame, in the upper panel; frames not read stay empty."""
-    axes = panels[0]
+def _cells(axes: Axes, record: Record, cast: Cast, table: pd.DataFrame, furthest: float) -> None:
+    """Mean distance in cells of arc length and frame; frames not read stay empty."""
     half = np.median(np.diff(cast.t)) / 2 if len(cast.t) > 1 else cast.motion.duration
     moments = np.append(cast.t - half, cast.t[-1] + half)
     edges = np.linspace(0, max(record.string.length, table["s"].max()), CELLS + 1)
@@ -81,11 +95,11 @@ def _cells(panels: tuple[Axes, Axes], record: Record, cast: Cast, table: pd.Data
     total, count = (np.histogram2d(*places, (edges, moments), weights=w)[0] for w in (table["away"], None))
     with np.errstate(invalid="ignore"):
         cells = total / count
-    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap="viridis", vmin=0)
+    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap="viridis", vmin=0, vmax=furthest * MM)
     axes.grid(visible=False)
     axes.set_ylabel("arc length [mm]")
     assert axes.figure is not None
-    axes.figure.colorbar(drawn, ax=panels, aspect=30, label="distance [mm]", pad=0.02)
+    axes.figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
 
 
 def _rms(table: pd.DataFrame, cast: Cast) -> np.ndarray:
@@ -180,6 +194,35 @@ def _over(t: np.ndarray) -> np.ndarray:
     frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
     width = max(frame, float(np.ptp(times)) / MOMENTS)
     return np.arange(times[0] - width / 2, times[-1] + width, width)
+
+
+def curves(record: DiagnosisRecord, trial: str) -> Chart:
+    """Residual of a trial over time: over the whole string, and what noise alone and noise and simulation leave."""
+    frames = record.trials[trial].groupby("t")
+    t = np.array([at for at, _ in frames])
+    lines = [
+        Line(NAMES[model], frames.apply(_mean_square_root, model).to_numpy() * MM, colour)
+        for model, colour in zip(record.models, ("before", "after"), strict=False)
+    ]
+    floor = np.sqrt(2) * np.sqrt(frames["sigma"].apply(lambda some: np.mean(some**2))).to_numpy()
+    lines.append(Line("noise floor", floor * MM, "soft", dashed=True))
+    most = ", ".join(f"{mm(float(np.nanmax(line.values)) / MM, 1)} for the {line.label}" for line in lines[:-1])
+    return Chart("Residual", t, lines, "RMS [mm]", f"Residual in trial {trial} over time: at most {most}.")
+
+
+def _mean_square_root(frame: pd.DataFrame, model: str) -> float:
+    return float(np.sqrt(np.mean(away(frame, model) ** 2)))
+
+
+def tip_curves(record: DiagnosisRecord, trial: str, ends: pd.DataFrame) -> Chart:
+    """How far from the tip, or the outermost point measured, the models have it. ends: see `charts.string.last`."""
+    lines = [
+        Line(NAMES[model], away(ends, model) * MM, colour)
+        for model, colour in zip(record.models, ("before", "after"), strict=False)
+    ]
+    most = ", ".join(f"{model} {mm(float(away(ends, model).max()), 1)}" for model in record.models)
+    words = f"The tip in trial {trial} over time: at most {most} off."
+    return Chart("Tip", ends["t"].to_numpy(), lines, "off [mm]", words)
 
 
 def size(record: DiagnosisRecord) -> Picture | None:

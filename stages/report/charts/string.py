@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from stringcast.stages.model.box import Box
-from stringcast.stages.report.charts.residual import MODEL
 from stringcast.stages.report.records import (
     LABELS,
     Cast,
@@ -110,11 +109,6 @@ def _where(record: Record) -> str:
 FAR = 0.75  # quantile along the string that says how wrong a frame is: a few outliers do not
 
 
-def overlays(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
-    """For each trial what it shows, and the picture."""
-    return [_overlay(record, trial, worst(table)) for trial, table in record.trials.items()]
-
-
 def worst(table: pd.DataFrame) -> pd.DataFrame:
     """Rows of the frame of a trial in which the base model is furthest off, against what may be doubted."""
     doubts = pd.Series(away(table, "base") / table["doubt"].to_numpy(), index=table.index)
@@ -122,48 +116,47 @@ def worst(table: pd.DataFrame) -> pd.DataFrame:
     return table[table["t"] == moment].sort_values("s")
 
 
-def _overlay(record: DiagnosisRecord, trial: str, frame: pd.DataFrame) -> tuple[str, Picture]:
-    figure = framed(3.4, 3.2, top=0.08)
-    axes = figure.subplots()
-    for model in record.models:
-        axes.plot(frame[f"{model}_x"] * MM, frame[f"{model}_y"] * MM, color=MODEL[model], marker=".", ms=3)
-    axes.plot(frame["x"] * MM, frame["y"] * MM, "o", ms=4, mfc="none", color=LIGHT["measured"])
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
-    axes.margins(0.1)
-    moment = ms(float(frame["t"].iloc[0]))
-    off = ", ".join(f"{m} {mm(float(np.sqrt(np.mean(away(frame, m) ** 2))), 1)}" for m in record.models)
-    return f"{trial} at {moment}: {off} off", vector(
-        figure, f"Trial {trial} at {moment}, string measured and simulated; off by {off}."
-    )
+SIZE_OF_FILM = 420  # [px] of the longer side
+EDGE = 24  # [px] left free around the strings, and for the line that shows the scale
+NUMBERS = 60_000  # coordinates in all films of a page: 0.3 MB
+
+
+def film(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, Any]:
+    """Strings of a trial and the ways of their tips, measured and simulated; begins where the base model is worst."""
+    names = {"measured": ("x", "y")} | {model: (f"{model}_x", f"{model}_y") for model in record.models}
+    points = np.concatenate([table[list(columns)].to_numpy() for columns in names.values()])
+    low, high = points.min(axis=0), points.max(axis=0)
+    metre = (SIZE_OF_FILM - 2 * EDGE) / max(float((high - low).max()), 1e-3)
+    size = (high - low) * metre + 2 * EDGE
+    every = -(-2 * len(points) * len(record.trials) // NUMBERS)
+    frames = {t: rows.sort_values("s") for t, rows in table.groupby("t")}
+    begin = float(worst(table)["t"].iloc[0])
+    times = [t for i, t in enumerate(frames) if i % every == 0 or t == begin]
+
+    def pixels(rows: pd.DataFrame, columns: tuple[str, str]) -> list[list[float]]:
+        x, y = ((rows[list(columns)].to_numpy() - low) * metre + EDGE).T
+        return np.round(np.stack([x, size[1] - y], axis=-1), 1).tolist()
+
+    return {
+        "width": round(size[0]),
+        "height": round(size[1]),
+        "metre": metre,
+        "t": [round(t * MM, 1) for t in times],
+        "start": times.index(begin),
+        "boxes": [],
+        "stills": [],
+        "strings": {name: [pixels(frames[t], columns) for t in times] for name, columns in names.items()},
+        "ways": {name: pixels(last(table), columns) for name, columns in names.items()},
+    }
 
 
 NEAR = 0.05  # of the length measured: a point as near to the end stands for the tip
-
-
-def tips(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
-    """For each trial what it shows, and the picture."""
-    return [_tip(record, trial, last(table)) for trial, table in record.trials.items()]
 
 
 def last(table: pd.DataFrame) -> pd.DataFrame:
     """The outermost point of each frame in which the tip was seen, in the order of time."""
     ends = table.loc[table.groupby("t")["s"].idxmax()]
     return ends[ends["s"] >= (1 - NEAR) * table["s"].max()].sort_values("t")
-
-
-def _tip(record: DiagnosisRecord, trial: str, ends: pd.DataFrame) -> tuple[str, Picture]:
-    """Above, the way in the plane; below, the distance from it over time."""
-    figure = framed(3.4, 4.2, top=0.08, between=0.35)
-    top, bottom = figure.subplots(2, 1, height_ratios=[5, 3])
-    top.plot(ends["x"] * MM, ends["y"] * MM, ".", ms=3, color=LIGHT["measured"])
-    for model in record.models:
-        top.plot(ends[f"{model}_x"] * MM, ends[f"{model}_y"] * MM, lw=1.1, color=MODEL[model])
-        bottom.plot(ends["t"] * MM, away(ends, model) * MM, lw=1.1, color=MODEL[model])
-    top.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
-    bottom.set(xlabel="time [ms]", ylabel="off [mm]", ylim=(0, None))
-    furthest = ", ".join(f"{model} {mm(float(away(ends, model).max()), 1)}" for model in record.models)
-    words = f"{trial}: at most {furthest} off"
-    return words, vector(figure, f"The tip's way in trial {words}, in the plane and over time.")
 
 
 # --- the motion proposed

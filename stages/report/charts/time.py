@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS, Estimate
 from stringcast.stages.hit_test import LONGEST_GAP
+from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import (
     TRIALS,
     Cast,
@@ -42,48 +43,53 @@ def mark_movement(axes: Axes, cast: Cast) -> None:
 
 
 # --- a cast
-COLOURS = (LIGHT["after"], LIGHT["before"], LIGHT["measured"])
+COLOURS = ("after", "before", "measured")  # of the joints, from the base
 
 
-def joints(cast: Cast) -> Picture | None:
-    """Above, the angles commanded (dashed) and measured; below, their difference."""
+def joints(cast: Cast) -> list[Chart]:
+    """The angles commanded (dashed) and measured, and their difference; none where the arm reported no angles."""
     commanded, measured = cast.motion.commands, cast.trial.arm
     if measured.empty:
-        return None
-    figure = framed(5.4, 3.7, left=0.85)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
-    behind = []
+        return []
+    t, lines, behind, largest = measured["t"].to_numpy(), [], [], []
     for joint, colour in zip(JOINTS, COLOURS, strict=True):
-        wanted = np.interp(measured["t"], commanded["t"], commanded[joint])
-        away = np.degrees(measured[joint] - wanted)
-        top.plot(measured["t"] * MM, np.degrees(measured[joint]), color=colour, label=joint)
-        top.plot(measured["t"] * MM, np.degrees(wanted), color=LIGHT["ink"], lw=0.9, ls=(0, (3, 2)))
-        bottom.plot(measured["t"] * MM, away, color=colour)
-        behind.append(f"{joint} {np.abs(away).max():.1f}°")
-    top.plot([], [], color=LIGHT["ink"], lw=0.9, ls=(0, (3, 2)), label="commanded")
-    top.set_ylabel("angle [°]")
-    bottom.set(xlabel="time [ms]", ylabel="measured −\ncommanded [°]")
-    figure.legend(*top.get_legend_handles_labels(), loc="upper left", ncols=4)
-    return vector(figure, f"Joint angles, commanded and measured; largest differences {', '.join(behind)}.")
+        wanted = np.interp(t, commanded["t"], commanded[joint])
+        away = np.degrees(measured[joint].to_numpy() - wanted)
+        lines += [Line(joint, np.degrees(measured[joint].to_numpy()), colour)]
+        lines += [Line(f"{joint} commanded", np.degrees(wanted), "ink", dashed=True)]
+        behind += [Line(joint, away, colour)]
+        largest += [f"{joint} {np.abs(away).max():.1f}°"]
+    words = f"Joint angles, commanded and measured; largest differences {', '.join(largest)}."
+    caption = "Joint 1 is at the base. Dashed: commanded."
+    less = f"Joint angles, measured less commanded; at most {', '.join(largest)}."
+    return [
+        Chart("Joint angles", t, lines, "angle [°]", words, caption, moving(cast), cast.verdict.t, None),
+        Chart(
+            "Joints behind their commands", t, behind, "difference [°]", less, "", moving(cast), cast.verdict.t, None
+        ),
+    ]
 
 
-def matching(estimate: Estimate | None, cast: Cast | None = None) -> Picture | None:
+def moving(cast: Cast) -> tuple[float, float]:
+    """While the arm is commanded to move [s]."""
+    return 0.0, float(cast.motion.duration)
+
+
+def matching(
+    estimate: Estimate | None, cast: Cast | None = None, title: str = "Matching rate over time"
+) -> Chart | None:
     """E_f before and after an estimation, in the newest of the trials it saw."""
     if estimate is None or estimate.matching.empty:
         return None
     table = estimate.matching
     table = table[table["trial"] == table["trial"].iloc[-1]].sort_values("t")
-    figure = framed(5.4, 2.7)
-    axes = figure.subplots()
     t = table["t"].to_numpy()
-    for name in ("before", "after"):
-        axes.plot(t * MM, broken(t, table[name].to_numpy()), color=LIGHT[name], label=f"{name} estimation")
-    if cast is not None:
-        mark_movement(axes, cast)
-    axes.set(xlabel="time [ms]", ylabel="matching rate E_f [1]", ylim=(0, 1.02))
-    figure.legend(*axes.get_legend_handles_labels(), loc="upper left", ncols=3)
+    lines = [Line(f"{name} estimation", broken(t, table[name].to_numpy()), name) for name in ("before", "after")]
     means = [rate(float(np.nanmean(table[name]))) for name in ("before", "after")]
-    return vector(figure, f"Matching rate over time: on average {means[0]} before estimation, {means[1]} after.")
+    words = f"Matching rate over time: on average {means[0]} before estimation, {means[1]} after."
+    caption = "How well simulation and camera agree, frame by frame; 1 is perfect."
+    shaded = (moving(cast), cast.verdict.t) if cast else (None, None)
+    return Chart(title, t, lines, "E_f [1]", words, caption + " Shaded: the arm moves." * bool(cast), *shaded)
 
 
 # --- from cast to cast
@@ -145,6 +151,22 @@ def missing(record: DiagnosisRecord) -> Picture | None:
     top = table.loc[table["size"].idxmax()]
     words = f"strongest {significant(top['size'])} in trial {top['trial']} at {top['t'] * MM:.0f} ms"
     return vector(figure, f"The missing {top['kind']} over time in {len(rows)} trials; {words}.")
+
+
+def latent(record: DiagnosisRecord, trial: str) -> Chart | None:
+    """What is missing in a trial over time: the largest push anywhere on the string, or what acts on all of it."""
+    table = record.diagnosis.missing
+    part = table[table["trial"] == trial].fillna({"x": 0.0, "y": 0.0})
+    if part.empty:
+        return None
+    kind = part["kind"].iloc[0]
+    if part["s"].notna().any():
+        largest = np.hypot(part["x"], part["y"]).groupby(part["t"]).max()
+        lines = [Line("largest along the string", largest.to_numpy(), "target")]
+        return Chart(f"Missing {kind}", largest.index.to_numpy(), lines, "[m/s²]", f"Missing {kind} in trial {trial}.")
+    rows = part.sort_values("t")
+    lines = [Line(axis, rows[axis].to_numpy() * MM, colour) for axis, colour in (("x", "target"), ("y", "measured"))]
+    return Chart(f"Missing {kind}", rows["t"].to_numpy(), lines, "[mm]", f"Missing {kind} in trial {trial}.", low=None)
 
 
 def _arrows(axes: Axes, part: pd.DataFrame, longest: float) -> None:

@@ -10,20 +10,22 @@ from matplotlib import style
 
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.report import words
-from stringcast.stages.report.charts.camera import View, animation, overlay, strip, whole_view
+from stringcast.stages.report.charts.camera import View, animation, overlay, whole_view
 from stringcast.stages.report.charts.parameters import history
-from stringcast.stages.report.charts.residual import residual
+from stringcast.stages.report.charts.residual import furthest, residual_curves, residual_map
 from stringcast.stages.report.charts.string import path, paths
 from stringcast.stages.report.charts.time import joints, matching, progress
 from stringcast.stages.report.page import (
     Card,
     Cell,
+    Explore,
     Figure,
+    Film,
     Grid,
     Key,
+    Layer,
     Page,
     Part,
-    Player,
     Section,
     Small,
     Table,
@@ -32,15 +34,17 @@ from stringcast.stages.report.page import (
     Tiles,
     badge,
     bold,
+    either,
     joined,
     link,
     number,
-    player_script,
 )
 from stringcast.stages.report.records import Cast, Record
 from stringcast.stages.report.theme import MM, ON_FRAMES, STYLE
 from stringcast.stages.report.words import UNKNOWN, mm, ms, rate, sentence, significant, symbol, unit
 
+UNREAD = "No frame of this cast could be read, so there is nothing to compare the simulation with."
+SILENT = "The arm reported no joint angles."
 NOT_FILMED = Text("This cast has no camera frames.", "missing")
 COLOURS = {
     "before": "simulated, before estimation",
@@ -54,8 +58,8 @@ def cast_page(record: Record) -> str:
     """The page as text; the same record gives the same page."""
     with style.context(STYLE):
         sections = [*summary(record), learnt(record), together(record)]
-        part = whole_view(record) if record.casts else None
-        sections += [casting(record, n, cast, part) for n, cast in enumerate(record.casts, start=1) if part]
+        part, far = whole_view(record) if record.casts else None, furthest(record)
+        sections += [casting(record, n, cast, part, far) for n, cast in enumerate(record.casts, start=1) if part]
     many = enumerate(record.casts, start=1) if len(record.casts) > 1 else ()
     return str(
         Page(
@@ -69,7 +73,7 @@ def cast_page(record: Record) -> str:
             tone=("good" if record.hit else "bad") if record.casts else "",
             marked=bool(record.casts),
             nav=[(f"cast-{n}", joined([f"Cast {n}", badge(cast.verdict.hit)])) for n, cast in many],
-            script=player_script(),
+            explored=True,
         )
     )
 
@@ -164,12 +168,18 @@ def learnt(record: Record) -> Section:
     drawn = [(_caption(row), history(parameter, record.estimates)) for parameter, row in known]
     columns = ("parameter", "", "value", "95 % interval", "range searched", "unit", "determined by this data")
     table = Table(columns, [_learnt(parameter, row) for parameter, row in known])
-    rates = "How well simulation and camera agree, frame by frame. 1 is perfect."
-    none = "This estimation compared no masks, so there is no matching rate."
-    alone = [] if record.casts else [matching(estimate) for estimate in record.estimates]
-    over_time = [Figure(f"Matching rate over time, estimation {n}", p, rates, none) for n, p in enumerate(alone, 1)]
     lead = Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))
-    return Section(title, [lead, Card("", [Key(key), Small(drawn)]), Card("", [table]), Grid(over_time)])
+    return Section(title, [lead, Card("", [Key(key), Small(drawn)]), Card("", [table]), _alone(record)])
+
+
+def _alone(record: Record) -> Part | None:
+    """E over time where no cast shows it."""
+    if record.casts:
+        return None
+    none = "This estimation compared no masks, so there is no matching rate."
+    titles = [f"Matching rate over time, estimation {n}" for n in range(1, len(record.estimates) + 1)]
+    given = zip(titles, record.estimates, strict=True)
+    return Explore([Grid([either(title, matching(one, title=title), none) for title, one in given])])
 
 
 def _parameters(record: Record) -> list[tuple[Parameter, Any]]:
@@ -202,20 +212,20 @@ def _learnt(parameter: Parameter, row: Any) -> list[Any]:
 
 
 # --- one cast -----------------------------------------------------------------------------------
-def casting(record: Record, n: int, cast: Cast, part: View) -> Section:
-    """Everything of one cast."""
+def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Section:
+    """Everything of one cast. far: end of the colour scale of all casts [m]."""
+    unstable = [name for name, line in (("before", cast.before), ("after", cast.after)) if not np.isfinite(line).all()]
+    undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
+    layers = [Layer(name, ON_FRAMES[name], shown=name != "measured") for name in ("before", "after", "measured")]
+    shared = [
+        Grid([_closest(record, cast), _animated(record, cast, part)]),
+        Grid(_over_time(record, cast)),
+    ]
     parts = [
         Text(_told(cast)),
-        *(
-            Text(
-                f"The simulation with the parameters {when} estimation did not stay finite; it is not drawn.", "missing"
-            )
-            for when, line in (("before", cast.before), ("after", cast.after))
-            if not np.isfinite(line).all()
-        ),
-        Grid([_closest(record, cast), _animated(record, cast, part)]),
-        _over_the_movement(record, cast, part),
-        Grid([*_figures(record, cast), _attempts(cast), _link_and_frames(cast)]),
+        *(Text(undrawn.format(name), "missing") for name in unstable),
+        Explore(shared, layers),
+        Grid([_where(record, cast, far), _way(record, cast), _attempts(cast), _link_and_frames(cast)]),
     ]
     return Section(f"Cast {n}", parts, f"cast-{n}", badge(cast.verdict.hit), "cast")
 
@@ -258,43 +268,30 @@ def _closest(record: Record, cast: Cast) -> Part:
 
 def _animated(record: Record, cast: Cast, part: View) -> Card:
     film = animation(record, cast, part)
-    layers = {name: ON_FRAMES[name] for name in ("before", "after", "measured")}
-    return Card("Animation", [NOT_FILMED if film is None else Player(film, layers)])
+    if film is None:
+        return Card("Animation", [NOT_FILMED])
+    span = f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
+    return Card("Animation", [Film(film, f"Animation of {span} with the measured and simulated strings")])
 
 
-def _over_the_movement(record: Record, cast: Cast, part: View) -> Card:
-    stills = strip(record, cast, part)
-    shown = [_key(("before", "after", "target")), Small(stills, "strip")] if stills else [NOT_FILMED]
-    return Card("Over the movement", shown)
+def _over_time(record: Record, cast: Cast) -> list[Part]:
+    """Curves, one beside the other, with the film's clock."""
+    unmatched = "no masks were compared in this estimation" if cast.estimate else "nothing was estimated from this cast"
+    rates = matching(cast.estimate, cast)
+    charts = [either("Matching rate over time", rates, f"There is no matching rate: {unmatched}.")]
+    charts += [either("Distance over time", residual_curves(record, cast), UNREAD)]
+    return [*charts, *joints(cast)] if len(cast.trial.arm) else [*charts, either("Joint angles", None, SILENT)]
 
 
-def _figures(record: Record, cast: Cast) -> list[Figure]:
-    silent = "The arm reported no joint angles."
-    unmatched = (
-        "nothing was estimated from this cast" if cast.estimate is None else "no masks were compared in this estimation"
-    )
-    return [
-        Figure(
-            "Matching rate over time",
-            matching(cast.estimate, cast),
-            "How well simulation and camera agree, frame by frame; 1 is perfect. Shaded: the arm moves.",
-            f"There is no matching rate: {unmatched}.",
-        ),
-        Figure(
-            "Distance of simulated and measured string",
-            residual(record, cast),
-            "Above, over arc length and time, after estimation; gaps are frames that could not be read. Below, over "
-            "the whole string.",
-            "No frame of this cast could be read, so there is nothing to compare the simulation with.",
-        ),
-        Figure(
-            "Way of hand and tip",
-            path(record, cast),
-            "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach.",
-            silent,
-        ),
-        Figure("Joint angles", joints(cast), "Joint 1 is at the base. Dashed: commanded.", silent),
-    ]
+def _where(record: Record, cast: Cast, far: float) -> Figure:
+    about = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
+    about += "mean the same in all casts."
+    return Figure("Distance of simulated and measured string", residual_map(record, cast, far), about, UNREAD)
+
+
+def _way(record: Record, cast: Cast) -> Figure:
+    about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
+    return Figure("Way of hand and tip", path(record, cast), about, SILENT)
 
 
 def _attempts(cast: Cast) -> Card:

@@ -12,20 +12,23 @@ from matplotlib import style
 
 from stringcast.stages.model.library import library
 from stringcast.stages.report.charts.parameters import cause, likeness, screenings
-from stringcast.stages.report.charts.residual import foretold, likelier, maps, size
-from stringcast.stages.report.charts.string import overlays, proposed, tips
-from stringcast.stages.report.charts.time import missing
+from stringcast.stages.report.charts.residual import curves, foretold, likelier, maps, size, tip_curves
+from stringcast.stages.report.charts.string import film, last, proposed, worst
+from stringcast.stages.report.charts.time import latent, missing
 from stringcast.stages.report.page import (
     Card,
     Cell,
     Details,
+    Explore,
     Figure,
+    Film,
     Grid,
-    Key,
+    Jump,
+    Layer,
     Page,
     Part,
     Section,
-    Small,
+    Side,
     Table,
     Text,
     Tile,
@@ -37,14 +40,15 @@ from stringcast.stages.report.page import (
     named,
     number,
 )
-from stringcast.stages.report.records import DiagnosisRecord, Facts
-from stringcast.stages.report.theme import STYLE, Picture
+from stringcast.stages.report.records import DiagnosisRecord, Facts, away
+from stringcast.stages.report.theme import MM, STYLE, Picture
 from stringcast.stages.report.words import (
     enumerated,
     gain,
     headline,
     interval,
     mm,
+    ms,
     percent,
     plain,
     quantity,
@@ -68,8 +72,8 @@ def stage_page(facts: Facts) -> str:
 def diagnosis_page(record: DiagnosisRecord) -> str:
     """The page as text; the same record gives the same page."""
     with style.context(STYLE):
-        sections = [tiles(record), rejected(record), causes(record), wrong(record), found(record), gained(record)]
-        sections += [left(record)]
+        sections = [tiles(record), rejected(record), causes(record), wrong(record), trials(record), found(record)]
+        sections += [gained(record), left(record)]
     return str(
         Page(
             title=f"{record.name}: {headline(record.document)}",
@@ -80,6 +84,7 @@ def diagnosis_page(record: DiagnosisRecord) -> str:
             origin=record.origin,
             settings=record.settings,
             tone=TONES.get(record.document["verdict"], ""),
+            explored=bool(record.trials),
         )
     )
 
@@ -187,14 +192,31 @@ def wrong(record: DiagnosisRecord) -> Section:
         *map(Text, _compared(record)),
         Grid([*where, Figure("How much, trial by trial", size(record), much, NOTHING)]),
     ]
-    if record.trials:
-        way = f"The way of the tip, and how far from it the model{'s are' if len(record.models) > 1 else ' is'}"
-        worst = "In the frame that the base model gets most wrong"
-        parts += [
-            Card(title, [_key(record), Small(drawn)])
-            for title, drawn in ((worst, overlays(record)), (way, tips(record)))
-        ]
     return Section("What the simulation gets wrong", parts)
+
+
+def trials(record: DiagnosisRecord) -> Section | None:
+    """Trials side by side, to play: the string, and how far from it the models are; all on one clock."""
+    if not record.trials:
+        return None
+    layers = [Layer("base", "before"), Layer("extended", "after"), Layer("measured", "measured", dots=True)]
+    shown = [layer for layer in layers if layer.name in (*record.models, "measured")]
+    lead = "Point at a curve, and every trial shows its string at that time; drag to zoom, double click for the "
+    lead += "whole. With the keyboard: arrows, + and −, 0. Faint lines are the ways of the tips. Each begins in the "
+    lead += "frame that the base model gets most wrong."
+    cards = Side([_trial(record, trial, table) for trial, table in record.trials.items()])
+    return Section("Trials side by side", [Text(lead), Explore([cards], shown, times=True)], "trials")
+
+
+def _trial(record: DiagnosisRecord, trial: str, table: pd.DataFrame) -> Card:
+    """The string of a trial, to play, and its curves."""
+    frame = worst(table)
+    moment = float(frame["t"].iloc[0])
+    off = ", ".join(f"{m} {mm(float(np.sqrt(np.mean(away(frame, m) ** 2))), 1)}" for m in record.models)
+    played = Film(film(record, table), f"The string in trial {trial} over time, measured and simulated.")
+    jump = Jump(moment * MM, f"Most wrong at {ms(moment)}: {off} off")
+    charts = [curves(record, trial), tip_curves(record, trial, last(table)), latent(record, trial)]
+    return Card(trial, [played, jump, *(chart for chart in charts if chart)])
 
 
 def _compared(record: DiagnosisRecord) -> list[str]:
@@ -217,11 +239,6 @@ def _compared(record: DiagnosisRecord) -> list[str]:
         lead,
         f"The maps are those of {points[0]} mass points in place of {points[1]}; with these, the misfit is gone.",
     ]
-
-
-def _key(record: DiagnosisRecord) -> Key:
-    colours = {"base": "var(--before)", "extended": "var(--after)"}
-    return Key([*((f"{model} model", colours[model]) for model in record.models), ("measured", "var(--measured)")])
 
 
 # --- how it was found -----------------------------------------------------------------------------

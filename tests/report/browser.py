@@ -1,0 +1,103 @@
+"""Chromium without a window, asked through a pipe: no driver, no network, nothing to install but the browser."""
+
+import json
+import os
+import shutil
+import subprocess
+import time
+from contextlib import contextmanager
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+QUIET = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
+QUIET += " --disable-component-update --disable-sync --disable-extensions --hide-scrollbars --remote-debugging-pipe"
+OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND"
+PATIENCE = 60.0  # [s]
+
+
+def found():
+    """The path of an installed Chromium, or None."""
+    return next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+class Browser:
+    """One page at a time. faults: what its console and its policy complained of, as text."""
+
+    def __init__(self, to, said):
+        self.to, self.said, self.number, self.faults, self.buffer = to, said, 0, [], b""
+        target = self.send("Target.createTarget", url="about:blank")["targetId"]
+        self.session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
+
+    def send(self, method, session=None, **given):
+        self.number += 1
+        message = {"id": self.number, "method": method, "params": given} | ({"sessionId": session} if session else {})
+        os.write(self.to, json.dumps(message).encode() + b"\0")
+        while (answer := self.heard()).get("id") != self.number:
+            self.note(answer)
+        assert "error" not in answer, f"{method}: {answer['error']}"
+        return answer["result"]
+
+    def call(self, method, **given):
+        return self.send(method, self.session, **given)
+
+    def heard(self):
+        """The next message."""
+        while b"\0" not in self.buffer:
+            more = os.read(self.said, 1 << 20)
+            assert more, "the browser ended"
+            self.buffer += more
+        message, _, self.buffer = self.buffer.partition(b"\0")
+        return json.loads(message)
+
+    def note(self, event):
+        """Errors and warnings of scripts, of the policy and of the network."""
+        kind, given = event.get("method"), event.get("params", {})
+        if kind == "Runtime.exceptionThrown":
+            self.faults.append(given["exceptionDetails"].get("exception", {}).get("description", str(given)))
+        elif kind == "Log.entryAdded" or (kind == "Runtime.consoleAPICalled" and given["type"] in ("error", "warning")):
+            self.faults.append(json.dumps(given))
+
+    def ask(self, expression):
+        """The value of an expression in the page."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def wait(self, expression):
+        """Until it is true."""
+        end = time.monotonic() + PATIENCE
+        while not self.ask(expression):
+            assert time.monotonic() < end, f"never: {expression}"
+            time.sleep(0.02)
+
+    def open(self, path, width=1060, height=900, dark=False):
+        """A page in a window of a size [px]."""
+        self.faults = []
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme])
+        self.call("Page.navigate", url=f"file://{path}")
+        self.wait("document.readyState === 'complete'")
+
+    def mouse(self, kind, x, y, pressed=False):
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=int(pressed), clickCount=1)
+
+
+@contextmanager
+def browser(folder):
+    """Started once, and gone at the end. folder: for its own files."""
+    ours, theirs = os.pipe(), os.pipe()
+    shell = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'  # where Chromium looks for its pipe
+    command = ["bash", "-c", shell, found(), *QUIET.split(), OFFLINE, f"--user-data-dir={folder}", "about:blank"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, pass_fds=(ours[0], theirs[1]), **quiet)
+    os.close(ours[0])
+    os.close(theirs[1])
+    try:
+        yield Browser(ours[1], theirs[0])
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+        os.close(ours[1])
+        os.close(theirs[0])

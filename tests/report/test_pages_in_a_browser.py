@@ -1,0 +1,165 @@
+"""Every page in a real Chromium without a network: nothing is complained of, and what can be touched answers."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stringcast.data.alignment import Alignment
+from stringcast.data.artifacts import Prediction
+from stringcast.stages.model.library import library
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+from stringcast.stages.report.pages.alignment import alignment_page
+from stringcast.stages.report.pages.cast import cast_page
+from stringcast.stages.report.pages.diagnosis import diagnosis_page
+from stringcast.stages.report.pages.paper import paper_page
+from stringcast.stages.report.pages.sweep import sweep_page
+from stringcast.stages.report.pages.tables import tables_page
+from stringcast.stages.report.records import DiagnosisRecord, Facts, PaperRecord
+from tests.report.browser import browser, found
+from tests.report.test_diagnosis_page import diagnosed, pushes
+from tests.report.test_report import manipulation, record_of
+from tests.report.test_sweep_page import record as sweep_record
+from tests.report.test_sweep_page import swept
+
+pytestmark = pytest.mark.skipif(found() is None, reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium.")
+ORIGIN = {"seed": 7, "code": {"commit": "0123456789abcdef"}}
+PHONE = 360  # [px]
+READY = "document.documentElement.dataset.ready === 'yes' || !document.querySelector('.explore')"
+
+
+def alignment():
+    row = {"sentence": "So.", "rms_before": 1e-3, "rms_after": 1e-4, "noise": 1e-4, "speed": 2.0}
+    seen = pd.DataFrame({"trial": "t", "t": [0.0, 0.1], "link": 1, "share": [0.5, 1.0], "x": 0.1, "y": [0.2, 0.3]})
+    seen = seen.assign(along_x=1.0, along_y=0.0, sigma=1e-4, before=[1e-3, 2e-3], after=1e-4)
+    likelihood = pd.DataFrame({"offset": [-1e-3, 0.0, 1e-3], "alone": [5.0, 0.0, 5.0], "with_lag": 1.0, "lag": 0.0})
+    measured = pd.DataFrame([("camera.x", "m", "shift", 1e-3, 0.0, 2e-3, True)], columns=list(_names(Alignment)))
+    return Alignment(measured=measured, seen=seen, likelihood=likelihood, aligned=pd.DataFrame([row]))
+
+
+def _names(kind):
+    return (column.name for column in kind.TABLES["measured"].columns)
+
+
+def texts(arm, camera):
+    """Every kind of page, of little."""
+    camera = replace(camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5))
+    coarse = Model(String(0.3), arm, camera)
+    told = diagnosed("effect", ["tip_mass"], missing=pushes())
+    prediction = Prediction(**{name: table.empty() for name, table in Prediction.TABLES.items()})
+    tables = {"runs": pd.DataFrame({"seed": [], "state": []}), "rates": pd.DataFrame({"condition": []})}
+    tables |= {"numbers": pd.DataFrame([("a", "k_h", 1.0, "1", "p")], columns=["what", "of", "value", "unit", "place"])}
+    casts = [manipulation(arm, camera, 1), manipulation(arm, camera, 2, hit=True)]
+    return {
+        "cast": cast_page(record_of(arm, camera, casts)),
+        "diagnosis": diagnosis_page(DiagnosisRecord("bench-7", told, coarse, library(), {}, ORIGIN)),
+        "sweep": sweep_page(sweep_record(swept())),
+        "alignment": alignment_page(Facts("a", "So.", alignment(), coarse, {}, ORIGIN)),
+        "tables": tables_page(Facts("t", "So.", prediction, coarse, {}, ORIGIN)),
+        "paper": paper_page(PaperRecord(tables, 3, {}, ORIGIN), {}),
+    }
+
+
+@pytest.fixture(scope="module")
+def pages(arm, camera, tmp_path_factory):
+    """Paths of the pages by name; their drawings are empty, which other tests look at."""
+    folder = tmp_path_factory.mktemp("pages")
+    empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stringcast.stages.report.theme.FigureCanvasSVG", lambda figure: empty)
+        made = texts(arm, camera)
+    for name, text in made.items():
+        (folder / f"{name}.html").write_text(text, encoding="utf-8")
+    return {name: folder / f"{name}.html" for name in made}
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    with browser(tmp_path_factory.mktemp("chromium")) as opened:
+        yield opened
+
+
+def opened(chromium, path, **how):
+    chromium.open(path, **how)
+    chromium.wait(READY)
+    return chromium
+
+
+def place(chromium, selector):
+    """Left, top, width and height of an element, brought into view [px]."""
+    ask = f"(e => (e.scrollIntoView({{block: 'center'}}), e.getBoundingClientRect()))(document.querySelector('{selector}'))"
+    return chromium.ask(f"(b => [b.x, b.y, b.width, b.height])({ask})")
+
+
+@pytest.mark.parametrize("name", ["cast", "diagnosis", "sweep", "alignment", "tables", "paper"])
+def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(chromium, pages, name):
+    page = opened(chromium, pages[name], width=PHONE, height=740, dark=True)
+    assert page.ask("document.documentElement.scrollWidth") == PHONE, "it can be pushed sideways"
+    assert page.ask("getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 28)"
+    assert pages[name].stat().st_size < 1.5e6
+    assert page.faults == []
+
+
+def test_what_is_pointed_at_in_one_curve_is_shown_in_all(chromium, pages):
+    """The string in the film, every curve of the cast and the clock; not those of the other cast."""
+    page = opened(chromium, pages["cast"])
+    before = page.ask("groups.map(g => g.members[0].index)")
+    left, top, width, height = place(page, ".u-over")
+    page.mouse("mouseMoved", left + 0.25 * width, top + height / 2)
+    page.wait("groups[0].t !== null")
+    times = page.ask("groups[0].members.map(m => m.plot ? m.plot.data[0][m.plot.cursor.idx] : m.data.t[m.index])")
+    assert np.ptp(times) < 20, times
+    low, high = page.ask("groups[0].members[1].range()")
+    assert times[0] == pytest.approx(low + 0.25 * (high - low), abs=20)
+    assert page.ask("groups.map(g => g.members[0].index)")[1] == before[1]
+    assert page.ask("document.querySelector('.controls output').textContent") == f"{page.ask('groups[0].t'):.0f} ms"
+    assert page.faults == []
+
+
+def test_a_stretch_that_is_dragged_over_is_zoomed_to_in_all(chromium, pages):
+    page = opened(chromium, pages["diagnosis"])
+    whole = page.ask("groups[0].members.filter(m => m.plot).map(m => m.range())")
+    left, top, width, height = place(page, ".u-over")
+    page.mouse("mousePressed", left + 0.2 * width, top + height / 2, pressed=True)
+    page.mouse("mouseMoved", left + 0.6 * width, top + height / 2, pressed=True)
+    page.mouse("mouseReleased", left + 0.6 * width, top + height / 2)
+    page.wait(f"groups[0].members.find(m => m.plot).range()[0] > {0.1 * whole[0][1]}")
+    zoomed = np.array(page.ask("groups[0].members.filter(m => m.plot).map(m => m.range())"))
+    assert np.ptp(zoomed, axis=0) == pytest.approx(0, abs=1e-6)
+    assert np.ptp(zoomed[0]) == pytest.approx(0.4 * np.ptp(whole[0]), rel=0.05)
+    page.ask("document.querySelector('.plot').focus()")
+    for kind in ("keyDown", "keyUp"):
+        page.call("Input.dispatchKeyEvent", type=kind, key="0", text="0" if kind == "keyDown" else "")
+    page.wait("groups[0].members.find(m => m.plot).range()[0] <= 0")
+    assert page.faults == []
+
+
+def test_a_film_plays_and_its_differences_can_be_enlarged(chromium, pages):
+    page = opened(chromium, pages["diagnosis"])
+    drawn = "document.querySelector('canvas').toDataURL()"
+    still = page.ask(drawn)
+    page.ask("(s => (s.value = '20', s.onchange()))(document.querySelector('.times'))")
+    assert page.ask(drawn) != still
+    page.ask("document.querySelector('.controls select').value = '1'; document.querySelector('.play').click()")
+    begun = page.ask("groups[0].t")
+    page.wait(f"groups[0].t > {begun or 0}")
+    page.wait("document.querySelector('.play').textContent === 'Play'")
+    assert page.ask("groups[0].members.filter(m => m.images).every(m => m.index === m.data.t.length - 1)")
+    assert page.faults == []
+
+
+def test_curves_follow_the_theme_and_are_on_paper(chromium, pages):
+    page = opened(chromium, pages["cast"])
+    light = page.ask("groups[0].members[1].plot.series[1].stroke()")
+    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    page.wait(f"groups[0].members[1].plot.series[1].stroke() !== {json.dumps(light)}")
+    page.call("Emulation.setEmulatedMedia", media="print")
+    assert page.ask("getComputedStyle(document.querySelector('.controls')).display") == "none"
+    narrow = "[...document.querySelectorAll('canvas, img')].every(e => e.getBoundingClientRect().right <= innerWidth)"
+    assert page.ask(narrow)
+    page.call("Emulation.setEmulatedMedia", media="")
+    assert page.faults == []
