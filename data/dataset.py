@@ -8,8 +8,10 @@ and `masks`, so that estimation from disk sees exactly what it saw in the run.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ TRIAL = Column("trial", "", "name of the trial", "text")
 PUBLISHED = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours
 BEYOND = 1.05  # times the string's length: points further along are another string's
 STRAY = 0.05  # of a trial's points: so few that lie beyond are left out, and not the trial
+SINCE_1970 = (1e9, 4e9)  # [s]: 2001 to 2096
 OVERLAP = 0.1  # [s] that arm and camera must have in common
 FRAMES_NEEDED = 3  # in which the string was seen
 MOST_TRIALS = 4000  # each takes a millisecond to set apart, and seconds to simulate once
@@ -124,7 +127,7 @@ def read(folder: Path) -> Dataset:
         hand = {motion_table.name: moved}
         trial = replace(Observation(name, *seen, **hand), moving=name in moving)
         film = Film(shots[name][0] - begin, shots[name][1], **hand) if name in shots else None
-        fault = _invalid(known, name) or _unusable(moved["t"].to_numpy(), trial, film)
+        fault = _invalid(known, name) or _unusable(moved["t"].to_numpy(), trial, film, begin)
         if fault:
             unusable[name] = fault
         else:
@@ -212,9 +215,7 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
     path = _find(folder, table.name)
     if path is None:
         instead = {POINTS: ", nor frames or videos", GRASP: ", nor arm.parquet or arm.csv"}.get(table, "")
-        raise DataError(
-            f"{folder}: neither {table.name}.parquet nor {table.name}.csv{instead}. Add it, with column 'trial'."
-        )
+        raise DataError(f"{folder}: neither {table.name}.parquet nor {table.name}.csv{instead}. {_instead_of(folder)}")
     whole = with_trial(table)
     frame = from_csv(whole, path) if path.suffix == ".csv" else read_table(whole, path)
     _check_names(frame["trial"].unique(), path)
@@ -224,6 +225,17 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
         frame = frame.assign(file=_in_the_folder(frame["file"], folder, path))
     kept, rows[path.name] = sifted(whole, frame)
     return kept.reset_index(drop=True)
+
+
+def _instead_of(folder: Path) -> str:
+    """What to do where a table is missing: files of other names may hold it."""
+    known = {f"{table.name}{end}" for table in (ARM, GRASP, *PUBLISHED) for end in (".parquet", ".csv")}
+    others = [p for p in sorted(folder.iterdir()) if p.suffix in (".csv", ".parquet", ".tsv", ".h5", ".mcap")]
+    named = [str(path) for path in others if path.name not in known]
+    if not named:
+        return "Add it, with column 'trial'."
+    files = " ".join(map(shlex.quote, named[:4])) + " ..." * (len(named) > 4)
+    return f"If other files hold it: python -m pipeline import {files} --to {shlex.quote(f'{folder}-imported')}"
 
 
 def _check_names(names: Sequence[Any], path: Path) -> None:
@@ -274,8 +286,9 @@ def _invalid(known: Mapping[str, Any], name: str) -> Unusable | None:
     return Unusable(str(reason), f"Take 'invalid' out of {NAME} if it should count") if reason else None
 
 
-def _unusable(moved: np.ndarray, trial: Observation, film: Film | None) -> Unusable | None:
-    """Why a trial cannot be used, whose hand was seen at these times [s]; None if it can."""
+def _unusable(moved: np.ndarray, trial: Observation, film: Film | None, begin: float) -> Unusable | None:
+    """Why a trial cannot be used, whose hand was seen at these times [s]; None if it can. begin: what was taken from
+    all of its times [s]."""
     if not len(moved):
         named = "Add its rows to the arm's or the grasp's table, or see that its name is the same in both"
         return Unusable("no motion of the hand", named)
@@ -288,9 +301,22 @@ def _unusable(moved: np.ndarray, trial: Observation, film: Film | None) -> Unusa
         reason = f"the string was seen in {len(seen)} frame(s) only"
         return Unusable(reason, "A motion is told by more frames: record it again")
     common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
-    reason = f"arm and camera overlap for {max(common, 0):.2f} s only"
-    remedy = "See that both clocks begin together and that both count seconds"
-    return Unusable(reason, remedy) if common < OVERLAP else None
+    if common >= OVERLAP:
+        return None
+    reason = f"arm and camera overlap for {max(common, 0):.2f} s only{_two_clocks(moved + begin, seen + begin)}"
+    remedy = "See that both clocks begin together and that both count seconds; `import` lays them over one another"
+    return Unusable(reason, remedy)
+
+
+def _two_clocks(moved: np.ndarray, seen: np.ndarray) -> str:
+    """What two clocks say that have nothing in common; times [s]."""
+    said = [
+        f"says {datetime.fromtimestamp(t.min(), UTC):%Y-%m-%d %H:%M:%S} (seconds since 1970)"
+        if SINCE_1970[0] < t.min() < SINCE_1970[1]
+        else f"goes from {t.min():.2f} to {t.max():.2f} s"
+        for t in (moved, seen)
+    ]
+    return f": the arm's clock {said[0]}, the camera's {said[1]}"
 
 
 def _pointless(trial: Observation) -> Unusable:

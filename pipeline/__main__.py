@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from stringcast.data.errors import ExpectedError, printable, remedy_for
 from stringcast.pipeline import log
+from stringcast.pipeline.called import as_called
 from stringcast.pipeline.commands import NAMES, command
 from stringcast.pipeline.complaint import complain, interrupted, refusal
 from stringcast.pipeline.mistakes import refuse_mistakes
@@ -75,12 +76,12 @@ def called() -> None:
         main()
         sys.exit(sweep_ended())
     except ExpectedError as error:
-        sys.exit(f"Error: {printable(str(error))}")
+        sys.exit(f"Error: {as_called(printable(str(error)))}")
     except KeyboardInterrupt as error:
         sweep_ended()
         sys.exit(interrupted(error))
     except (HydraException, OmegaConfBaseException) as error:
-        sys.exit(f"Error: {printable(refusal(error))}")
+        sys.exit(f"Error: {as_called(printable(refusal(error)))}")
     except OSError as error:
         what = printable(str(error.filename or sweep_folder()))
         remedy = f"{remedy_for(error)} with hydra.run.dir or hydra.sweep.dir."

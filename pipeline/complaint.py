@@ -9,13 +9,14 @@ import signal
 from hydra.core.global_hydra import GlobalHydra
 from rich.markup import escape
 
+from stringcast.pipeline.called import as_called
 from stringcast.pipeline.settings import composed, flat
 from stringcast.pipeline.terminal import Terminal
 
 
 def complain(error: Exception, console: Terminal) -> None:
     """One clear message."""
-    console.print(f"[bold red]Error:[/] {escape(str(error))}", highlight=False, soft_wrap=True)
+    console.print(f"[bold red]Error:[/] {escape(as_called(str(error)))}", highlight=False, soft_wrap=True)
 
 
 def interrupted(by: KeyboardInterrupt) -> int:

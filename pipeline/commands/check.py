@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,11 @@ from rich.text import Text
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
+from stringcast.pipeline.called import as_called
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
 from stringcast.pipeline.terminal import Terminal
+from stringcast.stages.check.finding import full_stop
 from stringcast.stages.check.measured import Measured
 from stringcast.stages.check.overview import overview
 from stringcast.stages.model.arm import Arm
@@ -63,9 +66,16 @@ def measured(folder: Path, overrides: Sequence[str]) -> Measured:
 
 
 def unreadable(folder: Path, reason: str) -> dict[str, Any]:
-    """What is known of data that cannot be read."""
-    finding = {"severity": "error", "file": "", "field": "", "said": reason, "remedy": "", "trials": []}
-    return {"format": 1, "folder": str(folder), "usable": False, "trials": [], "rejected": {}, "findings": [finding]}
+    """What is known of data that cannot be read. reason: `file: field is so. Remedy.`, as all errors are written."""
+    file, _, rest = reason.partition(": ")
+    ends = [at.start() for at in re.finditer(r"\. (?=[A-Z])", rest)]
+    end = next((at for at in ends if rest[:at].count("(") == rest[:at].count(")")), len(rest))
+    said, remedy = rest[:end].removesuffix("."), rest[end + 2 :].removesuffix(".")
+    field = re.match(r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'", said)
+    named = next(filter(None, field.groups()), "") if field else ""
+    finding: dict[str, Any] = {"severity": "error", "file": file, "field": named, "said": said, "remedy": remedy}
+    found = [{**finding, "trials": []}]
+    return {"format": 1, "folder": str(folder), "usable": False, "trials": [], "rejected": {}, "findings": found}
 
 
 def show(found: Mapping[str, Any], console: Terminal) -> None:
@@ -76,10 +86,10 @@ def show(found: Mapping[str, Any], console: Terminal) -> None:
     for finding in found["findings"]:
         place = " ".join(filter(None, (finding["file"], finding["field"])))
         where = f" (trial {listed(finding['trials'])})" if finding["trials"] else ""
-        remedy = f" {finding['remedy']}." if finding["remedy"] else ""
+        remedy = f" {finding['remedy']}{full_stop(finding['remedy'])}" if finding["remedy"] else ""
         words = f"{place}{where}: {finding['said']}." if place or where else finding["said"] + "."
         colour, severity = COLOURS[finding["severity"]], finding["severity"]
-        console.print(f"[{colour}]{severity}[/] {escape(words + remedy)}", highlight=False, soft_wrap=True)
+        console.print(f"[{colour}]{severity}[/] {escape(as_called(words + remedy))}", highlight=False, soft_wrap=True)
     console.print(conclusion(found), soft_wrap=True)
 
 

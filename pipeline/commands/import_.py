@@ -29,7 +29,7 @@ from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import Measured
-from stringcast.stages.check.mistakes import Mistake, best_explanation, impossible
+from stringcast.stages.check.mistakes import Mistake, explanations, impossible
 
 TRIES = 6  # as many things can be unclear one after another: units of points and hand, degrees, direction, clock
 EXAMPLES = """\
@@ -138,7 +138,8 @@ def understood(
                 written(made, folder, asked.files, "")
                 measured = check.measured(folder, [])
                 strange = impossible(measured)
-                undoing = (_undoing(mistake, what, asked) for mistake in (best_explanation(strange) if strange else ()))
+                likely = explanations(measured, strange) if strange else []
+                undoing = (_undoing(mistake, what, asked) for mistake in (likely[0] if likely else ()))
                 change = next(filter(None, undoing), None)
             if change is None:
                 return what, made, measured

@@ -65,7 +65,7 @@ def begun(measured: Measured) -> Iterator[Finding]:
 def rate(measured: Measured) -> Iterator[Finding]:
     """Frames that come at another rate than the camera is said to have."""
     told = (measured.data.about.get("camera") or {}).get("fps")
-    for seen in measured.with_points():
+    for seen in measured.telling():
         step = usual(seen.frame_t)
         if told is None or not 0 < step < SLOW:
             continue
@@ -90,7 +90,7 @@ def overlap(measured: Measured) -> Iterator[Finding]:
 
 def together(measured: Measured) -> Iterator[Finding]:
     """A string at rest that moves long before or after the hand."""
-    for seen in measured.with_points():
+    for seen in measured.telling():
         hand, string = seen.hand_onset, seen.string_onset
         if seen.moving or hand is None or string is None or restless(seen):
             continue
@@ -103,7 +103,7 @@ def together(measured: Measured) -> Iterator[Finding]:
 
 def rest(measured: Measured) -> Iterator[Finding]:
     """A string that moves without the hand, though it is said to be at rest."""
-    for seen in measured.with_points():
+    for seen in measured.telling():
         if not seen.moving and restless(seen):
             said = "the string moves before the hand does, or the hand never moves"
             remedy = (
@@ -111,6 +111,18 @@ def rest(measured: Measured) -> Iterator[Finding]:
                 "trials); else begin the trial earlier"
             )
             yield Finding(Severity.WARNING, measured.file("points"), "t", said, remedy, (seen.name,))
+
+
+def scarce(measured: Measured) -> Iterator[Finding]:
+    """A string that was seen so seldom that its motion cannot be told."""
+    for seen in measured.with_points():
+        if seen.scarce:
+            said = (
+                f"each place was seen {seen.rate:.2g} times a second; a string of {seen.length:.3g} m swings so fast "
+                f"that {seen.least_rate:.2g} are the least"
+            )
+            remedy = "Film faster, or track more frames: how the string moves between them is not told"
+            yield Finding(Severity.ERROR, measured.file("points"), "t", said, remedy, (seen.name,))
 
 
 def restless(seen: Seen) -> bool:

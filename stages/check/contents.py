@@ -12,7 +12,8 @@ import numpy as np
 from stringcast.data.about import NAME, About, ArmBlock, Block, CameraBlock, NoiseBlock, StringBlock, TrialBlock
 from stringcast.data.artifacts import ARM, GRASP, POINTS
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.measured import Measured, Seen
+from stringcast.stages.check.measured import LOST, Measured, Seen
+from stringcast.stages.check.mistakes import impossible, unknown_arm
 
 MUCH = 0.1  # of the rows: if so many cannot be used, something is wrong
 NEAR = 0.75  # likeness of names
@@ -30,8 +31,10 @@ def rows(measured: Measured) -> Iterator[Finding]:
         if what.dropped:
             lost = sum(what.dropped.values())
             reasons = "; ".join(f"{count}: {reason}" for reason, count in what.dropped.items())
-            severity = Severity.WARNING if lost > MUCH * what.read else Severity.NOTE
             said = f"{lost} of {what.read} rows are left out ({reasons})"
+            severity = Severity.WARNING if lost > MUCH * what.read else Severity.NOTE
+            if lost > LOST * what.read:
+                severity, said = Severity.ERROR, f"{said}: too few are left to tell anything"
             yield Finding(severity, file, "", said, "Correct them if they should count")
         if what.unordered:
             said = f"{what.unordered} rows are earlier than the row before them"
@@ -79,12 +82,23 @@ def length(measured: Measured) -> Iterator[Finding]:
 
 
 def arm(measured: Measured) -> Iterator[Finding]:
-    """Joint angles of an arm that is not described."""
-    told = measured.data.about.get("arm") or {}
-    for key in ("links", "base"):
-        if key not in told and any(seen.joints is not None for seen in measured.trials):
-            said = f"it is missing; {list(getattr(measured.arm, key))} m is assumed"
-            yield Finding(Severity.WARNING, NAME, f"arm.{key}", said, "Write what your arm has, in metres")
+    """Joint angles of an arm that is not described: an error where the string cannot hang from the one assumed."""
+    severity = Severity.ERROR if impossible(measured) else Severity.WARNING
+    for key in unknown_arm(measured):
+        said = f"it is missing; {list(getattr(measured.arm, key))} m is assumed"
+        if severity is Severity.ERROR:
+            said += ", and the string does not begin there where its hand would be"
+        remedy = "Write what your arm has, in metres: arm: {links: [0.25, 0.20, 0.135], base: [0, 0]}"
+        yield Finding(severity, NAME, f"arm.{key}", said, remedy)
+
+
+def hands(measured: Measured) -> Iterator[Finding]:
+    """Joint angles and poses of the hand, of which one is not looked at."""
+    there = [file for file in measured.data.hashes if file.rpartition(".")[0] in (ARM.name, GRASP.name)]
+    if len(there) > 1:
+        said = f"{' and '.join(there)} both say how the hand moved"
+        remedy = f"Keep the one that is right, and take the other away: rm {measured.data.folder / there[-1]}"
+        yield Finding(Severity.ERROR, ", ".join(there), "", said, remedy)
 
 
 def camera(measured: Measured) -> Iterator[Finding]:
@@ -97,7 +111,7 @@ def camera(measured: Measured) -> Iterator[Finding]:
 
 def noise(measured: Measured) -> Iterator[Finding]:
     """Noise that is stated in another unit, or that points do not have."""
-    for seen in measured.with_points():
+    for seen in measured.telling():
         told = stated(seen)
         place = (NAME, "noise.point_sigma") if "noise" in measured.data.about else (measured.file("points"), "sigma")
         if told is not None and told > COARSE * seen.length:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -34,4 +35,9 @@ class Finding:
         """All of it in one line."""
         place = " ".join(filter(None, (self.file, self.field)))
         where = f" (trial {', '.join(self.trials)})" if self.trials else ""
-        return f"{place}{where}: {self.said}. {self.remedy}."
+        return f"{place}{where}: {self.said}. {self.remedy}{full_stop(self.remedy)}"
+
+
+def full_stop(remedy: str) -> str:
+    """What ends it: nothing behind a command, which is to be pasted."""
+    return "" if re.search(r": (python|rm) \S", remedy) else "."

@@ -19,6 +19,11 @@ STILL = 3  # frames that tell where the string is at first
 MOVED = 0.03  # of the string's length: who has gone so far has left his place
 FEWEST = 60  # differences from which a place tells its noise
 CLEAR = 8.0  # noises by which a point must have gone
+GRAVITY = 9.81  # [m/s2]
+SECOND = 2.76  # of a hanging string's swings: its frequency in sqrt(g / length), half the second zero of Bessel's J0
+SAMPLES = 4.0  # of a period, at least: two would tell it only if there were neither noise nor gaps
+MOSTLY, LEAP = 0.9, 0.1  # of the steps from frame to frame, and of the length: who goes further swings in between
+LOST = 0.8  # of the rows: from fewer nothing is told
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,27 @@ class Seen:
         return [(times[there[:, k]], lines[there[:, k], k]) for k in range(len(found))]
 
     @cached_property
+    def rate(self) -> float:
+        """How often a place of the string was seen [1/s], gaps and missing points counted; NaN for one frame."""
+        _, frame = np.unique(self.points["t"], return_inverse=True)
+        lengths = [len(track) for track in tracked(frame, self.points["s"].to_numpy())]
+        duration = float(np.ptp(self.frame_t))
+        return float(np.mean(lengths)) / duration if duration > 0 else float("nan")
+
+    @property
+    def least_rate(self) -> float:
+        """How often it must be, to tell how a limp string of this length swings [1/s]."""
+        return SAMPLES * SECOND / (2 * np.pi) * float(np.sqrt(GRAVITY / self.length))
+
+    @property
+    def scarce(self) -> bool:
+        """Whether it was seen so seldom that how it moves cannot be told: a hand so slow that the string only hangs
+        from it needs few frames."""
+        steps = [np.linalg.norm(np.diff(xy, axis=0), axis=1) for _, xy in self.tracks]
+        leaps = not steps or float(np.quantile(np.concatenate(steps), MOSTLY)) > LEAP * self.length
+        return self.rate < self.least_rate and leaps
+
+    @cached_property
     def noise(self) -> float:
         """One standard deviation of a coordinate [m], from fourth differences in time, which smooth motion hardly has:
         of the calmest place, for the tip of a string that whips has them. NaN where frames are too few."""
@@ -135,6 +161,16 @@ class Measured:
     def with_points(self) -> Iterator[Seen]:
         """Those of them of which points were measured."""
         return (trial for trial in self.trials if len(trial.points))
+
+    @property
+    def rows_lost(self) -> float:
+        """Share of the rows of points that cannot be used."""
+        rows = self.data.rows.get(self.file("points"))
+        return sum(rows.dropped.values()) / rows.read if rows and rows.read else 0.0
+
+    def telling(self) -> Iterator[Seen]:
+        """Those that were seen often enough to tell how they move, and when they begin to."""
+        return (t for t in self.with_points() if self.rows_lost <= LOST and not t.scarce)
 
     def file(self, name: str) -> str:
         """The file of a table, as it is called here: Parquet or CSV."""

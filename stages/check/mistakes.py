@@ -15,7 +15,8 @@ import numpy as np
 
 from stringcast.data.dataset import BEYOND
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.measured import Measured, Seen
+from stringcast.stages.check.gravity import usual_fall
+from stringcast.stages.check.measured import GRAVITY, Measured, Seen
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
@@ -25,7 +26,9 @@ MOST = 0.8  # of the points must be possible: others may be outliers
 NEARLY = 0.95  # of the points lie no further along than the string's end
 STRETCH = 1.5  # times as long as its arc length is no piece of it
 DENSE = 0.15  # of the length: pieces so short are nearly straight
-LENGTHS = (0.01, 20.0)  # [m] of strings that arms swing
+LENGTHS = (0.01, 20.0)  # [m] of strings at all
+SWUNG = 2.0  # [m] of strings that arms swing: what is taken for a mistake must leave no longer one
+LIKE = 1e-6  # of strangeness: as likely
 RADIANS = 4 * np.pi  # a joint does not turn further
 TURNS = 12 * np.pi  # nor does a hand
 MOSTLY = 0.9  # of the samples: others may be outliers
@@ -221,35 +224,65 @@ MISTAKES = (
 def mistakes(measured: Measured) -> Iterator[Finding]:
     """Strings that cannot be, and the mistake that would explain all of them best."""
     strange = impossible(measured)
-    if not strange:
+    if not strange or unknown_arm(measured):
         return
-    made = best_explanation(strange)
-    if not made:
+    likely = explanations(measured, strange)
+    if not likely:
         yield from (unexplained(measured, name, both[0]) for name, both in strange.items())
-    for mistake in made:
+        return
+    here = next(iter(strange.values()))[0]
+    for mistake in likely[0]:
         file = mistake.table if "." in mistake.table else measured.file(mistake.table)
-        said = f"{mistake.said} as it seems: {shown(next(iter(strange.values()))[0])}"
+        said = f"{mistake.said} as it seems: {shown(here)}{instead(likely, here)}"
         yield Finding(Severity.ERROR, file, mistake.field, said, mistake.remedy, tuple(strange))
 
 
 def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
-    """Strings that cannot be, by trial."""
+    """Strings that cannot be, by trial. Where nobody says how long they are, as long as they were seen to be."""
     looked = {seen.name: views(seen, measured.camera) for seen in measured.with_points()}
+    if "length" not in (measured.data.about.get("string") or {}):
+        end = max((both[0].end for both in looked.values()), default=0.0)
+        if end > BEYOND * measured.length:
+            looked = {name: (replace(a, length=end), replace(b, length=end)) for name, (a, b) in looked.items()}
     return {name: both for name, both in looked.items() if not any(here.possible for here in both)}
 
 
-def best_explanation(strange: Mapping[str, tuple[View, View]]) -> tuple[Mistake, ...]:
-    """The mistake without which all of these strings are possible, and least strange; where no single one is enough, a
-    unit and a direction that are both wrong; none if these are not enough either."""
+def unknown_arm(measured: Measured) -> list[str]:
+    """What is not said of an arm of which there are joint angles: links, base."""
+    told = measured.data.about.get("arm") or {}
+    by_joints = any(seen.joints is not None for seen in measured.trials)
+    return [key for key in ("links", "base") if key not in told and by_joints]
+
+
+def explanations(measured: Measured, strange: Mapping[str, tuple[View, View]]) -> list[tuple[Mistake, ...]]:
+    """The mistakes without which all of these strings are possible and least strange, the likeliest first: that with
+    which they fall as things do, and millimetres before centimetres. Where no single one is enough, a unit and a
+    direction that are both wrong; none if these are not enough either."""
     units = [
         m for m in MISTAKES if m.parts and "s" not in m.parts
     ]  # with s in another unit, all would lie at one place
     directions = [m for m in MISTAKES if m.option]
     for tried in (((m,) for m in MISTAKES), product(units, directions)):
         explained = {made: left for made in tried if (left := left_strange(made, strange.values())) is not None}
-        if explained:
-            return min(explained, key=lambda made: explained[made])
-    return ()
+        best = [made for made, left in explained.items() if left <= min(explained.values()) + LIKE]
+        if best:
+            seen = usual_fall(measured.with_points()) if len(best) > 1 else np.nan
+            return sorted(best, key=lambda made: np.nan_to_num(abs(np.log(abs(seen) * lengths_of(made) / GRAVITY))))
+    return []
+
+
+def lengths_of(made: tuple[Mistake, ...]) -> float:
+    """By what positions of points are multiplied to undo mistakes."""
+    return float(np.prod([mistake.factor for mistake in made if "xy" in mistake.parts]))
+
+
+def instead(likely: list[tuple[Mistake, ...]], here: View) -> str:
+    """What is said of the next best explanation, where two fit."""
+    if len(likely) < 2:
+        return ""
+    lengths = [reduce(lambda view, mistake: mistake.undone(view), made, here).length for made in likely[:2]]
+    unit = likely[1][0].said.partition(" in ")[2].partition(",")[0]
+    return f" (a string of {lengths[0]:.3g} m; {unit} would fit too, and make it {lengths[1]:.3g} m)"
 
 
 def left_strange(made: tuple[Mistake, ...], strange: Iterable[tuple[View, View]]) -> float | None:
@@ -257,7 +290,7 @@ def left_strange(made: tuple[Mistake, ...], strange: Iterable[tuple[View, View]]
     left = []
     for both in strange:
         undone = (reduce(lambda view, mistake: mistake.undone(view), made, here) for here in both)
-        left.append([view.strangeness for view in undone if view.possible])
+        left.append([view.strangeness for view in undone if view.possible and view.length <= SWUNG])
         if not left[-1]:
             return None
     return sum(min(each) for each in left)

@@ -6,13 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stringcast.stages.check.clocks import usual
+from stringcast.stages.check.clocks import factor_of, usual
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.measured import CLEAR, Measured, Seen
+from stringcast.stages.check.gravity import usual_fall
+from stringcast.stages.check.measured import CLEAR, GRAVITY, Measured, Seen
+from stringcast.stages.check.mistakes import impossible
 
 HELD = 0.1  # [s] for which a reading is the same to the last digit while others change
 REPEATED = 0.05  # of the steps of moving points: so many are not by chance the same to the last digit
 TURN = 1.5 * np.pi  # a jump so large within two samples is a wrapped angle
+SLOWEST, FASTEST = 4.0, 10.0  # times less and more than gravity: of 17 benches 5 to 19 m/s2, of a clamped strip 41
 UP = 0.5  # of its arc length: so far above the grasp no limp string rests
 
 
@@ -86,6 +89,21 @@ def repeated(seen: Seen) -> float:
         same += int(((steps == 0) & beside).sum())
         moved += int(far.sum())
     return same / (same + moved) if moved else 0.0
+
+
+def falls(measured: Measured) -> Iterator[Finding]:
+    """A string that falls as nothing does on Earth."""
+    if impossible(measured) or any(factor_of(seen.frame_t) != 1 for seen in measured.with_points()):
+        return  # which makes it fall otherwise, and is said
+    seen = usual_fall(measured.telling())
+    if not (seen < GRAVITY / SLOWEST or seen > GRAVITY * FASTEST):
+        return
+    said = f"the string's end falls with {seen:.2g} m/s2 as it seems, and not with {GRAVITY}"
+    if seen < GRAVITY:
+        remedy = "Of slow motion count the frames as filmed: times are too long as they are, or lengths too small"
+    else:
+        remedy = "See in which unit lengths and times are; a very stiff string may seem to fall so fast"
+    yield Finding(Severity.WARNING, measured.file("points"), "t, x, y", said, remedy)
 
 
 def still(measured: Measured) -> Iterator[Finding]:

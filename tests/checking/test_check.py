@@ -40,6 +40,7 @@ class Dirty:
         self.points = self.points.reset_index(drop=True)
         self.about = yaml.safe_load((SAMPLE / "dataset.yaml").read_text())
         self.grasp = None
+        self.both = False
 
     @property
     def length(self):
@@ -52,7 +53,8 @@ class Dirty:
         return self
 
     def write(self, folder):
-        hand = {"arm": self.arm} if self.grasp is None else {"grasp": self.grasp}
+        hand = {"arm": self.arm} if self.grasp is None or self.both else {}
+        hand |= {} if self.grasp is None else {"grasp": self.grasp}
         for name, table in {**hand, "points": self.points}.items():
             table.to_csv(folder / f"{name}.csv", index=False)
         (folder / "dataset.yaml").write_text(yaml.safe_dump(self.about))
@@ -67,7 +69,7 @@ def dirty():
 def looked_at(folder):
     """As the command does, without composing the configuration anew."""
     data = dataset.read(folder)
-    links = data.about["arm"]["links"]
+    links = data.about.get("arm", {}).get("links", AS_A_RUN.arm.links)
     length = data.about.get("string", {}).get("length", 0.3)
     return replace(AS_A_RUN, data=data, arm=replace(AS_A_RUN.arm, links=tuple(links)), length=length)
 
@@ -119,6 +121,28 @@ def everything(dirty):
     dirty.about["string"]["length"] *= 1e3
 
 
+def mm_and_down(dirty):
+    dirty.points[["x", "y"]] *= 1e3
+    dirty.points["y"] *= -1
+
+
+def five_frames(dirty):
+    dirty.points = dirty.points[dirty.points.groupby("trial")["t"].rank("dense") % 40 == 1]
+
+
+def nine_lost(dirty):
+    dirty.points.loc[dirty.points.sample(frac=0.9, random_state=1).index, "x"] = np.nan
+
+
+def arm_and_grasp(dirty):
+    dirty.with_poses().both = True
+
+
+def unknown_arm(dirty):
+    del dirty.about["arm"]
+    dirty.points["x"] -= 0.3  # as of an arm that stands elsewhere
+
+
 def poses(dirty):
     scaled("grasp", ["x", "y"], 1e3)(dirty.with_poses())
 
@@ -146,7 +170,12 @@ CERTAIN = {
     "length in cm": (length(1e2), "dataset.yaml string.length", "Multiply it by 0.01"),
     "links in mm": (links, "dataset.yaml arm.links", "Multiply them by 0.001"),
     "poses in mm": (poses, "grasp.csv x, y", "Multiply x and y by 0.001"),
-    "all in mm": (everything, "points.csv s, x, y", "Multiply all of them"),
+    "all in mm": (everything, "points.csv s, x, y", "Multiply all of them, and arm.links and arm.base, by 0.001"),
+    "mm and y down": (mm_and_down, "points.csv x, y; points.csv y", "Multiply x and y by 0.001"),
+    "five frames a second": (five_frames, "points.csv t", "Film faster"),
+    "nine of ten lost": (nine_lost, "points.csv ", "Correct them"),
+    "arm and grasp": (arm_and_grasp, "arm.csv, grasp.csv ", "take the other away: rm "),
+    "unknown arm": (unknown_arm, "dataset.yaml arm.base; dataset.yaml arm.links", "arm: {links: ["),
     "degrees": (scaled("arm", ANGLES, 180 / np.pi), "arm.csv q1, q2, q3", "Multiply them by pi / 180"),
     "theta in degrees": (degrees_of_poses, "grasp.csv theta", "Multiply them by pi / 180"),
     "y down": (scaled("points", ["y"], -1), "points.csv y", "Multiply y by -1"),
@@ -167,16 +196,18 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(dirty, 
     spoil(dirty)
     here = looked_at(dirty.write(tmp_path))
     errors = [f for f in findings(here) if f.severity is Severity.ERROR]
-    assert {f"{f.file} {f.field}" for f in errors} == {place}, [f.sentence for f in errors]
+    assert {f"{f.file} {f.field}" for f in errors} == {*place.split("; ")}, [f.sentence for f in errors]
     assert remedy in errors[0].remedy
+    assert len(findings(here)) == 1 or kind not in TOO_LITTLE  # of which no advice on clocks or noise is given
     assert not overview(here)["usable"]
     with pytest.raises(DataError) as refused:
         refuse(here)
-    assert place in str(refused.value)
+    assert any(one.strip() in str(refused.value) for one in place.split("; "))
     assert remedy in str(refused.value)
     assert "python -m pipeline check" in str(refused.value)
 
 
+TOO_LITTLE = ("five frames a second", "nine of ten lost")
 AT_THE_TIP = ("points in mm", "points in px", "s in mm", "length in mm", "links in mm", "poses in mm", "degrees")
 
 
@@ -390,7 +421,37 @@ def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(dirty, tmp_pat
 
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
-    assert len(set(names)) == len(names) == 27
+    assert len(set(names)) == len(names) == 30
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+@pytest.mark.parametrize(("unit", "size", "slow"), [("centimetres", 1e2, 1.0), ("millimetres", 5e2, np.sqrt(0.5))])
+def test_where_two_units_fit_the_fall_decides_and_both_are_said(dirty, tmp_path, share, unit, size, slow):
+    """Of a whole string and of its tip: 0.304 m in cm would be 30 mm if these were mm, and half that string in mm, which
+    moves in the square root of half the time, 1.52 m if these were cm."""
+    dirty.with_poses()
+    dirty.points = dirty.points[dirty.points["s"] >= share * (1 - 1e-9) * dirty.length]
+    for table in (dirty.grasp, dirty.points):
+        table[["x", "y"]] *= size
+        table["t"] *= slow
+    dirty.points["s"] *= size
+    dirty.about["string"]["length"] *= size
+    worst = found(dirty.write(tmp_path))[0]
+    assert f"are in {unit}" in worst.said
+    assert worst.remedy.endswith("0.01" if unit == "centimetres" else "0.001")
+    assert "would fit too" in worst.said
+
+
+@pytest.mark.parametrize(("times", "lengths", "said"), [(8.0, 1.0, "slow motion"), (1.0, 10.0, "in which unit")])
+def test_a_string_that_falls_as_nothing_does_is_told(dirty, tmp_path, times, lengths, said):
+    """A film of 200 frames a second played at 25, and all lengths in decimetres."""
+    for table in (dirty.with_poses().grasp, dirty.points):
+        table["t"] *= times
+        table[["x", "y"]] *= lengths
+    dirty.points["s"] *= lengths
+    dirty.about["string"]["length"] *= lengths
+    told = found(dirty.write(tmp_path))
+    assert any(f.field == "t, x, y" and said in f.remedy and "falls with" in f.said for f in told)
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))
@@ -444,11 +505,49 @@ def test_what_cannot_be_read_is_one_error(called, tmp_path):
     file.write_bytes(file.read_bytes()[:-100])
     cut = called("check", tmp_path / "cut", "--json")
     assert cut.returncode == 1
-    assert "points.parquet: not a whole Parquet file" in json.loads(cut.stdout)["findings"][0]["said"]
+    finding = json.loads(cut.stdout)["findings"][0]
+    assert (finding["file"], finding["said"][:24]) == (str(file), "not a whole Parquet file")
+    assert finding["remedy"] == "Restore it or delete it and run again"
     nowhere = called("check", tmp_path / "nowhere")
     assert nowhere.returncode == 1
     assert "there is no such folder" in nowhere.stdout
     assert "Traceback" not in nowhere.stderr + cut.stderr
+
+
+def number_with_a_unit(folder):
+    (folder / "dataset.yaml").write_text("string: {length: 30cm}")
+
+
+def other_column(folder):
+    arm = pd.read_csv(folder / "arm.csv")
+    arm.rename(columns={"q1": "elbow"}).to_csv(folder / "arm.csv", index=False)
+
+
+def own_names(folder):
+    (folder / "arm.csv").rename(folder / "robot.csv")
+    (folder / "points.csv").rename(folder / "tracker.csv")
+
+
+UNREAD = {  # file, field, and what the remedy says
+    number_with_a_unit: ("dataset.yaml", "string.length", "Correct it"),
+    other_column: ("arm.csv", "q1", "Add the column or rename yours"),
+    own_names: ("", "", r"import .*robot.csv .*tracker.csv --to"),
+}
+
+
+@pytest.mark.parametrize("spoil", UNREAD, ids=lambda spoil: spoil.__name__)
+def test_what_cannot_be_read_names_file_field_and_remedy(dirty, called, tmp_path, spoil):
+    spoil(dirty.write(tmp_path))
+    file, field, remedy = UNREAD[spoil]
+    finding = json.loads(called("check", tmp_path, "--json").stdout)["findings"][0]
+    assert (finding["file"], finding["field"]) == (str(tmp_path / file) if file else str(tmp_path), field)
+    assert re.search(remedy, finding["remedy"])
+
+
+def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(dirty, tmp_path):
+    dirty.arm["t"] += 1.764e9
+    reasons = [f.said for f in found(dirty.write(tmp_path)) if f.trials == tuple(TRIALS) and "overlap" in f.said]
+    assert re.search(r"the arm's clock says 2025-11-24 .*camera's goes from -0.05 to", reasons[0])
 
 
 @pytest.mark.skipif(not MEASURED.exists(), reason="the measured sets are not here")
