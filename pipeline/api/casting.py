@@ -12,7 +12,7 @@ import pandas as pd
 from stringcast.answers import progress_bar
 from stringcast.data.artifacts import JOINTS, Motion
 from stringcast.data.schema import DataError
-from stringcast.known import KnownString, prepared
+from stringcast.known import KnownString, model_of, prepared
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.run import perform
 from stringcast.pipeline.terminal import Terminal
@@ -44,15 +44,15 @@ def simulate(
     q1, q2, q3 [rad]. times: when the string is wanted [s], at the motion's own times without it. Raises StringcastError
     where the simulation does not stay finite.
     """
-    here = prepared(settings, string)
+    model = model_of(settings, string)
     table = motion.commands if isinstance(motion, Motion) else motion
     moved = table["t"].to_numpy(dtype=float)
     t = moved if times is None else np.asarray(times, dtype=float)
-    hand = joint_motion(moved, table[list(JOINTS)].to_numpy(dtype=float), here.arm.tick)
-    seen = here.model.true(hand, here.model.values({})[None], t)
+    hand = joint_motion(moved, table[list(JOINTS)].to_numpy(dtype=float), model.arm.tick)
+    seen = model.true(hand, model.values({})[None], t)
     if not seen.finite[0]:
         raise DataError("simulate(): this string does not stay finite in this motion. Give string.largest_step less.")
-    s = here.string.arc_lengths()
+    s = model.string.arc_lengths()
     columns: dict[str, Any] = {"t": t.repeat(len(s)), "s": np.tile(s, len(t))}
     return pd.DataFrame(columns | dict(zip(("x", "y"), seen.points[0].reshape(-1, 2).T, strict=True)))
 

@@ -8,12 +8,15 @@ a known force, so each segment gives one equation, the balance of moments about 
 and its length follows from its tension. Newton steps from the shape of a heavy rod, with
 the destabilising part of gravity left out of the matrix until close to the solution: a
 string that leaves an upright hand then falls to a stable side rather than stand on its end.
+The laws are asked for their tangents, by which the shape is sought in compiled code, and again
+where that leads, until nothing turns: twice or three times where they are straight.
 Where forces depend on the place, for the string leans on something, see `leaning`.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from stringcast.stages.model.effect import placed
 from stringcast.stages.model.leaning import leaning
@@ -61,19 +64,89 @@ def _settled(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np
     last, share = np.zeros_like(angles), np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
-        some = chain.only(moving)
+        some = chain if moving.size == len(material) else chain.only(moving)
         if not chain.rigid_weight:
             force[moving] = forces(some, pose[moving], angles[moving], lengths[moving])
-        lengths[moving] = _lengths(some, force[moving], angles[moving], lengths[moving])
-        turn = _newton(some, pose[moving, 2], force[moving], angles[moving], lengths[moving])
+        turn, lengths[moving] = _by_tangents(some, pose[moving, 2], force[moving], angles[moving], lengths[moving])
         share[moving] = np.where(_back_again(turn, last[moving]), 0.5 * share[moving], np.minimum(2 * share[moving], 1))
-        angles[moving] += share[moving] * np.clip(turn, -LARGEST_TURN, LARGEST_TURN)
+        angles[moving] += share[moving] * turn
         last[moving] = turn
         # Each candidate ends on its own, so that its shape does not depend on its company.
         moving = moving[np.abs(turn).max(axis=1) > ENOUGH]
         if moving.size == 0:
             break
     return angles, lengths
+
+
+def _by_tangents(
+    chain: Chain, theta: np.ndarray, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far the segments turn to where all is balanced [rad], and how long they are there [m], (C, n - 1) each, by
+    the tangents of the laws where they are: to ask the laws takes longer than all else."""
+    stretch = lengths / chain.segment - 1
+    pull = sloped(chain.string, chain.material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
+    turn, lengths = np.zeros_like(angles), np.empty_like(lengths)
+    hinges = moments(chain, theta, angles)
+    _balanced(force, angles, (stretch, *pull), hinges, chain.segment[:, 0], turn, lengths)
+    return turn, lengths
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _balanced(
+    force: np.ndarray,
+    angles: np.ndarray,
+    pull: tuple[np.ndarray, np.ndarray, np.ndarray],
+    hinges: tuple[np.ndarray, np.ndarray],
+    segment: np.ndarray,
+    turn: np.ndarray,
+    lengths: np.ndarray,
+) -> None:
+    """Newton's method for each candidate. pull: stretch, and tension and its rise there, (C, N) each. hinges: moments
+    and their rise with the hinge's angle, (C, N + 1) each. turn: zeros, and lengths, (C, N) each, filled in place."""
+    count, size = angles.shape
+    balance, diagonal, upper = np.empty(size), np.empty(size), np.empty(size)
+    for c in range(count):
+        moment, stiffness = hinges[0][c], hinges[1][c]
+        for _ in range(ITERATIONS):
+            most, heaviest, before = 0.0, 0.0, 0.0
+            for j in range(size):
+                cos, sin = np.cos(angles[c, j] + turn[c, j]), np.sin(angles[c, j] + turn[c, j])
+                along = force[c, j, 0] * cos + force[c, j, 1] * sin
+                stretch = pull[0][c, j] + (along - pull[1][c, j]) / pull[2][c, j]
+                lengths[c, j] = segment[c] * (1 + max(stretch, -0.9))
+                after = (turn[c, j + 1] if j < size - 1 else turn[c, j]) - turn[c, j]
+                here = turn[c, j] - before
+                before = turn[c, j]
+                balance[j] = moment[j + 1] + stiffness[j + 1] * after - moment[j] - stiffness[j] * here
+                balance[j] += lengths[c, j] * (force[c, j, 1] * cos - force[c, j, 0] * sin)
+                diagonal[j] = lengths[c, j] * along
+                most, heaviest = max(most, abs(balance[j])), max(heaviest, abs(lengths[c, j] * force[c, j, 1]))
+            close = most < CLOSE * heaviest
+            if _turned(stiffness, diagonal, balance, upper, close, turn[c]) <= ENOUGH:
+                break
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _turned(
+    stiffness: np.ndarray, along: np.ndarray, balance: np.ndarray, upper: np.ndarray, close: bool, turn: np.ndarray
+) -> float:
+    """One step of one candidate, added to its turn (N,), and its largest part [rad]: a symmetric tridiagonal system.
+    stiffness: (N + 1,). along: (N,) of the pull, which resists a turn. upper: room, (N,)."""
+    last, most, pivot = len(turn) - 1, 0.0, 1.0
+    for j in range(last + 1):
+        diagonal = max(stiffness[j] + stiffness[j + 1] + (along[j] if close else max(along[j], 0.0)), FLOOR)
+        if j > 0:
+            upper[j - 1] = -stiffness[j] / pivot
+            balance[j] += stiffness[j] * balance[j - 1]
+            diagonal += stiffness[j] * upper[j - 1]
+        pivot = diagonal
+        balance[j] /= pivot
+    for j in range(last, -1, -1):
+        if j < last:
+            balance[j] -= upper[j] * balance[j + 1]
+        most = max(most, abs(balance[j]))
+        turn[j] += min(max(balance[j], -LARGEST_TURN), LARGEST_TURN)
+    return most
 
 
 def _back_again(turn: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -104,30 +177,3 @@ def _lengths(chain: Chain, force: np.ndarray, angles: np.ndarray, lengths: np.nd
         tension, rise = sloped(chain.string, chain.material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
         stretch = np.maximum(stretch - (tension - along) / rise, -0.9)
     return chain.segment * (1 + stretch)
-
-
-def _newton(chain: Chain, theta: np.ndarray, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """One step towards the balance of moments, (C, n - 1) [rad]."""
-    moment, stiffness = moments(chain, theta, angles)
-    across = lengths * (force[..., 1] * np.cos(angles) - force[..., 0] * np.sin(angles))
-    along = lengths * (force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles))
-    balance = moment[:, 1:] - moment[:, :-1] + across
-    size = np.abs(lengths * force[..., 1]).max(axis=1, keepdims=True)
-    close = np.abs(balance).max(axis=1, keepdims=True) < CLOSE * size
-    diagonal = stiffness[:, :-1] + stiffness[:, 1:] + np.where(close, along, np.maximum(along, 0.0))
-    diagonal = np.maximum(diagonal, FLOOR)
-    return _tridiagonal(-stiffness[:, 1:-1], diagonal, balance)
-
-
-def _tridiagonal(off: np.ndarray, diagonal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve symmetric tridiagonal systems side by side. off: (C, N - 1), diagonal, right: (C, N)."""
-    upper, solution = np.zeros_like(diagonal), np.zeros_like(diagonal)
-    upper[:, 0], solution[:, 0] = (off[:, 0] if off.shape[1] else 0) / diagonal[:, 0], right[:, 0] / diagonal[:, 0]
-    for j in range(1, diagonal.shape[1]):
-        pivot = diagonal[:, j] - off[:, j - 1] * upper[:, j - 1]
-        if j < off.shape[1]:
-            upper[:, j] = off[:, j] / pivot
-        solution[:, j] = (right[:, j] - off[:, j - 1] * solution[:, j - 1]) / pivot
-    for j in range(diagonal.shape[1] - 2, -1, -1):
-        solution[:, j] -= upper[:, j] * solution[:, j + 1]
-    return solution

@@ -17,6 +17,10 @@ needs points i + 1 and i + 2 as they were, point i + 1 needs the forces of segme
 i + 1. Segment angles are continuous: each pass adds the angle by which the segment has
 turned since the last, so that hinges may wind through +-pi.
 
+A candidate alone would leave all lanes but one idle: W = 1 makes of the same text a scalar loop, which takes half the
+time of sixteen lanes, with the paper's forces to the same bits. To compile it takes as long as a thousand runs save,
+so it is compiled after these (`lanes`).
+
 What is done in one lane is a function, typed and lowered once and inlined wherever it is called. Loops over lanes
 stand in `run` alone: a function with loops would be optimised and translated by itself, and again where it is inlined.
 """
@@ -36,6 +40,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
+from itertools import count, repeat
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -47,9 +52,11 @@ import numpy as np
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.integrator import Integrator
 from stringcast.stages.model.slots import HELD, HIDDEN, PER, arguments
+from stringcast.stages.model.string import BASE
 from stringcast.stages.model.threads import side_by_side
 
 WIDTH = 16  # candidates side by side: 128 bytes of each quantity, two cache lines
+ALONE = 1000  # runs of one candidate after which a loop for it pays: 0.4 to 3 ms saved each, 1.5 to 2.6 s to compile
 BEYOND = 2  # points after the tip that nothing is written to, for what looks further than the string goes
 
 ROWS = (
@@ -83,13 +90,15 @@ Slots = Mapping[str, Sequence[type[StringEffect]]]
 
 
 @cache
-def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator) -> Run:
+def kernel_for(
+    effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator, width: int = WIDTH
+) -> Run:
     """The compiled step loop for these effects.
 
-    names: of the rows of parameters, as `String.rows`. Returns `run(buffers, P, H, ...)`, see the generated text, for
-    all blocks, on as many threads as Numba is set to use.
+    names: of the rows of parameters, as `String.rows`. width: candidates side by side. Returns `run(buffers, P, H,
+    ...)`, see the generated text, for all blocks, on as many threads as Numba is set to use.
     """
-    some = loaded(source(effects, names, integrator)).run
+    some = loaded(source(effects, names, integrator, width)).run
 
     def run(buffers: np.ndarray, **given: Any) -> None:
         side_by_side(lambda first, last: some(first, last, buffers, **given), len(buffers))
@@ -97,11 +106,30 @@ def kernel_for(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], 
     return run
 
 
-def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator) -> str:
+def lanes(
+    candidates: int, effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator
+) -> int:
+    """How many candidates the loop for so many has side by side: one for one alone, once it pays to compile that or
+    where it was compiled before."""
+    return 1 if candidates == 1 and next(_alone(effects, names, integrator)) >= ALONE else WIDTH
+
+
+@cache
+def _alone(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator) -> Iterator[int]:
+    """Counts the runs of one candidate alone: as if there had been enough where their loop is there already, and none
+    for more than the paper's forces, some of whose sums the compiler rounds otherwise in one lane."""
+    if effects != BASE:
+        return repeat(-1)
+    return count(ALONE if place(source(effects, names, integrator, 1)).exists() else 0)
+
+
+def source(
+    effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator, width: int = WIDTH
+) -> str:
     """The module's text."""
     slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
-    constants = {name: kind * WIDTH for name, kind in kinds(integrator, effects).items()}
-    constants |= {"NEXT": len(constants) * WIDTH} | {f"H{i}": i * WIDTH for i in range(12)}
+    constants = {name: kind * width for name, kind in kinds(integrator, effects).items()}
+    constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
     per = [slot for slot in PER if slots[slot]]
 
     def at(slot: str, argument: str) -> str:
@@ -137,7 +165,7 @@ def source(effects: Sequence[type[StringEffect]], names: Sequence[str], integrat
         "nodes": repr(tuple(map(float, integrator.nodes))),
         "turned": integrator.turned,
         "solve": integrator.solve,
-        "W": str(WIDTH),
+        "W": str(width),
     }
     return _fill(TEMPLATE, fill).replace("<<longer>>", f" * {longer}" if longer else "")
 
@@ -168,9 +196,11 @@ def kinds(integrator: Integrator, effects: Sequence[type[StringEffect]]) -> dict
     return {name: number for number, name in enumerate((*ROWS, *integrator.rows, *memory))}
 
 
-def rows(blocks: int, points: int, integrator: Integrator, effects: Sequence[type[StringEffect]]) -> np.ndarray:
-    """Zeros for the rows of every point, (blocks, points + BEYOND, kinds, WIDTH)."""
-    return aligned((blocks, points + BEYOND, len(kinds(integrator, effects)), WIDTH))
+def rows(
+    blocks: int, points: int, integrator: Integrator, effects: Sequence[type[StringEffect]], width: int
+) -> np.ndarray:
+    """Zeros for the rows of every point, (blocks, points + BEYOND, kinds, width)."""
+    return aligned((blocks, points + BEYOND, len(kinds(integrator, effects)), width))
 
 
 def aligned(shape: tuple[int, ...]) -> np.ndarray:
@@ -242,9 +272,7 @@ def _fill(template: str, values: dict[str, str]) -> str:
 
 def loaded(text: str) -> ModuleType:
     """Import the module, written once to a cache folder under a name made of its content."""
-    made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
-    digest = hashlib.sha256((text + made_by).encode()).hexdigest()[:20]
-    path = cache_folder() / f"string_{digest}.py"
+    path = place(text)
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = path.with_suffix(f".{os.getpid()}.tmp")
@@ -257,6 +285,13 @@ def loaded(text: str) -> ModuleType:
     sys.modules[path.stem] = module  # cached machine code looks its module up by name
     specification.loader.exec_module(module)
     return module
+
+
+def place(text: str) -> Path:
+    """Where the module of this text is kept."""
+    made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
+    digest = hashlib.sha256((text + made_by).encode()).hexdigest()[:20]
+    return cache_folder() / f"string_{digest}.py"
 
 
 def cache_folder() -> Path:

@@ -115,7 +115,9 @@ def _run(
     initial: State | None,
 ) -> np.ndarray:
     """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2), of no meaning once one is lost."""
-    width, count, blocks = kernel.WIDTH, len(material), -(-len(material) // kernel.WIDTH)
+    count, loop = len(material), (string.effects, string.rows, string.integrator)
+    width = kernel.lanes(count, *loop)
+    blocks = -(-count // width)
     index = np.minimum(np.arange(blocks * width), count - 1)
     parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1))
     own = pose if len(pose) == 1 else pose[index]
@@ -126,7 +128,7 @@ def _run(
     constants = string.integrator.constants(*chain, hand.tick / steps)
     let_back = 0.0 if initial is None else np.broadcast_to(initial.let_back, count)[index][:, None]
     further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung, let_back)}
-    positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further)
+    positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further, width)
     shared = len(pose) == 1
     cubic = _cubic(own, rate if shared else rate[index], hand.tick)
     if shared:
@@ -136,7 +138,7 @@ def _run(
     out[:, 0] = positions.reshape(blocks, width, -1, 2).transpose(0, 3, 2, 1)
     alive = np.ones((blocks, width), dtype=bool)
     run = partial(
-        kernel.kernel_for(string.effects, string.rows, string.integrator),
+        kernel.kernel_for(*loop, width),
         **{"P": parameters.reshape(blocks, -1), "per_block": 0 if shared else 1, "start": hand.start},
         **{"points": string.points, "length": string.segment},
     )
@@ -188,7 +190,7 @@ def _set_back(
 
     With a the steps by which they are behind the positions, v(-a dt) = v(0) - a (v(dt) - v(0)).
     """
-    width, blocks = kernel.WIDTH, len(buffers)
+    blocks, width = len(buffers), out.shape[-1]
     first = cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)
     after, alive = buffers.copy(), np.ones((blocks, width), dtype=bool)
     run(after, H=first, steps=np.ones(blocks, dtype=int), tick=dt, out=out, alive=alive)
@@ -206,13 +208,13 @@ def _buffers(
     lengths: np.ndarray,
     velocity: np.ndarray,
     constants: Mapping[str, np.ndarray],
+    width: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The initial state: positions (C, n, 2) [m], and the kernel's rows filled with it.
 
     velocity: of the points, (C, n, 2) [m/s]. constants: further rows, of the integrator and of
-    hinges with a memory, (C, 1 to n) each.
+    hinges with a memory, (C, 1 to n) each. width: candidates side by side.
     """
-    width = kernel.WIDTH
     blocks = len(material) // width
     vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     positions = np.cumsum(np.concatenate([np.zeros((len(material), 1, 2)), vectors], axis=1), axis=1)
@@ -230,7 +232,7 @@ def _buffers(
         "VY": velocity[..., 1],
         "SET": grasp_set(string, material),
     }
-    buffers = kernel.rows(blocks, string.points, string.integrator, string.effects)
+    buffers = kernel.rows(blocks, string.points, string.integrator, string.effects, width)
     kinds = kernel.kinds(string.integrator, string.effects)
     for name, data in {**rows, **constants}.items():
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)

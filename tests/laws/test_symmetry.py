@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 from conftest import threads
 
+from stringcast.stages.model import kernel
 from stringcast.stages.model.effects.gravity import Gravity
+from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
-from stringcast.stages.model.integrator import SemiImplicitEuler
+from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.string import BASE, String
 
@@ -91,3 +93,30 @@ def test_candidates_do_not_notice_each_other_nor_the_threads(integrator):
     with threads(1):
         alone = np.concatenate([simulate(string, hand, values[i : i + 1], T).points for i in range(40)])
     np.testing.assert_array_equal(together, alone)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        ImplicitLeapfrog(),
+        *(pytest.param(each, marks=pytest.mark.long) for each in (SemiImplicitEuler(), RungeKutta4())),
+    ],
+)
+def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, integrator):
+    """It is compiled after a thousand runs: a result must not tell how many there were before."""
+    string = String(0.3, points=15, integrator=integrator)
+    rng = np.random.default_rng(1)
+    each = [p.value(rng.uniform(0.3, 0.6, 3)) for p in string.parameters]
+    hand, values = hand_motion_from_grasp(T, POSE), np.array(each).T
+    together = simulate(string, hand, values, T).points
+    monkeypatch.setattr(kernel, "ALONE", 0)
+    alone = [simulate(string, hand, row[None], T).points[0] for row in values]
+    assert np.isfinite(together).all()
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_only_the_paper_s_forces_are_ever_alone(monkeypatch):
+    """With others the compiler rounds some sums otherwise in one lane."""
+    monkeypatch.setattr(kernel, "ALONE", 0)
+    string = String(0.3, effects=(*BASE, MaxwellSlip))
+    assert kernel.lanes(1, string.effects, string.rows, string.integrator) == kernel.WIDTH
