@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hydra.utils import get_object
 
+from stringcast.data.artifacts import Diagnosis
 from stringcast.data.store import write_text
+from stringcast.pipeline.called import called_as
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.result import Result
+from stringcast.stages.report.page import HERE_IN_WORDS as HERE
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.records import Cast, Facts, Record, cast_record
 from stringcast.stages.spec import StageSpec
@@ -27,7 +31,8 @@ def write(experiment: Experiment, result: Result) -> None:
 def write_page(experiment: Experiment, stage: StageSpec, made: Any, sentence: str, folder: Path) -> None:
     """The page of a stage. made: its artifact."""
     name, config = experiment.config["name"], experiment.config
-    facts = Facts(name, sentence, made, experiment.model, config, made_by(experiment))
+    ahead = AFTER.get(stage.name, lambda made, config: [])(made, config)
+    facts = Facts(name, sentence, made, experiment.model, config, made_by(experiment), following(ahead))
     write_text(folder / "report.html", get_object(f"stringcast.{stage.page}")(facts))
 
 
@@ -45,7 +50,39 @@ def casting(experiment: Experiment, result: Result) -> Record:
         tuple(e for e in estimates if e is not None),
         experiment.config,
         made_by(experiment),
+        following(after_casts(result)),
     )
+
+
+def following(ahead: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """What a page says can be done next. ahead: why, and the words behind the program's name."""
+    always = ("Compute every step again and compare, to the bit", f"verify {HERE}")
+    return [(why, f"{called_as()} {words}") for why, words in (*ahead, always)]
+
+
+def after_casts(result: Result) -> list[tuple[str, str]]:
+    """Of casts, or of estimation alone."""
+    ahead = [("What does the simulation get wrong in these trials, and why?", f"+experiment=diagnose trials={HERE}")]
+    if result.estimate is not None and result.estimate.parameters["low"].isna().all():
+        words = f"+experiment=estimate estimate=least_squares trials={HERE}"
+        ahead.append(("Estimate the string from the same trials, with intervals", words))
+    if result.estimate is not None:
+        ahead.append(("A card of the string's parameters, with units", f"export {HERE} string.csv"))
+    return ahead
+
+
+def after_diagnosis(made: Diagnosis, config: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """By its verdict."""
+    look = ("Look at the measurements: what is usable, what looks wrong", f"check {config['trials']}")
+    decide = ("Perform the motion that tells the look-alikes apart", f"+experiment=decide trials={config['trials']}")
+    cast = ("Cast with the model that this diagnosis made", f"+experiment=stringB extended={HERE}")
+    words = f"+experiment=estimate estimate=least_squares extended={HERE} trials={config['trials']}"
+    fit = ("Estimate the string anew with the causes at work", words)
+    by_verdict = {"effect": [cast, fit], "ambiguous": [decide, look], "none": [cast]}
+    return by_verdict.get(made.verdict, [look])
+
+
+AFTER = {"diagnose": after_diagnosis}  # what can be done after a stage, by its name
 
 
 def made_by(experiment: Experiment) -> dict[str, Any]:

@@ -1,9 +1,11 @@
-"""List runs and how they ended, on the terminal or as one Parquet or CSV file."""
+"""List runs and how they ended, on the terminal, as a page, or as one Parquet or CSV file."""
 
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +49,11 @@ def main(arguments: list[str]) -> int:
     """0; also where there is no run."""
     parser = argparse.ArgumentParser("python -m pipeline index", description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?", default=Path("outputs"), help="where runs are; default outputs")
-    parser.add_argument("--to", type=Path, help="a .parquet or .csv file to write the list to")
+    parser.add_argument("--to", type=Path, help="a .html, .parquet or .csv file to write the list to")
     asked = parser.parse_args(arguments)
     runs = index(asked.folder)
     if asked.to is not None:
-        write(runs, asked.to)
+        write(runs, asked.to, asked.folder)
     Terminal().print(printed(runs))
     return 0
 
@@ -65,14 +67,26 @@ def index(folder: Path) -> pd.DataFrame:
     return RUNS.check(pd.DataFrame(rows)) if rows else RUNS.empty()
 
 
-def write(runs: pd.DataFrame, to: Path) -> None:
-    """As Parquet or CSV, by the file's ending."""
+def write(runs: pd.DataFrame, to: Path, folder: Path) -> None:
+    """As a page, Parquet or CSV, by the file's ending. folder: that was listed."""
     if to.suffix == ".csv":
         store.write_text(to, runs.to_csv(index=False))
     elif to.suffix == ".parquet":
         store.write_table(RUNS, runs, to, {"step": "index", "code": code(), "packages": versions(PACKAGES)})
+    elif to.suffix == ".html":
+        store.write_text(to, page(runs, to, folder))
     else:
-        raise UserError(f"--to {to}: it must end in .parquet or .csv. Change it.")
+        raise UserError(f"--to {to}: it must end in .html, .parquet or .csv. Change it.")
+
+
+def page(runs: pd.DataFrame, to: Path, folder: Path) -> str:
+    """The list as a page, with links to the runs' own."""
+    index_page = import_module("stringcast.stages.report.pages.index").index_page  # which takes a second to load
+    own = [folder / run / "report.html" for run in runs["run"]]
+    links = [Path(os.path.relpath(path, to.parent)).as_posix() if path.is_file() else "" for path in own]
+    origin = {"seed": "of each run", "code": code(), "packages": versions(PACKAGES)}
+    text: str = index_page(runs.assign(page=links), str(folder), origin)
+    return text
 
 
 def row(run: Path) -> dict[str, Any]:

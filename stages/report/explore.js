@@ -280,6 +280,10 @@ class Chart {
   }
 }
 
+// Commands name the folder in which this page lies, wherever it was moved to.
+const path = decodeURIComponent(location.pathname).replace(/\/[^/]*$/, "").replace(/^\/(?=[A-Za-z]:)/, "");
+for (const place of document.querySelectorAll(".here")) place.textContent = path;
+
 // After the first paint, which need not wait for any of it.
 const groups = [];
 requestAnimationFrame(() => setTimeout(() => {

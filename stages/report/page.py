@@ -210,11 +210,19 @@ class Jump(Part):
     words: str
 
 
+HERE_IN_WORDS = "{here}"  # in a command: the page's own folder, which the reader's browser knows
+
+
 @dataclass(frozen=True)
 class Commands(Part):
-    """What can be done next: why, and what to paste."""
+    """What can be done next: why, and what to paste, in which HERE_IN_WORDS may stand."""
 
     commands: Sequence[tuple[str, str]]
+
+    @property
+    def rows(self) -> list[tuple[str, list[str]]]:
+        """Words, and the command in pieces between which the page's folder stands."""
+        return [(words, command.split(HERE_IN_WORDS)) for words, command in self.commands]
 
 
 @dataclass(frozen=True)
@@ -231,7 +239,8 @@ class Section(Part):
 @dataclass(frozen=True)
 class Page:
     """title: of the window. kicker: above the heading. tone: good or bad, for its colour and mark. nav: links to
-    sections. origin: seed, code, packages. settings: by name. explored: it holds an `Explore`, which needs scripts."""
+    sections. origin: seed, code, packages. settings: by name. following: commands for what is next.
+    explored: with films and curves, which need scripts."""
 
     title: str
     kicker: str
@@ -243,6 +252,7 @@ class Page:
     tone: str = ""
     marked: bool = False
     nav: Sequence[tuple[str, str]] = ()
+    following: Sequence[tuple[str, str]] = ()
     explored: bool = False
 
     def __str__(self) -> str:
@@ -251,6 +261,7 @@ class Page:
         allowed = "; script-src " + " ".join(f"'sha256-{_digest(script)}'" for script in scripts) if scripts else ""
         sheet = _read("theme.css") + (_read("vendor/uPlot.min.css") if scripts else "")
         given = {
+            "ahead": Section("What next", [Card("", [Commands(self.following)])]) if self.following else None,
             "again": self.again,
             "allowed": Markup(allowed),
             "scripts": map(Markup, scripts),

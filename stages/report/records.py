@@ -30,7 +30,7 @@ from stringcast.stages.report.outcomes import OUTCOMES, Outcome, parameter
 @dataclass(frozen=True)
 class Facts:
     """name: of the run. sentence: what came out. made: the stage's artifact. model: as configured. settings: by name.
-    origin: seed, code, packages."""
+    origin: seed, code, packages. following: what can be done next, and the command."""
 
     name: str
     sentence: str
@@ -38,6 +38,7 @@ class Facts:
     model: Model = field(repr=False)
     settings: Mapping[str, Any] = field(repr=False)
     origin: Mapping[str, Any] = field(repr=False)
+    following: Sequence[tuple[str, str]] = ()
 
 
 # --- casts
@@ -99,7 +100,7 @@ class Cast:
 
 @dataclass(frozen=True)
 class Record:
-    """A run. casts is empty where only estimation ran; estimates: all, in order."""
+    """A run. casts is empty where only estimation ran; estimates: all, in order. following: see `Facts`."""
 
     name: str
     sentence: str
@@ -111,6 +112,7 @@ class Record:
     estimates: tuple[Estimate, ...]
     config: Mapping[str, Any]
     made_by: Mapping[str, Any]
+    following: Sequence[tuple[str, str]] = ()
 
     @property
     def arm(self) -> Arm:
@@ -150,7 +152,7 @@ TRIALS = 8  # drawn at most: those that the base model gets most wrong
 
 @dataclass(frozen=True)
 class DiagnosisRecord:
-    """A diagnosis. model: as configured. library: effects by name. settings: by name. origin: seed, code, packages."""
+    """A diagnosis. model: as configured. library: effects by name. settings, origin, following: see `Facts`."""
 
     name: str
     diagnosis: Diagnosis
@@ -158,6 +160,7 @@ class DiagnosisRecord:
     library: Mapping[str, type[Effect]]
     settings: Mapping[str, Any]
     origin: Mapping[str, Any]
+    following: Sequence[tuple[str, str]] = ()
 
     @cached_property
     def document(self) -> dict[str, Any]:

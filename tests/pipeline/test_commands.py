@@ -284,7 +284,7 @@ def many(finished, tmp_path):
 
 
 def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
-    for to in ("runs.parquet", "runs.csv"):
+    for to in ("runs.html", "runs.parquet", "runs.csv"):
         status, said = asked(capsys, "index", many, "--to", tmp_path / to)
         assert status == 0
     assert "day/a" in said
@@ -312,6 +312,11 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
         tmp_path / "runs.csv", keep_default_na=False, converters={"best_E": lambda E: float(E or "nan")}
     )
     pd.testing.assert_frame_equal(listed, runs.reset_index(), check_dtype=False)
+    page = (tmp_path / "runs.html").read_text()
+    linked = [tmp_path / where for where in re.findall(r'href="([^"]*)"', page)]
+    assert (many / "day/a/report.html").resolve() in {path.resolve() for path in linked}
+    assert all(path.is_file() for path in linked)
+    assert "day/failed" in page
 
 
 def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
@@ -328,7 +333,7 @@ def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
         assert said.startswith("Error: ")
         assert str(tmp_path) in said.replace(" ", "")
     status, said = asked(capsys, "index", tmp_path, "--to", "runs.xlsx")
-    assert (status, "must end in .parquet or .csv" in said) == (2, True)
+    assert (status, "must end in .html, .parquet or .csv" in said) == (2, True)
 
 
 def test_every_command_has_a_help_and_is_listed(capsys):

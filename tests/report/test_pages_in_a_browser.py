@@ -16,6 +16,7 @@ from stringcast.stages.model.string import String
 from stringcast.stages.report.pages.alignment import alignment_page
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
+from stringcast.stages.report.pages.index import index_page
 from stringcast.stages.report.pages.paper import paper_page
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.pages.tables import tables_page
@@ -54,12 +55,29 @@ def texts(arm, camera):
     tables = {"runs": pd.DataFrame({"seed": [], "state": []}), "rates": pd.DataFrame({"condition": []})}
     tables |= {"numbers": pd.DataFrame([("a", "k_h", 1.0, "1", "p")], columns=["what", "of", "value", "unit", "place"])}
     casts = [manipulation(arm, camera, 1), manipulation(arm, camera, 2, hit=True)]
+    runs = pd.DataFrame(
+        [("a/b", "x", "2026-11-25T03:38:00", "ended", "hit", 2, np.nan, 3.0, "s", "So.", "a/b/report.html")]
+    )
+    runs.columns = [
+        "run",
+        "experiment",
+        "date",
+        "state",
+        "outcome",
+        "iterations",
+        "best_E",
+        "seconds",
+        "stale",
+        "said",
+        "page",
+    ]
     return {
-        "cast": cast_page(record_of(arm, camera, casts)),
+        "cast": cast_page(record_of(arm, camera, casts, following=[("Again", "pipeline verify {here} <&>")])),
         "diagnosis": diagnosis_page(DiagnosisRecord("bench-7", told, coarse, library(), {}, ORIGIN)),
         "sweep": sweep_page(sweep_record(swept())),
         "alignment": alignment_page(Facts("a", "So.", alignment(), coarse, {}, ORIGIN)),
         "tables": tables_page(Facts("t", "So.", prediction, coarse, {}, ORIGIN)),
+        "index": index_page(runs, "outputs", ORIGIN),
         "paper": paper_page(PaperRecord(tables, 3, {}, ORIGIN), {}),
     }
 
@@ -95,7 +113,7 @@ def place(chromium, selector):
     return chromium.ask(f"(b => [b.x, b.y, b.width, b.height])({ask})")
 
 
-@pytest.mark.parametrize("name", ["cast", "diagnosis", "sweep", "alignment", "tables", "paper"])
+@pytest.mark.parametrize("name", ["cast", "diagnosis", "sweep", "alignment", "tables", "index", "paper"])
 def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(chromium, pages, name):
     page = opened(chromium, pages[name], width=PHONE, height=740, dark=True)
     assert page.ask("document.documentElement.scrollWidth") == PHONE, "it can be pushed sideways"
@@ -150,6 +168,12 @@ def test_a_film_plays_and_its_differences_can_be_enlarged(chromium, pages):
     page.wait("document.querySelector('.play').textContent === 'Play'")
     assert page.ask("groups[0].members.filter(m => m.images).every(m => m.index === m.data.t.length - 1)")
     assert page.faults == []
+
+
+def test_what_is_next_names_the_folder_in_which_the_page_lies(chromium, pages):
+    page = opened(chromium, pages["cast"])
+    command = page.ask("document.querySelector('.commands dd').textContent")
+    assert command == f"pipeline verify {pages['cast'].parent} <&>"
 
 
 def test_curves_follow_the_theme_and_are_on_paper(chromium, pages):

@@ -422,6 +422,14 @@ def test_the_closest_frame_is_always_among_the_chosen(record):
         assert chosen == sorted(set(chosen))
 
 
+def test_what_was_not_learnt_is_folded_away_behind_what_was(page):
+    """The parameter of index 2 is not determined."""
+    names = [p.name.replace("_", " ") for p in STRING.parameters]
+    folded = page.text.index("1 other parameter, which this data does not determine")
+    assert all(page.text.index(name) < folded for name in names if name != names[2])
+    assert page.text.index(names[2]) > folded
+
+
 def test_curves_are_those_of_the_run(page, record):
     """Gaps are gaps, times are those of the frames, and the curves of a cast are of that cast."""
     _, charts = page.explored()

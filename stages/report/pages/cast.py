@@ -18,6 +18,7 @@ from stringcast.stages.report.charts.time import joints, matching, progress
 from stringcast.stages.report.page import (
     Card,
     Cell,
+    Details,
     Explore,
     Figure,
     Film,
@@ -73,6 +74,7 @@ def cast_page(record: Record) -> str:
             tone=("good" if record.hit else "bad") if record.casts else "",
             marked=bool(record.casts),
             nav=[(f"cast-{n}", joined([f"Cast {n}", badge(cast.verdict.hit)])) for n, cast in many],
+            following=record.following,
             explored=True,
         )
     )
@@ -165,11 +167,27 @@ def learnt(record: Record) -> Section:
         ("range searched", "band"),
         ("95 % interval, where the method gives one", "bar"),
     ]
-    drawn = [(_caption(row), history(parameter, record.estimates)) for parameter, row in known]
-    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit", "determined by this data")
-    table = Table(columns, [_learnt(parameter, row) for parameter, row in known])
     lead = Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))
-    return Section(title, [lead, Card("", [Key(key), Small(drawn)]), Card("", [table]), _alone(record)])
+    certain = [one for one in known if one[1]["determined"]]
+    rest = [one for one in known if not one[1]["determined"]]
+    shown = [Card("", [Key(key), _histories(record, certain)]), Card("", [_learnt_table(certain)])] if certain else []
+    what = "which this data does not determine, or of which this method cannot say how sure they are"
+    hidden = f"{len(rest)} {'other ' * bool(certain)}parameter{'s' * (len(rest) != 1)}, {what}"
+    parts = [Key(key), _histories(record, rest), _learnt_table(rest)]
+    folded = [Details(hidden, parts[bool(certain) :])] if rest else []
+    return Section(title, [lead, *shown, *folded, _alone(record)])
+
+
+Known = list[tuple[Parameter, Any]]  # parameters, each with its row of the last estimate
+
+
+def _histories(record: Record, known: Known) -> Small:
+    return Small([(_caption(row), history(parameter, record.estimates)) for parameter, row in known])
+
+
+def _learnt_table(known: Known) -> Table:
+    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit", "determined by this data")
+    return Table(columns, [_learnt(parameter, row) for parameter, row in known])
 
 
 def _alone(record: Record) -> Part | None:

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from matplotlib import style
 
 from stringcast.stages.model.library import library
+from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.report.charts.parameters import cause, likeness, screenings
 from stringcast.stages.report.charts.residual import curves, foretold, likelier, maps, size, tip_curves
 from stringcast.stages.report.charts.string import film, last, proposed, worst
@@ -43,6 +44,7 @@ from stringcast.stages.report.page import (
 from stringcast.stages.report.records import DiagnosisRecord, Facts, away
 from stringcast.stages.report.theme import MM, STYLE, Picture
 from stringcast.stages.report.words import (
+    UNKNOWN,
     enumerated,
     gain,
     headline,
@@ -53,6 +55,9 @@ from stringcast.stages.report.words import (
     plain,
     quantity,
     rate,
+    significant,
+    symbol,
+    unit,
 )
 
 FEW = 12  # theories shown at once; the others are folded
@@ -65,7 +70,7 @@ NOTHING = "Nothing was measured that could be compared."
 
 def stage_page(facts: Facts) -> str:
     """The page of a diagnosis as a stage made it."""
-    given = (facts.name, facts.made, facts.model, library(), facts.settings, facts.origin)
+    given = (facts.name, facts.made, facts.model, library(), facts.settings, facts.origin, facts.following)
     return diagnosis_page(DiagnosisRecord(*given))
 
 
@@ -73,7 +78,7 @@ def diagnosis_page(record: DiagnosisRecord) -> str:
     """The page as text; the same record gives the same page."""
     with style.context(STYLE):
         sections = [tiles(record), rejected(record), causes(record), wrong(record), trials(record), found(record)]
-        sections += [gained(record), left(record)]
+        sections += [gained(record), left(record), string(record)]
     return str(
         Page(
             title=f"{record.name}: {headline(record.document)}",
@@ -84,7 +89,8 @@ def diagnosis_page(record: DiagnosisRecord) -> str:
             origin=record.origin,
             settings=record.settings,
             tone=TONES.get(record.document["verdict"], ""),
-            explored=bool(record.trials),
+            following=record.following,
+            explored=bool(record.trials or record.following),
         )
     )
 
@@ -447,3 +453,26 @@ def _next(record: DiagnosisRecord) -> Part | None:
         ).format(code("iterations/*/motion"), code("+experiment=decide"))
         parts.append(Figure("", drawn, about))
     return Card("What to try next", parts)
+
+
+# --- the string
+def string(record: DiagnosisRecord) -> Section | None:
+    """The string's parameters, fitted without and with the causes."""
+    base, known = record.document["base"]["parameters"], record.extension.get("known", {})
+    rows = [_parameter(p, base[p.name], known.get(p.name)) for p in record.model.parameters if p.name in base]
+    if not rows:
+        return None
+    lead = "Each model is fitted to all trials. What differs is what the base model bends to make up for its mistakes."
+    columns = ("parameter", "", "base model", "extended model", "change", "unit")
+    return Section("The string's parameters", [Text(lead), Card("", [Table(columns, rows)])])
+
+
+def _parameter(of: Parameter, base: float, extended: float | None) -> list[Any]:
+    change = "" if extended is None or not base else _change(extended / base)
+    values = [number(UNKNOWN if value is None else significant(value)) for value in (base, extended)]
+    return [Cell(plain(of.name), title=of.meaning), symbol(of.symbol), *values, number(change), unit(of.unit)]
+
+
+def _change(ratio: float) -> str:
+    """In percent, or as a factor where it is large."""
+    return f"{100 * (ratio - 1):+.0f} %".replace("-", "−") if 1 / 3 < ratio < 3 else f"× {significant(ratio)}"

@@ -1,0 +1,63 @@
+"""The page of all runs in a folder: how each ended, with a link to its own page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stringcast.stages.report.page import (
+    Card,
+    Details,
+    Page,
+    Part,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    link,
+    number,
+)
+from stringcast.stages.report.words import rate
+
+COLUMNS = ("run", "experiment", "date", "state", "outcome", "casts or trials", "best E", "seconds", "said")
+
+
+def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> str:
+    """The page as text. runs: table RUNS of `pipeline.commands.index`, with `page`, the link to the run's own page, or
+    empty. folder: that was listed."""
+    newest = runs.sort_values("date", ascending=False, kind="stable")
+    kinds = [Tile(str(count), str(kind)) for kind, count in runs["state"].value_counts().items()]
+    sections: list[Part] = [Tiles(kinds), Section("Newest first", [Card("", [_table(newest)])])]
+    stale = newest[newest["stale"] != ""]
+    if len(stale):
+        lead = "A step of these would be made otherwise by the code and settings as they are now."
+        why = Table(("run", "why"), [(_run(row), row["stale"]) for row in stale.to_dict("records")])
+        sections.append(Section("Stale", [Text(lead), Details(f"{len(stale)} of {len(runs)}", [why])]))
+    title = f"{len(runs)} run{'s' * (len(runs) != 1)} in {folder}"
+    return str(Page(title, "stringcast runs", title, "Each links to its own page.", sections, origin, {}))
+
+
+def _table(runs: pd.DataFrame) -> Table:
+    return Table(COLUMNS, [_row(row) for row in runs.to_dict("records")])
+
+
+def _row(row: Mapping[str, Any]) -> list[Any]:
+    best = rate(row["best_E"]) if np.isfinite(row["best_E"]) else ""
+    numbers = [number(row["iterations"]), number(best), number(f"{row['seconds']:.0f}")]
+    return [
+        _run(row),
+        row["experiment"],
+        row["date"][:16].replace("T", "\u00a0"),
+        row["state"],
+        row["outcome"],
+        *numbers,
+        row["said"],
+    ]
+
+
+def _run(row: Mapping[str, Any]) -> Any:
+    return link(row["page"], row["run"]) if row["page"] else row["run"]
