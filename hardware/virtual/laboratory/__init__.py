@@ -1,0 +1,33 @@
+"""Laboratories that are not the model: benches for the diagnosis, simulated in another way and in other terms.
+
+`bench("nodal", 7)` gives trials as a diagnosis takes them, and what is so. A seed means the same bench for ever.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from stringcast.data.artifacts import Observation
+from stringcast.data.dataset import read
+from stringcast.hardware.virtual.laboratory.bench import LabBench, Truth
+from stringcast.hardware.virtual.laboratory.drawing import draw
+from stringcast.hardware.virtual.laboratory.nodal import Nodal
+
+LABORATORIES = {"nodal": Nodal()}
+
+
+def drawn(laboratory: str, seed: int, kind: str | None = None) -> LabBench:
+    """The bench of a seed. kind: none, single, pair, triple or outside, if it is not to be the seed's own."""
+    return draw(laboratory, LABORATORIES[laboratory], seed, kind)
+
+
+def bench(laboratory: str, seed: int, kind: str | None = None) -> tuple[list[Observation], Truth]:
+    """Trials of the bench of a seed, t00, t01 and so on in this order, and what is so."""
+    made = drawn(laboratory, seed, kind)
+    with TemporaryDirectory() as folder:
+        made.write(Path(folder))
+        return list(read(Path(folder)).trials.values()), made.truth
+
+
+__all__ = ["LABORATORIES", "LabBench", "Truth", "bench", "drawn"]

@@ -1,0 +1,18 @@
+"""A laboratory whose string is a rod by absolute nodal coordinates."""
+
+from __future__ import annotations
+
+from stringcast.hardware.virtual.laboratory.hand import Path
+from stringcast.hardware.virtual.laboratory.nodal.motion import Motion, moved
+from stringcast.hardware.virtual.laboratory.rod import Rod
+from stringcast.hardware.virtual.laboratory.scene import CHECK, FINE, ROUGH
+
+LEVELS = {ROUGH: (8, 1e-3), CHECK: (16, 4e-4), FINE: (24, 2.5e-4)}  # elements, step [s]
+
+
+class Nodal:
+    """See `elements`, `forces` and `stepping`."""
+
+    def moved(self, rod: Rod, path: Path, level: int) -> Motion:
+        """As of `Laboratory`."""
+        return moved(rod, path, *LEVELS[level])

@@ -1,0 +1,126 @@
+"""A string, its trials and a camera: what a laboratory would measure, and how much of it the plain string explains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from stringcast.hardware.virtual.laboratory.hand import Hand, Path, path
+from stringcast.hardware.virtual.laboratory.rod import Rod
+from stringcast.hardware.virtual.laboratory.sight import Sight, seen
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.camera import Camera
+
+BASE = (
+    *("axial", "axial_damping", "bending", "bending_damping"),
+    *("linear_drag", "quadratic_drag", "grasp_stiffness", "grasp_damping"),
+)
+LITTLE = 0.01  # relative change of a base parameter, for slopes
+ROUGH, CHECK, FINE = range(3)  # meshes and steps: to seek sizes with; to state an error by; what is measured
+
+
+class Moved(Protocol):
+    """A string that was moved."""
+
+    def points(self, times: np.ndarray, arc: np.ndarray) -> np.ndarray:
+        """Positions (F, S, 2) [m] at times (F,) [s] and arc lengths (S,) [m]; NaN where it was lost."""
+
+
+class Laboratory(Protocol):
+    """Another way to simulate a rod."""
+
+    def moved(self, rod: Rod, path: Path, level: int) -> Moved:
+        """The rod from rest, as the hand takes it along, as finely as ROUGH, CHECK or FINE say."""
+
+
+@dataclass(frozen=True)
+class Cast:
+    """One performance. t (K,), told (K, J): what the encoders logged [s], [rad]. fine (M,), angles (M, J): what the
+    joints were driven through. frames: (F,) times at which the camera has a picture [s]."""
+
+    t: np.ndarray
+    told: np.ndarray
+    fine: np.ndarray
+    angles: np.ndarray
+    frames: np.ndarray
+
+
+Values = Mapping[str, float]  # settings by name, beginning with rod., hand. or sight.
+
+
+@dataclass(frozen=True)
+class Scene:
+    """rod: without any cause. s: (S,) arc lengths at which points are measured, the tip last [m]. sigma: noise in x and
+    in y [m]."""
+
+    laboratory: Laboratory
+    arm: Arm
+    camera: Camera
+    rod: Rod
+    casts: tuple[Cast, ...]
+    s: np.ndarray
+    sigma: float
+
+    def performing(self, casts: Sequence[Cast]) -> Scene:
+        """The same string in other casts."""
+        return replace(self, casts=tuple(casts))
+
+    def path(self, cast: Cast, values: Values) -> Path:
+        """The way of the grasp in a cast."""
+        return path(self.arm, cast.fine, cast.angles, Hand()._replace(**_of("hand", values)))
+
+    def seen(self, values: Values, level: int, only: int | None = None) -> list[np.ndarray]:
+        """What is reported in each cast without noise, (F, S, 2) [m]; only: the one in which the values are so."""
+        each = [values if only is None or number == only else {} for number in range(len(self.casts))]
+        return [self.measured(cast, own, level) for cast, own in zip(self.casts, each, strict=True)]
+
+    def measured(self, cast: Cast, values: Values, level: int) -> np.ndarray:
+        """What is reported in a cast without noise, (F, S, 2) [m]."""
+        sight = Sight()._replace(**_of("sight", values))
+        moved = self._moved(cast, values, level)
+        arc = self.s * (1 + sight.misread)
+        return seen(lambda times: moved.points(times, arc), cast.frames, self.camera, sight)
+
+    def _moved(self, cast: Cast, values: Values, level: int) -> Moved:
+        """The string moved; roughly, it is remembered, for clocks and cameras change nothing about it."""
+        acting = tuple(sorted((n, v) for n, v in values.items() if not n.startswith("sight.")))
+        key = (id(cast), acting)
+        if level == ROUGH and key in self._rough:
+            return self._rough[key]
+        moved = self.laboratory.moved(self.rod._replace(**_of("rod", values)), self.path(cast, values), level)
+        if level == ROUGH:
+            self._rough[key] = moved
+        return moved
+
+    @cached_property
+    def _rough(self) -> dict[tuple[int, tuple[tuple[str, float], ...]], Moved]:
+        return {}
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """What a little of each base parameter moves, (P, N, S, 2) [m], in all frames of all casts."""
+        plain = np.concatenate(self.seen({}, ROUGH))
+        moved = [
+            np.concatenate(self.seen({f"rod.{name}": getattr(self.rod, name) * (1 + LITTLE)}, ROUGH)) for name in BASE
+        ]
+        return np.stack(moved) - plain
+
+
+def unexplained(field: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """A field (N, S, 2) less its projection on columns (P, N, S, 2)."""
+    flat = columns.reshape(len(columns), -1).T
+    scaled = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-30)
+    return np.asarray(field - (scaled @ np.linalg.lstsq(scaled, field.ravel(), rcond=1e-8)[0]).reshape(field.shape))
+
+
+def at_tip(field: np.ndarray) -> float:
+    """Root mean square of the tip's displacement [m]. field: (N, S, 2)."""
+    return float(np.sqrt(np.mean(np.sum(field[:, -1] ** 2, axis=-1))))
+
+
+def _of(world: str, values: Values) -> dict[str, float]:
+    return {name.split(".")[1]: value for name, value in values.items() if name.startswith(f"{world}.")}

@@ -1,0 +1,47 @@
+"""Which benches a seed means: names, frozen, so that a cause that is added moves no bench that was drawn.
+
+A version is never changed; what is new goes into a new one, the last of VERSIONS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+NONE, SINGLE, PAIR, TRIPLE, OUTSIDE = "none", "single", "pair", "triple", "outside"
+
+
+TURNS = (SINGLE, NONE, OUTSIDE, PAIR, SINGLE, OUTSIDE, NONE, SINGLE, TRIPLE, SINGLE)
+
+
+@dataclass(frozen=True)
+class Version:
+    """What a bench may hide, by name and in order. together: what may be one of a pair or a triple."""
+
+    single: tuple[str, ...]
+    together: tuple[str, ...]
+    outside: tuple[str, ...]
+
+    def kind(self, seed: int) -> str:
+        """Of the bench of a seed: any ten are balanced."""
+        return TURNS[seed % len(TURNS)]
+
+    def turn(self, seed: int, kind: str) -> int:
+        """How many benches of a kind come before that of a seed; the seed itself if it has another kind."""
+        if kind != self.kind(seed):
+            return seed
+        return seed // len(TURNS) * TURNS.count(kind) + TURNS[: seed % len(TURNS)].count(kind)
+
+
+_STRING = ("tip_mass", "taper", "set", "hardening", "rub", "relaxing", "across", "wind", "gravity", "plane")
+_AROUND = ("lag", "gain", "play", "angle", "slip", "offset", "drift", "roll", "scale", "lens", "readout")
+FIRST = Version(
+    single=_STRING + _AROUND,
+    together=tuple(name for name in _STRING + _AROUND if name != "relaxing"),
+    outside=(
+        *("stiffness_taper", "soft_spot", "bead", "flag", "crisis", "flutter", "letting_go", "pull", "eddy", "peg"),
+        *("thread", "gust", "blow", "hold", "stick", "askew_joint", "ringing", "link", "shaken_base", "jump", "bump"),
+        *("shaken_camera", "askew_camera", "stretch", "misread"),
+    ),
+)
+VERSIONS = {1: FIRST}
+LATEST = max(VERSIONS)
