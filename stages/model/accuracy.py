@@ -78,6 +78,11 @@ def remaining(before: np.ndarray, after: np.ndarray, order: int) -> np.ndarray:
     return np.where(after == 0, 0.0, error)
 
 
+def extrapolated(coarse: np.ndarray, fine: np.ndarray, order: int = ORDER_IN_POINTS) -> np.ndarray:
+    """What two results converge to, the second of twice as many parts and half the step. Any shape."""
+    return fine + (fine - coarse) / (2**order - 1)
+
+
 def _pointwise(string: String, hand: HandMotion, values: np.ndarray) -> Iterator[tuple[String, np.ndarray, np.ndarray]]:
     """Strings of more and more segments, with how far half and twice as many move the tip, (C,) each."""
     strings = [replace(string, points=count + 1) for count in SEGMENTS]

@@ -257,6 +257,8 @@ class String:
         longer = self.longer(material)[:, None]
         cells = np.repeat(self.segment * longer, self.points, axis=1)
         cells[:, -1] *= self.tip_cell
+        if not {"tip_length", "density", "tip_mass"} & self._laws.keys():
+            return cells.copy(), cells
         density = np.ones((len(material), self.points))
         tip = np.zeros((len(material), 1))
         given = {"s": self.places(material), "length": self.length * longer}

@@ -14,7 +14,7 @@ import yaml
 from stringcast.data.artifacts import JOINTS
 from stringcast.known import KnownString, prepared
 from stringcast.stages.generate.curves import plain_cast
-from stringcast.stages.model.accuracy import accurate
+from stringcast.stages.model.accuracy import accurate, extrapolated
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
@@ -144,7 +144,7 @@ def paper_motions(letter: str) -> Iterator[HandMotion]:
 
 def by_motion() -> list[list[str]]:
     motions = {letter: list(paper_motions(letter)) for letter in "ABCD"}
-    exact = {s: [_extrapolated(hand, specimen(s)) for hand in hands] for s, hands in motions.items()}
+    exact = {s: [_converged(hand, specimen(s)) for hand in hands] for s, hands in motions.items()}
     rows = []
     for points, step in ((10, 2e-4), (20, 1e-3), (29, 5e-4), (40, 5e-4), (57, 5e-4), (80, 5e-4)):
         string = fine(points, integrator=ImplicitLeapfrog(), largest_step=step) if points > 10 else String(0.3)
@@ -158,13 +158,10 @@ def by_motion() -> list[list[str]]:
     return rows
 
 
-def _extrapolated(hand: HandMotion, named: dict) -> np.ndarray:
-    """The tip of infinitely many points: of second order, by two meshes."""
-    coarse, finer = (
-        tip(fine(n + 1, integrator=ImplicitLeapfrog(), largest_step=h), named, hand)
-        for n, h in ((114, 1e-4), (228, 5e-5))
-    )
-    return finer + (finer - coarse) / 3
+def _converged(hand: HandMotion, named: dict) -> np.ndarray:
+    """The tip of infinitely many points."""
+    meshes = (115, 1e-4), (229, 5e-5)
+    return extrapolated(*(tip(fine(n, integrator=ImplicitLeapfrog(), largest_step=h), named, hand) for n, h in meshes))
 
 
 def check() -> list[list[str]]:

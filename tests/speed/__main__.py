@@ -60,7 +60,7 @@ def main(parts: list[str]) -> None:
     made = origin(() if alone else PEERS)
     estimated = estimates()
     write_table(ESTIMATES, estimated, FOLDER / "estimates.parquet", made)
-    rows = framed(summary(estimated) if alone else [*measured(), *waits(), *summary(estimated)])
+    rows = framed(summary(estimated) if alone else [*waits(), *measured(), *summary(estimated)])
     Console(width=150).print(printed(rows))
     if not alone:
         write_table(SPEED, rows, FOLDER / "speed.parquet", made)

