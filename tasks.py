@@ -1,6 +1,6 @@
 """Set up and run, with nothing but Python: `python3 tasks.py run`, `python3 tasks.py test`.
 
-run [OVERRIDES]    the main job: `python -m pipeline OVERRIDES`, by default +experiment=stringB
+run [OVERRIDES]    the main job: `python -m pipeline OVERRIDES`, by default +experiment=stringB method=robust
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
 test --all         ... with the long ones
 bench              how fast strings are simulated and estimated, beside peers; see tests/speed
@@ -103,7 +103,7 @@ def call(*command: str) -> int:
 
 def run(rest: list[str]) -> int:
     """The pipeline."""
-    return call("pipeline", *(rest or ["+experiment=stringB"]))
+    return call("pipeline", *(rest or ["+experiment=stringB", "method=robust"]))
 
 
 def test(rest: list[str]) -> int:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+from stringcast.pipeline.settings import CONF
 
 
 def called_as() -> str:
@@ -17,4 +22,12 @@ def called_as() -> str:
 
 def as_called(text: str) -> str:
     """A text with the commands in it as this program was called."""
-    return text.replace("python -m pipeline", called_as())
+    return re.sub(r"(?<![\w/.])python -m pipeline", lambda _: called_as(), text)
+
+
+def by_the_other_method(config: Mapping[str, Any]) -> str:
+    """What casts by the other method, behind the program's name; empty where a run is none of the paper's."""
+    other, name = config.get("other_method"), config["name"]
+    if not other or not (CONF / "experiment" / f"{name}.yaml").exists() or name == "robust":
+        return ""
+    return f"+experiment={name} method={other}"

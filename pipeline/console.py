@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from stringcast.pipeline.called import by_the_other_method, called_as
 from stringcast.pipeline.iterations import Iteration
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.terminal import Terminal
@@ -39,13 +41,13 @@ def bars(console: Terminal) -> Iterator[Bar]:
         yield bar
 
 
-def summary(result: Result) -> Group:
-    """How the run ended: what the stage found that it was for, or manipulation by manipulation."""
+def summary(result: Result, config: Mapping[str, Any]) -> Group:
+    """How the run ended: what the stage found that it was for, or manipulation by manipulation. config: settings."""
     if result.stage is not None:
         return answer(result, result.stage)
     table = Table(box=None, pad_edge=False)
-    for heading in ("cast", "tip in the box", "closest [mm]", "E before", "E after", "residual [mm]"):
-        table.add_column(heading, justify="right")
+    for heading in ("cast", "tip in the box", "closest [mm]", "E before [1]", "E after [1]", "rms [mm]"):
+        table.add_column(Text(heading), justify="right")
     for iteration in result.iterations:
         table.add_row(*_row(iteration))
     words = "" if result.estimate is None else str(result.estimate.fit["sentence"].iloc[0])
@@ -53,8 +55,22 @@ def summary(result: Result) -> Group:
     ended, _, more = result.sentence.partition(". ")
     title = f"[bold {colour}]{escape(ended)}"
     below = [Text(more)] if more else []
-    said = Panel(Group(table, "", Text(words), *below), title=title, border_style=colour)
-    return Group(said, *map(Text, faults(result)), Text(str(page(result)), overflow="fold"))
+    said = Panel(Group(table, "", Text(words), *learned(result), *below), title=title, border_style=colour)
+    other = by_the_other_method(config)
+    lines = [Text(f"By the method `{config['other_method']}`: {called_as()} {other}", overflow="fold")] if other else []
+    return Group(said, *map(Text, faults(result)), *lines, Text(str(page(result)), overflow="fold"))
+
+
+def learned(result: Result) -> list[RenderableType]:
+    """What was learned of the string: the parameters that its casts determine, with their intervals."""
+    if result.estimate is None:
+        return []
+    known = result.estimate.parameters
+    known = known[known["determined"] & known["low"].notna()]
+    ends = known[["low", "high"]].map("{:.4g}".format).agg(" to ".join, axis=1)
+    names = ("parameter", "value", "95 % interval", "unit")
+    rows = zip(known["name"], known["value"].map("{:.4g}".format), ends, known["unit"], strict=True)
+    return ["", listed(pd.DataFrame(list(rows), columns=names))] if len(known) else []
 
 
 def answer(result: Result, stage: StageSpec) -> Group:

@@ -10,7 +10,7 @@ from hydra.utils import get_object
 
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.store import write_text
-from stringcast.pipeline.called import called_as
+from stringcast.pipeline.called import by_the_other_method, called_as
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.origin import PACKAGES, code, versions
 from stringcast.pipeline.result import Result
@@ -50,7 +50,7 @@ def casting(experiment: Experiment, result: Result) -> Record:
         tuple(e for e in estimates if e is not None),
         experiment.config,
         made_by(experiment),
-        following(after_casts(result)),
+        following(after_casts(result, experiment.config)),
     )
 
 
@@ -60,7 +60,7 @@ def following(ahead: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     return [(why, f"{called_as()} {words}") for why, words in (*ahead, always)]
 
 
-def after_casts(result: Result) -> list[tuple[str, str]]:
+def after_casts(result: Result, config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Of casts, or of estimation alone."""
     ahead = [("What does the simulation get wrong in these trials, and why?", f"+experiment=diagnose trials={HERE}")]
     if result.estimate is not None and result.estimate.parameters["low"].isna().all():
@@ -68,6 +68,8 @@ def after_casts(result: Result) -> list[tuple[str, str]]:
         ahead.append(("Estimate the string from the same trials, with intervals", words))
     if result.estimate is not None:
         ahead.append(("A card of the string's parameters, with units", f"export {HERE} string.csv"))
+    if words := by_the_other_method(config):
+        ahead.append((f"The same casts by the method `{config['other_method']}`", words))
     return ahead
 
 

@@ -39,7 +39,7 @@ class Stepwise(Mode):
             run_folder.end(result)
         if "frames" not in experiment.config["leave"]:
             run_folder.without_frames(experiment, result)
-        console.print(summary(result))
+        console.print(summary(result, experiment.config))
         return result
 
 

@@ -48,8 +48,7 @@ ONE_CASE = "hits.seeds=1 hits.casts=2"
 RUN = {
     "tasks.py run": Run(**CAST),
     "pipeline +experiment=stringA": Run(**CAST),
-    "pipeline +experiment=robust": Run(**CAST),
-    "pipeline +experiment=robust specimen=B target=at_400_700": Run(**CAST),
+    "pipeline +experiment=stringB method=robust": Run(**CAST),
     "pipeline +experiment=window": Run(**CAST),
     "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
     "pipeline 'effects=[tip_mass,arm_lag]' estimate=least_squares": Run(**CAST),

@@ -1,0 +1,36 @@
+"""The paper's experiments are cast by the paper's method or by the robust one, and each names the other."""
+
+import pytest
+
+from stringcast.pipeline.called import by_the_other_method
+from stringcast.pipeline.settings import composed
+
+PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
+
+
+def parts(settings):
+    return [settings[stage]["_target_"].split(".")[-2] for stage in ("generate", "estimate")] + [settings["memory"]]
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_an_experiment_of_the_paper_takes_either_method_and_names_the_other(name):
+    plain, robust = (composed([f"+experiment={name}", *method]) for method in ([], ["method=robust"]))
+    assert composed([f"+experiment={name}", "method=paper"]) == plain
+    assert parts(plain) == ["generate", "random_search", 1]
+    assert (plain["string"]["integrator"]["_target_"], plain["string"]["points"]) == (
+        "stages.model.integrator.SemiImplicitEuler",
+        25 if name == "stringD" else 10,
+    )
+    assert parts(robust) == ["robust", "least_squares", 5]
+    assert robust["string"]["integrator"]["_target_"] == "stages.model.implicit.ImplicitLeapfrog"
+    assert {key: robust[key] for key in ("specimen", "target", "obstacles")} == {
+        key: plain[key] for key in ("specimen", "target", "obstacles")
+    }
+    assert by_the_other_method(plain).endswith(f"+experiment={name} method=robust")
+    assert by_the_other_method(robust).endswith(f"+experiment={name} method=paper")
+
+
+def test_what_belongs_to_no_experiment_of_the_paper_names_none():
+    assert [by_the_other_method(composed(words)) for words in ([], ["+experiment=robust"], ["method=robust"])] == [
+        ""
+    ] * 3
