@@ -12,7 +12,7 @@ from stringcast.data.artifacts import Diagnosis
 from stringcast.data.store import write_text
 from stringcast.pipeline.called import by_the_other_method, called_as
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, versions
 from stringcast.pipeline.result import Result
 from stringcast.stages.report.page import HERE_IN_WORDS as HERE
 from stringcast.stages.report.pages.cast import cast_page

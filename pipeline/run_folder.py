@@ -28,9 +28,8 @@ from stringcast.pipeline.inherited import FROM_DATASETS
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.origin import origin
+from stringcast.pipeline.provenance import Found, look, made_now, origin, performed, repeatable
 from stringcast.pipeline.result import Result, in_numbers
-from stringcast.pipeline.staleness import Found, look, made_now, performed, repeatable
 
 log = logging.getLogger(__name__)
 

@@ -1,16 +1,18 @@
 """What can be asked beside a run itself: `python -m pipeline <command> ...`; each has its own --help.
 
 A command is a module of this folder: its docstring's first line says what it does, `main(arguments)` does it and
-returns the exit status: 0 is yes or done, 1 is no, 2 means that it could not be answered.
+returns the exit status: 0 is yes or done, 1 is no, 2 means that it could not be answered. Those that ask what made a
+file are functions of `provenance.py`.
 """
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
-from types import ModuleType
 
 NAMES = (
     "import",
@@ -28,9 +30,21 @@ NAMES = (
 )
 
 
-def command(name: str) -> ModuleType:
+PROVENANCE = frozenset({"verify", "why", "diff", "lineage"})
+
+
+@dataclass(frozen=True)
+class Command:
+    """main: from the words behind its name to the exit status. words: what it does."""
+
+    main: Callable[[list[str]], int]
+    words: str
+
+
+def command(name: str) -> Command:
     """A command, loaded: some draw, which takes a second to load, and neither a run nor the help needs any."""
-    return import_module(f"stringcast.pipeline.commands.{_module(name)}")
+    main = getattr(import_module(f"stringcast.pipeline.commands.{_module(name)}"), _function(name))
+    return Command(main, _first_line(name))
 
 
 def listed() -> str:
@@ -40,9 +54,15 @@ def listed() -> str:
 
 def _module(name: str) -> str:
     """A command's module: Python keeps some names for itself."""
-    return f"{name}_" if iskeyword(name) else name
+    return "provenance" if name in PROVENANCE else f"{name}_" if iskeyword(name) else name
+
+
+def _function(name: str) -> str:
+    return name if name in PROVENANCE else "main"
 
 
 def _first_line(name: str) -> str:
-    text = Path(__file__).with_name(f"{_module(name)}.py").read_text(encoding="utf-8")
-    return (ast.get_docstring(ast.parse(text)) or "").splitlines()[0]
+    """What a command does, without loading it."""
+    tree = ast.parse(Path(__file__).with_name(f"{_module(name)}.py").read_text(encoding="utf-8"))
+    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+    return (ast.get_docstring(functions[name] if name in PROVENANCE else tree) or "").splitlines()[0]

@@ -20,9 +20,8 @@ from stringcast.data.artifacts import FIT
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.layout import ENDED, FAILED
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, reasons_of, versions
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.staleness import reasons_of
 from stringcast.pipeline.terminal import Terminal
 
 RUNS = Table(

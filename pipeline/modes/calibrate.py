@@ -17,7 +17,7 @@ from stringcast.pipeline.console import bars, listed
 from stringcast.pipeline.experiment import Experiment, Mode
 from stringcast.pipeline.iterations import Step
 from stringcast.pipeline.modes.stepwise import needs_none
-from stringcast.pipeline.origin import origin
+from stringcast.pipeline.provenance import origin
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError, build, chosen

@@ -24,7 +24,7 @@ from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.console import bars
 from stringcast.pipeline.experiment import Experiment, Mode
 from stringcast.pipeline.modes.stepwise import needs_none
-from stringcast.pipeline.origin import origin
+from stringcast.pipeline.provenance import origin
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.common import Progress

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, versions
 from stringcast.pipeline.sweep.ledger import DONE, Job, Ledger
 from stringcast.pipeline.sweep.table import SWEEP, factors, sweep_table
 from stringcast.stages.report.pages.sweep import sweep_page

@@ -17,7 +17,7 @@ from stringcast.data.artifacts import MASKS, POINTS, READINGS, Motion, Observati
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
 from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, versions
 from stringcast.stages.align.align import align, measured_table
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import Problem, chosen, measuring

@@ -24,7 +24,7 @@ from stringcast.hardware.virtual.blind.bench import BlindBench
 from stringcast.hardware.virtual.blind.casts import Cast, performed, random_cast
 from stringcast.hardware.virtual.blind.scene import Scene
 from stringcast.pipeline.experiment import Experiment, prepare
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, versions
 from stringcast.pipeline.studies.blind.study import diagnosis
 from stringcast.stages.model.library import named
 

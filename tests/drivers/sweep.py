@@ -16,7 +16,7 @@ from rig import ARM, WATCHDOG, driver, emulator, events, movement, standstill
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
 from stringcast.hardware.serial.emulator.device import KINDS
-from stringcast.pipeline.origin import code
+from stringcast.pipeline.provenance import code
 from stringcast.stages.execute.interfaces import HardwareError
 
 RESULT = Path(__file__).resolve().parents[2] / "data/results/serial_faults/faults.parquet"

@@ -15,7 +15,7 @@ from rich.progress import track
 
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, versions
 from tests.faults.kills import Command, Forked, rounds
 from tests.faults.strike import KINDS, strike
 from tests.faults.toy import contents, toy_experiment, toy_run

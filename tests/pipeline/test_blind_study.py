@@ -15,7 +15,7 @@ from matplotlib.image import imread
 
 from stringcast.data.dataset import read
 from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
-from stringcast.pipeline.origin import state
+from stringcast.pipeline.provenance import state
 from stringcast.pipeline.studies.blind.bench import OneBench
 from stringcast.pipeline.studies.blind.pictures import pictures
 from stringcast.pipeline.studies.blind.scores import TABLES, calibration_error, scores

@@ -17,10 +17,10 @@ from stringcast.data import store
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Points
 from stringcast.pipeline import __main__ as shell
-from stringcast.pipeline import commands, sources, staleness
+from stringcast.pipeline import commands, provenance
+from stringcast.pipeline.commands.provenance import differences
+from stringcast.pipeline.commands.provenance import verified as computed_again
 from stringcast.pipeline.commands.stored import walk
-from stringcast.pipeline.commands.verify import verify
-from stringcast.pipeline.compare import differences
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.older import FLOAT64, modern
 from stringcast.pipeline.settings import UserError, composed
@@ -61,7 +61,7 @@ def verified(run, tmp_path, here):
         yield lambda share: None
 
     (tmp_path / "aside").mkdir()
-    return verify(here, run, tmp_path / "aside", bar)
+    return computed_again(here, run, tmp_path / "aside", bar)
 
 
 def change(run, step, table, column, row, value):
@@ -141,7 +141,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
     assert outcome.lines[1] == "iterations/01/trial: measured with a real arm and camera, cannot be computed again"
     before = contents(tmp_path / "run")
     with monkeypatch.context() as patch:
-        patch.setattr(staleness, "sources", lambda *given: {"stages/generate/generate.py": "changed"})
+        patch.setattr(provenance, "sources", lambda *given: {"stages/generate/generate.py": "changed"})
         made, said = toy_run(tmp_path / "run", real_arm())
     assert made == ["extract", "estimate"]  # the last, after which no arm has moved
     assert "iterations/01/motion is stale" in said
@@ -166,9 +166,9 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
 )
 def test_only_steps_that_use_a_source_are_made_again(run, monkeypatch, what, steps):
     """And what comes out the same makes nothing after it stale."""
-    real = staleness.sources
+    real = provenance.sources
     changed = {what: "changed"}
-    monkeypatch.setattr(staleness, "sources", lambda *given: {k: changed.get(k, v) for k, v in real(*given).items()})
+    monkeypatch.setattr(provenance, "sources", lambda *given: {k: changed.get(k, v) for k, v in real(*given).items()})
     made, said = toy_run(run, toy_experiment())
     assert set(made) == steps
     assert (f"source {what} has changed" in said) == bool(steps)
@@ -184,7 +184,7 @@ def test_comments_and_docstrings_make_nothing_stale(tmp_path):
     }
     for name, code in codes.items():
         (tmp_path / f"{name}.py").write_text(code)
-    plain, told, other, text = (sources._digest(tmp_path / f"{name}.py") for name in codes)
+    plain, told, other, text = (provenance.read_code(tmp_path / f"{name}.py")[1] for name in codes)
     assert plain == told == text != other
 
 
@@ -206,9 +206,9 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     status, said = asked(capsys, "why", run / "iterations/01/estimate")
     assert "input iterations/01/points has another content" in said
     assert "motion" not in said
-    real = staleness.origin
+    real = provenance.origin
     monkeypatch.setattr(
-        staleness, "origin", lambda *given: real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
+        provenance, "origin", lambda *given: real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
     )
     assert re.search(r"package numpy was [\d.]+, is 9\.9", asked(capsys, "why", run)[1])
 
@@ -338,14 +338,14 @@ def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
 
 def test_every_command_has_a_help_and_is_listed(capsys):
     for name in commands.NAMES:
-        module = commands.command(name)
+        command = commands.command(name)
         with pytest.raises(SystemExit) as stopped:
-            module.main(["--help"])
+            command.main(["--help"])
         assert stopped.value.code == 0
         said = re.sub(r"\s+", " ", capsys.readouterr().out)
-        assert re.sub(r"\s+", " ", module.__doc__.splitlines()[0]) in said
+        assert re.sub(r"\s+", " ", command.words) in said
         assert f"pipeline {name}" in said
-        assert f"{name} {module.__doc__.splitlines()[0]}" in re.sub(r" +", " ", commands.listed())
+        assert f"{name} {command.words}" in re.sub(r" +", " ", commands.listed())
 
 
 def blocks(language):
@@ -415,5 +415,5 @@ def test_stored_trials_are_looked_for_where_they_were_named(tmp_path, monkeypatc
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(b"t")
     asked_for = {"data/arm.csv": "", "iterations/01/points": "", "secret": "", "data/gone.csv": ""}
-    found = staleness._there(tmp_path / "run", asked_for, "data")
+    found = provenance.inputs_there(tmp_path / "run", asked_for, "data")
     assert set(found) == {"data/arm.csv", "iterations/01/points"}

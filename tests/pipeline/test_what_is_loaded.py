@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stringcast.pipeline.sources import closure, home
+from stringcast.pipeline.provenance import closure, home
 from stringcast.pipeline.targets import roles
 from tests.faults.toy import toy_experiment, toy_run
 

@@ -20,7 +20,7 @@ from rich.table import Table as Printed
 
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, versions
 from tests.speed.estimates import ESTIMATES, estimates, summary
 from tests.speed.measures import Row, framed, measured
 from tests.speed.picture import picture

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from stringcast.hardware.virtual.blind import LATEST
-from stringcast.pipeline.origin import state
+from stringcast.pipeline.provenance import state
 from stringcast.pipeline.studies.engine import Job
 
 

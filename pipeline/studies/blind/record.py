@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 from stringcast.data import store
-from stringcast.pipeline.origin import PACKAGES, ROOT, code, versions
+from stringcast.pipeline.provenance import PACKAGES, ROOT, code, versions
 from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED
 from stringcast.pipeline.studies.counts import bars, counted
 from stringcast.stages.report.theme import LIGHT, STYLE

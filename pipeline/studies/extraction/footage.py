@@ -19,7 +19,7 @@ from stringcast.data import store
 from stringcast.data.artifacts import Points
 from stringcast.data.images import ImageFiles, Video
 from stringcast.data.schema import Column, Table
-from stringcast.pipeline.origin import origin
+from stringcast.pipeline.provenance import origin
 from stringcast.pipeline.studies.extraction.scores import why
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage

@@ -11,7 +11,7 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.origin import state
+from stringcast.pipeline.provenance import state
 from stringcast.pipeline.settings import build
 from stringcast.pipeline.studies.engine import Job, Study
 from stringcast.pipeline.studies.hitting.job import casts_of

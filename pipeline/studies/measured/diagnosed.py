@@ -24,7 +24,7 @@ from rich.progress import track
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline.origin import PACKAGES, ROOT, code, versions
+from stringcast.pipeline.provenance import PACKAGES, ROOT, code, versions
 from stringcast.pipeline.settings import build, composed
 from stringcast.pipeline.studies.blind.study import diagnosis
 from stringcast.pipeline.studies.engine import workers

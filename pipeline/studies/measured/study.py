@@ -15,7 +15,7 @@ from pydantic import Field
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.modes.stepwise import needs_trials
-from stringcast.pipeline.origin import origin, state
+from stringcast.pipeline.provenance import origin, state
 from stringcast.pipeline.run import perform
 from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.pipeline.studies.engine import Job, Study

@@ -8,7 +8,7 @@ import pandas as pd
 
 from stringcast.data.schema import Table
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline.origin import PACKAGES, code, versions
+from stringcast.pipeline.provenance import PACKAGES, code, versions
 from stringcast.pipeline.studies.paper import scores, shown
 from stringcast.pipeline.studies.paper.numbers import NUMBERS, numbers
 from stringcast.pipeline.sweep.finish import common

@@ -1,0 +1,379 @@
+"""What made a file, whether it would be made so now, and what differs: the commands verify, why, diff and lineage."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.text import Text
+from rich.tree import Tree
+
+from stringcast.data import dataset, store
+from stringcast.data.errors import printable
+from stringcast.data.schema import DataError
+from stringcast.pipeline import run_folder
+from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_experiment, stored_settings, walk
+from stringcast.pipeline.console import bars
+from stringcast.pipeline.experiment import Experiment
+from stringcast.pipeline.iterations import Step
+from stringcast.pipeline.layout import ENDED, FAILED, LOG, place_of
+from stringcast.pipeline.provenance import look, pairs, performed, reasons_of, repeatable
+from stringcast.pipeline.registry import stages
+from stringcast.pipeline.result import Result, in_numbers
+from stringcast.pipeline.settings import UserError, leaves
+from stringcast.pipeline.terminal import Terminal
+from stringcast.stages.spec import This
+
+DRAWN = frozenset({"config.json", ENDED, FAILED, LOG, "report.html"})  # compared by another heading, or drawn
+HEADINGS = ("settings", "data", "code", "packages", "results")  # of a difference between two runs
+LONGEST = 60  # characters of a value that are shown
+
+
+def _say(heading: str, words: list[str] | tuple[str, ...]) -> None:
+    print(printable("\n    ".join((heading, *words))))
+
+
+# --- verify -----------------------------------------------------------------------------------
+def verify(arguments: list[str]) -> int:
+    """Compute every step of a run again from what is on the disk, and compare to the bit."""
+    parser = argparse.ArgumentParser("python -m pipeline verify", description=verify.__doc__)
+    parser.add_argument("run", type=Path, help="the run's folder; nothing is written into it")
+    folder = parser.parse_args(arguments).run
+    here = stored_experiment(folder)
+    with bars(Terminal(stderr=True)) as bar, TemporaryDirectory() as aside:
+        outcome = verified(here, folder, Path(aside), bar)
+    for line in outcome.lines:
+        print(printable(line))
+    return 0 if outcome.same else 1
+
+
+@dataclass
+class Outcome:
+    """same: no step is missing, and none came out otherwise. lines: step by step, in words."""
+
+    same: bool = True
+    lines: list[str] = field(default_factory=list)
+
+    def note(self, what: str, faults: list[str], good: str = "the same to the bit") -> None:
+        """What came out of one comparison."""
+        self.same = self.same and not faults
+        self.lines += [f"{what}: {'DIFFERS' if faults else good}", *(f"    {fault}" for fault in faults)]
+
+
+def verified(here: Experiment, folder: Path, aside: Path, bar: Callable[[str], AbstractContextManager[Any]]) -> Outcome:
+    """Every step, then what the run wrote from them. aside: an empty folder to compute in."""
+    outcome = Outcome()
+
+    def ask(step: Step) -> Any:
+        found, place = look(here.config, folder, step), step.place.as_posix()
+        if found.artifact is None:
+            outcome.note(place, list(found.reasons))
+            raise NotMadeError
+        if not repeatable(here.config, step.stage.folder):
+            outcome.note(place, [], "measured with a real arm and camera, cannot be computed again")
+            return found.artifact
+        with bar(f"{step.number}. {step.stage.name}") as progress:
+            store.save(here.run(step, progress), aside / step.place, {})
+        faults = differing_files(folder / step.place, aside / step.place)
+        outcome.note(place, [*faults, *(f"since it was made: {reason}" for reason in found.reasons if faults)])
+        return found.artifact
+
+    result = walk(here, folder, ask)
+    if result is not None:
+        _ending(here, folder, aside, result, outcome)
+    return outcome
+
+
+def _ending(here: Experiment, folder: Path, aside: Path, result: Result, outcome: Outcome) -> None:
+    """The dataset and run.json: drawn from the steps alone, they must say what these say."""
+    iterations = [i for i in result.iterations if {"trial", "points"} <= i.done.keys()]
+    if here.config["trials"] is None and iterations:
+        run_folder.publish(here, run_folder.trial_hashes(folder, iterations), aside, iterations)
+        written = [*sorted(aside.glob("*.parquet")), aside / "dataset.yaml"]
+        faults = [f"{path.name}: {words}" for path in written for words in differences(folder / path.name, path)]
+        outcome.note("the run as a dataset", faults)
+    path = folder / ENDED
+    if not path.is_file():
+        outcome.note(ENDED, ["it is missing: the run has not ended; `resume` ends it"])
+        return
+    same = json.loads(path.read_text(encoding="utf-8")) == json.loads(json.dumps(in_numbers(result)))
+    outcome.note(ENDED, [] if same else ["it says something else than the steps"])
+
+
+# --- why ----------------------------------------------------------------------------------------
+def why(arguments: list[str]) -> int:
+    """Say of each step of a run whether it is fresh or stale, and why, by its files and settings: nothing is built."""
+    parser = argparse.ArgumentParser("python -m pipeline why", description=why.__doc__)
+    parser.add_argument("place", type=Path, help="a run's folder, or that of one step: <run>/iterations/01/estimate")
+    place = parser.parse_args(arguments).place
+    folder = run_of(place)
+    asked = place.resolve().relative_to(folder.resolve()).as_posix()
+    states = [state for state in states_of(stored_settings(folder), folder) if asked in (".", state.place)]
+    if not states:
+        known = ", ".join(sorted({stage.folder for stage in stages().values()}))
+        raise UserError(
+            f"{place}: there is no such step; a study and a calibration have none. Name the folder of another run, or "
+            f"of a step: iterations/<number>/<one of {known}>."
+        )
+    for state in states:
+        _say(f"{state.place}: {state.words}", state.reasons)
+    return 1 if any(state.reasons for state in states) else 0
+
+
+@dataclass(frozen=True)
+class State:
+    """A step's folder within its run, and why it is not fresh; no reasons if it is. stays: it is used all the same."""
+
+    place: str
+    reasons: tuple[str, ...]
+    there: bool = True
+    stays: bool = False
+
+    @property
+    def words(self) -> str:
+        """Fresh, stale or missing."""
+        if not self.there:
+            return "missing"
+        return "fresh" if not self.reasons else "stale, but stays: the arm has moved by it" if self.stays else "stale"
+
+
+def states_of(settings: Mapping[str, Any], folder: Path) -> list[State]:
+    """Of all steps of a run, what a stage looks at before it, and what an unfinished run lacks next. settings: the
+    run's."""
+    known = {stage.folder for stage in stages().values()}
+    there = (place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known)
+    places = sorted(there, key=lambda place: (place.parent.name, _depth(place.name), place.name))
+    states: dict[str, State] = {}
+    for place in places:
+        above = [states[other] for other in _origin(place).get("inputs", ()) if other in states]
+        doubt = (f"{one.place}, an input, is to be made again" for one in above if one.reasons and not one.stays)
+        stays = performed(settings, folder, int(place.parent.name), place.name)
+        name = place.relative_to(folder).as_posix()
+        states[name] = State(name, (*reasons_of(folder, place, settings), *doubt), stays=stays)
+    return [*states.values(), *_missing(settings, folder, len({place.parent for place in places}))]
+
+
+def _depth(artifact: str) -> int:
+    """How many stages of an iteration follow one another up to this artifact. Trials are read in points."""
+    inputs = {n: given for s in stages().values() if s.folder == artifact for n, given in s.inputs.items()}
+    asked = {"points" if name == "trials" else name for name, given in inputs.items() if isinstance(given, This)}
+    return 1 + max(map(_depth, asked), default=-1)
+
+
+def _origin(place: Path) -> dict[str, Any]:
+    """What the footer of a step says, as far as it can be read."""
+    try:
+        return store.origin_of(sorted(place.glob("*.parquet"))[0])
+    except (DataError, LookupError, *store.UNREADABLE):
+        return {}
+
+
+def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iterator[State]:
+    """The first step of its last iteration that an unfinished cast lacks."""
+    names = settings["mode"].get("stages", ())
+    places = [place_of(max(iterations, 1), stages()[name].folder) for name in names if name in stages()]
+    lacking = [place for place in places if not (folder / place).is_dir()]
+    if lacking and not (folder / ENDED).exists():
+        yield State(lacking[0].as_posix(), ("it has not been made yet",), there=False)
+
+
+# --- diff ---------------------------------------------------------------------------------------
+def diff(arguments: list[str]) -> int:
+    """Say what differs between two runs: settings, data, code, packages, results."""
+    parser = argparse.ArgumentParser("python -m pipeline diff", description=diff.__doc__)
+    parser.add_argument("a", type=Path, help="a run's folder")
+    parser.add_argument("b", type=Path, help="another's")
+    asked = parser.parse_args(arguments)
+    one, other = facts(asked.a), facts(asked.b)
+    both = {what: pairs(one[what], other[what]) for what in one}
+    found = {what: [f"{name}: {x} and {y}" for name, x, y in both[what]] for what in both}
+    found["code"] += [name for name, _, _ in both["sources"]] or found["whole"]
+    found["results"] += differing_files(asked.a, asked.b, DRAWN)
+    for what in HEADINGS:
+        _say(f"{what}: {'differ' if found[what] else 'the same'}", found[what])
+    return 1 if any(found[what] for what in HEADINGS) else 0
+
+
+def facts(run: Path) -> dict[str, dict[str, Any]]:
+    """What is compared of a run, by name. Raises UserError where there is none, DataError where it has made nothing."""
+    path, ended = run / "config.json", run / ENDED
+    if not path.is_file():
+        raise UserError(f"{run}: there is no run here (it has no config.json). Name a run's folder.")
+    origins = [made for file in sorted(run.rglob("*.parquet")) if "code" in (made := store.origin_of(file))]
+    if not origins:
+        raise DataError(f"{run}: the run has made nothing yet. `python -m pipeline resume {run}` goes on with it.")
+    numbers: dict[str, Any] = dataset.settings(ended) if ended.exists() else {"ended": False, "iterations": []}
+    numbers |= {"iterations": {str(row["number"]): row for row in numbers["iterations"]}}
+    inputs = {name: digest for made in origins for name, digest in made["inputs"].items()}
+    outside = {name: digest for name, digest in inputs.items() if not name.startswith("iterations/")}
+    first = origins[0]
+    return {
+        "settings": leaves(dataset.settings(path)),
+        "data": {Path(name).name: f"content {digest[:8]}" for name, digest in outside.items()},
+        "code": {"commit": first["code"]["commit"]},
+        "sources": {name: digest for made in origins for name, digest in made.get("sources", {}).items()},
+        "whole": {"sources that these steps do not use": first["code"]["source"][:8]},
+        "packages": first["packages"] | {"Python": first["python"]},
+        "results": {f"run.json: {name}": value for name, value in leaves(numbers).items()},
+    }
+
+
+def differing_files(a: Path, b: Path, leave_out: frozenset[str] = frozenset()) -> list[str]:
+    """What differs between two folders, in words; hidden files and the names in `leave_out` do not count."""
+    inside = {path.relative_to(home) for home in (a, b) for path in home.rglob("*") if path.is_file()}
+    names = [p for p in inside if p.name not in leave_out and not any(part.startswith(".") for part in p.parts)]
+    return [f"{name.as_posix()}: {words}" for name in sorted(names) for words in differences(a / name, b / name)]
+
+
+def differences(a: Path, b: Path) -> list[str]:
+    """How the content of two files differs, in words; none if it is the same. The origin in a footer does not count."""
+    for path, which in ((a, "the second"), (b, "the first")):
+        if not path.is_file():
+            return [f"it is only in {which}"]
+    if a.suffix == ".parquet":
+        return _of_tables(a, b)
+    if a.read_bytes() == b.read_bytes():
+        return []
+    return _of_images(a, b) if a.suffix == ".png" else ["it has another content"]
+
+
+def _of_tables(a: Path, b: Path) -> list[str]:
+    """Columns, their order and types, rows, and every value to the bit."""
+    try:
+        if store.content_hash(a) == store.content_hash(b):
+            return []
+        one, other = (pq.read_table(path, partitioning=None, page_checksum_verification=True) for path in (a, b))
+    except store.UNREADABLE as error:
+        return [f"it is not a whole Parquet file ({error})"]
+    if one.column_names != other.column_names:
+        return [f"columns are {', '.join(one.column_names)} and {', '.join(other.column_names)}"]
+    both = [(name, one[name], other[name]) for name in one.column_names]
+    types = [f"column {name} is {x.type} and {y.type}" for name, x, y in both if x.type != y.type]
+    if types or one.num_rows != other.num_rows:
+        return types or [f"it has {one.num_rows} and {other.num_rows} rows"]
+    return [f"column {name}: {words}" for name, x, y in both if (words := _of_columns(x, y))]
+
+
+def _of_columns(a: pa.ChunkedArray, b: pa.ChunkedArray) -> str:
+    """Where two columns of one type first differ, and numbers how much at most; empty if nowhere. Of floating point the
+    bits count, so that 0 is not -0, and NaN is NaN."""
+    if not (floating := pa.types.is_floating(a.type)):
+        x, y = a.to_pylist(), b.to_pylist()
+        rows = [row for row, (one, other) in enumerate(zip(x, y, strict=True)) if one != other]
+    else:
+        x, y = a.to_numpy(), b.to_numpy()
+        rows = np.flatnonzero(x.view(f"u{x.itemsize}") != y.view(f"u{y.itemsize}")).tolist()
+    if not rows:
+        return ""
+    words = f"{len(rows)} of {len(x)} rows differ, first row {rows[0]}: {_short(x[rows[0]])} and {_short(y[rows[0]])}"
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(x[rows] - y[rows]) if floating else np.array([np.nan])
+    at = "" if np.isnan(apart).all() else f", at most {np.nanmax(apart):.3g} apart (row {rows[np.nanargmax(apart)]})"
+    return words + at
+
+
+def _short(value: object) -> str:
+    said = repr(float(value)) if isinstance(value, np.floating) else repr(value)
+    return said if len(said) <= LONGEST else said[: LONGEST - 3] + "..."
+
+
+def _of_images(a: Path, b: Path) -> list[str]:
+    """How two pictures differ; the same picture may be packed otherwise."""
+    one, other = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (a, b))
+    if one is None or other is None or one.shape != other.shape:
+        return ["the image has another size or cannot be read"]
+    apart = np.abs(one.astype(int) - other.astype(int))
+    return [f"{np.count_nonzero(apart)} pixels differ, at most by {apart.max()} grey levels"] if apart.any() else []
+
+
+# --- lineage --------------------------------------------------------------------------------------
+def lineage(arguments: list[str]) -> int:
+    """Show what made a file: back through its inputs to settings, seed, code and packages."""
+    parser = argparse.ArgumentParser("python -m pipeline lineage", description=lineage.__doc__)
+    parser.add_argument("file", type=Path, help="a file of a run, or a step's folder")
+    file = parser.parse_args(arguments).file
+    changed: list[str] = []
+    tree = grown(Tree(Text(str(file))), file.resolve(), run_of(file), changed, set())
+    Terminal(highlight=False).print(tree)
+    return 1 if changed else 0
+
+
+def grown(tree: Tree, place: Path, run: Path, changed: list[str], shown: set[Path | str]) -> Tree:
+    """A tree with what made `place`, and what made that. changed: gets the inputs that are not as they were.
+
+    shown: places and words that stand in the tree already; they are not shown twice.
+    """
+    made = {} if place in shown else _made(place, run)
+    words = [line for line in _words(made) if line not in shown] if made else []
+    for line in words:
+        tree.add(Text(line))
+    shown |= {place, *words}
+    for name, digest in made.get("inputs", {}).items():
+        there = next((path.resolve() for path in (run / name, Path(name)) if path.exists()), None)
+        state = _state(there, digest)
+        changed += [name] if state else []
+        branch = tree.add(Text(f"{name}{state}{' (see above)' if there in shown else ''}"))
+        if there is not None:
+            grown(branch, there, _home(there, run), changed, shown)
+    return tree
+
+
+def _made(place: Path, run: Path) -> dict[str, Any]:
+    """What made a file or a step's folder; empty for what is not ours.
+
+    What has no footer was drawn from the steps of its folder: a frame from its trial, a report from the last step.
+    """
+    if place.suffix == ".parquet":
+        files = [place]
+    elif run in (place.parent, place):
+        files = sorted(run.glob("iterations/*/*/*.parquet"))[-1:]
+    else:
+        files = next((found for up in (place, *place.parents) if (found := sorted(up.glob("*.parquet")))), [])[:1]
+    made = store.origin_of(files[0]) if files else {}
+    return made if "inputs" in made else {}
+
+
+def _words(made: Mapping[str, Any]) -> list[str]:
+    """Step, seed, its own settings, code and packages, a line each."""
+    step = made["step"]
+    own = leaves({key: made["config"][key] for key in (step, "seed") if key in made["config"]})
+    others = [name for name in stages()[step].uses if name not in (step, "seed")] if step in stages() else []
+    when = f", {made['made']['at']}, {made['made']['seconds']:.1f} s" if "made" in made else ""
+    settings, packages = (
+        ", ".join(f"{name}{between}{value}" for name, value in values.items())
+        for values, between in ((own, "="), (made["packages"], " "))
+    )
+    return [
+        f"made by {step}, seed {made['seed']}{when}",
+        f"settings {settings}; and {', '.join(others)} of config.json",
+        f"code: commit {made['code']['commit'][:12]}, source {made['code']['source'][:12]}",
+        f"packages: {packages}, Python {made['python']}",
+    ]
+
+
+def _state(there: Path | None, digest: str) -> str:
+    """Nothing where an input is what it was, else what became of it."""
+    if there is None:
+        return " IS GONE"
+    try:
+        return "" if store.content_hash(there) == digest else " HAS CHANGED SINCE"
+    except store.UNREADABLE:
+        return " IS DAMAGED"
+
+
+def _home(place: Path, run: Path) -> Path:
+    """The run that an input lies in; `run` itself for what lies in none."""
+    try:
+        return run_of(place)
+    except UserError:
+        return run

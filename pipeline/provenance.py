@@ -1,0 +1,247 @@
+"""What made a file, and whether it would be made the same now.
+
+A footer says settings, seed, inputs, code and packages. Nothing asks a clock: a step is stale if an input's content, a
+setting, a source file or a package is another than its footers say. What has the same content is the same, whenever it
+was written.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import platform
+import subprocess
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from stringcast.data import store
+from stringcast.data.schema import DataError
+from stringcast.pipeline.iterations import Step
+from stringcast.pipeline.layout import place_of
+from stringcast.pipeline.registry import stages
+from stringcast.pipeline.settings import UserError, allowed, leaves
+from stringcast.stages.model.library import files, kind_of
+from stringcast.stages.spec import StageSpec
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("numpy", "numba", "scipy", "opencv-python-headless", "pandas", "pyarrow", "hydra-core", "cmaes", "pydantic")
+CODE = ("data", "hardware", "pipeline", "stages")
+GLUE = ("pipeline/iterations.py", "pipeline/experiment.py", "stages/spec.py")  # they hand every stage what it is given
+LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect without naming any
+MODEL = ROOT / "stages" / "model" / "model.py"
+LAB = "hardware.virtual."  # what it does can be done again, to the bit
+ABSENT = "absent"
+
+
+# --- what made a file -----------------------------------------------------------------------
+def origin(config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str, str]) -> dict[str, Any]:
+    """Everything needed to make the same again. inputs: content hashes by name."""
+    made = {"step": step, "seed": seed, "inputs": dict(inputs), "config": config, "code": code()}
+    return made | {"packages": versions(PACKAGES), "python": platform.python_version()}
+
+
+_version = cache(version)  # which reads a file each time
+
+
+def versions(packages: Sequence[str]) -> dict[str, str]:
+    """Installed versions by name."""
+    return {name: _version(name) for name in packages}
+
+
+@cache
+def code() -> dict[str, str]:
+    """The commit, if known, and a hash of the source files as they are."""
+    digest = hashlib.sha256()
+    for file in sorted(p for folder in CODE for p in (ROOT / folder).rglob("*.py")):
+        digest.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes())
+    return {"commit": _git("rev-parse", "HEAD").strip() or "unknown", "source": digest.hexdigest()}
+
+
+@cache
+def state() -> str:
+    """The commit, if known, with a + behind it where sources are no longer as it has them."""
+    changed = _git("status", "--porcelain", "--", *CODE).splitlines()
+    return code()["commit"] + ("+" if any(line.endswith(".py") for line in changed) else "")
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout
+
+
+# --- the sources behind a step --------------------------------------------------------------
+def sources(settings: Mapping[str, Any], stage: StageSpec) -> dict[str, str]:
+    """Digests of the files of a stage and of all that they import, however far. settings: those that it uses."""
+    named = [allowed(target, role, "config.json") for role, target in targets(settings)]
+    roots = {home(name) for name in (*named, stage.run)} | ({MODEL} if "string" in settings else set())
+    roots |= {files()[kind_of(name)[0]] for name in settings.get("effects", [])}
+    behind = closure(roots) | {ROOT / name for name in GLUE}
+    return {_short(file): read_code(file)[1] for file in sorted(behind)}
+
+
+def targets(block: Any, role: str = "") -> Iterator[tuple[str, Any]]:
+    """Every `_target_` in a block of settings, behind the name of the block that holds it."""
+    if isinstance(block, Mapping):
+        if "_target_" in block:
+            yield role, block["_target_"]
+        for name, value in block.items():
+            yield from targets(value, name)
+
+
+def home(target: str) -> Path:
+    """The file in which a `_target_` of ours is defined, without loading it, which takes seconds: that of the module it
+    is in, or of its own name, from where a package has it."""
+    file = _file(f"stringcast.{target}") or _file(f"stringcast.{target.rpartition('.')[0]}")
+    assert file is not None, f"{target} lies in no file of ours"
+    return file
+
+
+def closure(roots: Iterable[Path]) -> set[Path]:
+    """Files, and all of ours that they import."""
+    found: set[Path] = set()
+    ahead = list(roots)
+    while ahead:
+        file = ahead.pop()
+        if file not in found:
+            found.add(file)
+            ahead += () if _short(file) in GLUE else read_code(file)[0]
+            ahead += files().values() if file == LIBRARY else ()
+    return found
+
+
+@cache
+def read_code(file: Path) -> tuple[tuple[Path, ...], str]:
+    """The files of ours that a file imports, wherever in it, and a digest of what Python runs of it: comments, line
+    breaks and docstrings make no step stale. Of one tree, for it takes as long to parse as all else."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    names: set[str] = set()
+    for node in (tree, *_statements(tree)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node, clean=False):
+            del node.body[0]
+    packages = {".".join(name.split(".")[:end]) for name in names for end in range(1, name.count(".") + 2)}
+    imported = tuple(path for name in sorted(packages) if (path := _file(name)) is not None)
+    return imported, hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
+
+
+def _statements(node: ast.AST) -> Iterator[ast.stmt]:
+    """All statements within one, however deep; expressions, which are most of a file, hold none."""
+    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+        inside = getattr(node, field, ())
+        for one in inside if isinstance(inside, list) else ():
+            yield one
+            yield from _statements(one)
+
+
+def _file(module: str) -> Path | None:
+    """The file of a module of ours; None for others'."""
+    package, *parts = module.split(".")
+    if package != "stringcast" or not parts or parts[0] not in CODE:
+        return None
+    place = ROOT.joinpath(*parts)
+    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
+
+
+def _short(file: Path) -> str:
+    """The path from the project's folder; whole for an effect that lies elsewhere."""
+    return file.relative_to(ROOT).as_posix() if file.is_relative_to(ROOT) else str(file)
+
+
+# --- fresh or stale ---------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Found:
+    """What is on the disk of a step. artifact: None where there is none that can be read. reasons: why it is not to be
+    used as it is; none if it is fresh."""
+
+    artifact: Any
+    reasons: tuple[str, ...] = ()
+
+
+def look(config: Mapping[str, Any], folder: Path, step: Step) -> Found:
+    """A step's artifact in a run's folder, and what has changed since it was made. config: the run's settings."""
+    place = folder / step.place
+    if not place.is_dir():
+        return Found(None, ("it has not been made yet",))
+    try:
+        artifact: Any = store.load(step.stage.makes, place)
+        made = [store.origin_of(file) for file in sorted(place.glob("*.parquet"))]
+    except DataError as error:
+        return Found(None, (str(error),))
+    return Found(artifact, tuple(changes(made[0], made_now(config, folder, step), step.stage.uses)))
+
+
+def made_now(config: Mapping[str, Any], folder: Path, step: Step) -> dict[str, Any]:
+    """The origin that a step would have if it were made now, of inputs in the run's folder and of stored ones."""
+    used = {key: config[key] for key in step.stage.uses}
+    there = [place for place in step.places if (folder / place).is_dir()]
+    inputs = {place.as_posix(): store.content_hash(folder / place) for place in there} | dict(step.hashes)
+    made = origin(config, step.stage.name, step.seed(int(config["seed"])), inputs)
+    return made | {"sources": sources(used, step.stage)}
+
+
+def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Why a stored step would be made again, by its files and the run's settings alone: no model is built of these."""
+    try:
+        made = store.origin_of(sorted(place.glob("*.parquet"))[0])
+        stage = stages()[made["step"]]
+        store.load(stage.makes, place)
+        config = {key: settings[key] for key in stage.uses}
+        now = origin(config, made["step"], made["seed"], inputs_there(folder, made["inputs"], settings["trials"]))
+        return tuple(changes(made, now | {"sources": sources(config, stage)}, stage.uses))
+    except KeyError as error:
+        return (f"it or the settings lack {error}: another version of this code made the run",)
+    except (DataError, UserError, *store.UNREADABLE) as error:
+        return (str(error),)
+
+
+def inputs_there(folder: Path, paths: Mapping[str, str], trials: str | None) -> dict[str, str]:
+    """Content hashes of those of the paths that lie in the run's folder, or in that of its stored trials, which
+    begin as `trials` does."""
+    homes = [Path(home).resolve() for home in (folder, trials) if home is not None]
+    places = {path: (folder / path if path.startswith("iterations/") else Path(path)).resolve() for path in paths}
+    known = {path: place for path, place in places.items() if any(place.is_relative_to(home) for home in homes)}
+    return {path: store.content_hash(place) for path, place in known.items() if place.is_dir() or place.is_file()}
+
+
+def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]) -> Iterator[str]:
+    """What differs between two origins, in words. uses: the settings that count."""
+    if "sources" not in made:
+        yield "its files do not say of which sources they were made"
+        return
+    yield from _renewed("input", made["inputs"], now["inputs"], "has another content")
+    used = (leaves({key: one["config"].get(key) for key in uses}) for one in (made, json.loads(json.dumps(now))))
+    yield from (f"setting {key} was {a}, is {b}" for key, a, b in pairs(*used))
+    yield from _renewed("source", made["sources"], now["sources"], "has changed")
+    yield from (f"package {key} was {a}, is {b}" for key, a, b in pairs(made["packages"], now["packages"]))
+    if made["python"] != now["python"]:
+        yield f"Python was {made['python']}, is {now['python']}"
+
+
+def pairs(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    """Names whose values differ, with both values; ABSENT where there is none."""
+    both = [(name, a.get(name, ABSENT), b.get(name, ABSENT)) for name in dict.fromkeys([*a, *b])]
+    return [(name, one, other) for name, one, other in both if one != other]
+
+
+def _renewed(what: str, a: Mapping[str, str], b: Mapping[str, str], words: str) -> Iterator[str]:
+    """What differs of hashes, which say nothing to people."""
+    for name, one, other in pairs(a, b):
+        yield f"{what} {name} {'is new' if one == ABSENT else 'is gone' if other == ABSENT else words}"
+
+
+def repeatable(config: Mapping[str, Any], artifact: str) -> bool:
+    """Whether an artifact can be made again: all but what a real arm and camera did."""
+    return artifact != "trial" or str(config["hardware"]["_target_"]).startswith(LAB)
+
+
+def performed(config: Mapping[str, Any], folder: Path, number: int, artifact: str) -> bool:
+    """Whether a real arm has moved by an artifact of an iteration: then it stays, for what was measured hangs on it."""
+    nearest = number if artifact in ("motion", "trial") else number + 1
+    return not repeatable(config, "trial") and (folder / place_of(nearest, "trial")).is_dir()
