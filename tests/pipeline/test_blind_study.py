@@ -66,6 +66,10 @@ RIGHT = {
         "pair", ["wind", "tip_mass"], "ambiguous", [TAPER, WIND], groups=[["density_taper", "tip_mass"]]
     ),
 }
+SEVERAL = {
+    "all three named": row("triple", ["wind", "tip_mass", "density_taper"], "effect", [WIND, MASS, TAPER]),
+    "two of three": row("triple", ["wind", "tip_mass", "density_taper"], "effect", [WIND, MASS]),
+}
 WRONG = {
     "another": row("effect", ["wind"], "effect", [MASS]),
     "second": row("effect", ["wind"], "effect", [MASS, WIND]),
@@ -130,6 +134,17 @@ def test_calibration_error_by_hand():
     # too sure in one bin and not sure enough in another: the two do not make up for each other
     p, right = np.array([0.9] * 4 + [0.5] * 4), np.array([1, 1, 1, 0, 1, 1, 1, 0])
     assert calibration_error(p, right) == pytest.approx((0.15 * 4 + 0.25 * 4) / 8)
+
+
+def test_of_a_triple_all_are_to_be_named_and_another_name_for_a_cause_is_as_right():
+    assert [correct(one) for one in SEVERAL.values()] == [True, False]
+    rates = scores([*SEVERAL.values()])["rates"].set_index("name")
+    assert rates.loc["triple found", ["right", "count"]].tolist() == [1, 2]
+    smooth = row("effect", ["maxwell_slip"], "effect", [("dahl_friction", 0.9)])
+    assert not correct(smooth)
+    smooth["truth"]["alike"] = {"dahl_friction": "maxwell_slip"}
+    assert correct(smooth)
+    assert (answered(smooth), confidence(smooth)) == ("maxwell_slip", 0.9)
 
 
 def test_tables_of_known_rows():

@@ -3,14 +3,14 @@
 import pandas as pd
 
 from stringcast.data.store import read_table
-from stringcast.pipeline.studies.blind.record import FOLDER, appended, by_code, in_markdown
+from stringcast.pipeline.studies.blind.record import FOLDER, appended, by_code, in_markdown, located
 from stringcast.pipeline.studies.blind.scores import BENCHES
 
 
 def test_every_recorded_bench_names_its_code():
     benches = read_table(BENCHES, FOLDER / "benches.parquet")
     assert benches["code"].str.fullmatch("[0-9a-f]{7,40}").all()
-    pd.testing.assert_frame_equal(appended([benches, benches.tail(5)]), benches)
+    pd.testing.assert_frame_equal(appended([benches, benches.tail(5)]), located(benches))
 
 
 def test_a_study_is_added_and_counted_by_itself():
@@ -20,7 +20,7 @@ def test_a_study_is_added_and_counted_by_itself():
     before = by_code(benches)
     pd.testing.assert_frame_equal(rates[rates["code"] != "f" * 40].reset_index(drop=True), before)
     assert rates[rates["code"] == "f" * 40]["benches"].eq(3).all()
-    assert in_markdown(rates).splitlines()[-1].startswith("| fffffff | 3 |")
+    assert in_markdown(rates).splitlines()[-1].startswith("| fffffff | own | 3 |")
 
 
 def test_pages_say_what_the_table_says():

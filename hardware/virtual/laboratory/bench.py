@@ -15,6 +15,7 @@ from stringcast.data.artifacts import ARM, JOINTS, POINTS
 from stringcast.data.dataset import FORMAT, with_trial
 from stringcast.data.store import write_table, write_text
 from stringcast.hardware.virtual.laboratory.scene import Scene
+from stringcast.hardware.virtual.laboratory.version import SINGLE
 
 
 @dataclass(frozen=True)
@@ -74,9 +75,18 @@ class LabBench:
         write_text(folder / "dataset.yaml", yaml.safe_dump(self._about(), sort_keys=False))
 
     def envelope(self, path: Path) -> None:
-        """Write what is really so. No stage opens this."""
-        truth = asdict(self.truth) | {"names": self.truth.names}
-        write_text(path, json.dumps(truth, indent=2))
+        """Write what is really so, as `blind.BlindBench` does, and what only laboratories know. No stage opens this.
+
+        alike: other names of the library that are as right, and which of `names` they stand for.
+        """
+        truth, causes = self.truth, self.truth.causes
+        named = dict(zip(truth.names, causes, strict=True))
+        kind = "effect" if truth.kind == SINGLE else truth.kind
+        known = {"seed": truth.seed, "kind": kind, "names": truth.names, "base": truth.base, "sigma": truth.sigma}
+        known |= {"parameters": {name: value for cause in causes for name, value in cause.parameters.items()}}
+        known |= {"sizes": {name: cause.size_m / truth.sigma for name, cause in named.items()}}
+        known |= {"alike": {other: name for name, cause in named.items() for other in cause.library[1:]}}
+        write_text(path, json.dumps(asdict(truth) | known, indent=2))
 
     def _about(self) -> dict[str, Any]:
         arm, camera = self.scene.arm, self.scene.camera

@@ -15,7 +15,7 @@ from stringcast.pipeline.studies.engine import Job
 
 
 class Bench(Protocol):
-    """A bench with an envelope; see `hardware.virtual.blind`."""
+    """A bench with an envelope; see `hardware.virtual.blind` and `hardware.virtual.laboratory`."""
 
     def write(self, folder: Path) -> None:
         """Write what was measured."""
@@ -55,7 +55,8 @@ class OneBench(Job):
         begun = time.perf_counter()
         diagnosis = self._diagnosed(dataset)
         row = {"seed": self.seed, "runtime": time.perf_counter() - begun, "diagnosis": diagnosis}
-        return row | {"truth": json.loads(envelope.read_text(encoding="utf-8")), "version": LATEST, "code": state()}
+        truth = json.loads(envelope.read_text(encoding="utf-8"))
+        return row | {"truth": truth, "version": truth.get("version", LATEST), "code": state()}
 
     def _diagnosed(self, dataset: Path) -> Mapping[str, Any]:
         try:

@@ -1,7 +1,7 @@
 """Put a study into the table of all that were recorded: `python -m pipeline.studies.blind.record [FOLDER ...]`.
 
-FOLDER is the run's folder of a study. A row that is there already (seed, version and code) stays. Without a folder the
-table is only shown. Figures are of one code each: states of the code are never counted together.
+FOLDER is the run's folder of a study. A row that is there already (laboratory, seed, version and code) stays. Without a
+folder the table is only shown. Figures are of one code and one laboratory each: they are never counted together.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pandas as pd
 
 from stringcast.data import store
 from stringcast.pipeline.provenance import PACKAGES, ROOT, code, versions
-from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED
+from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED, OWN
 from stringcast.pipeline.studies.counts import bars, counted
 from stringcast.stages.report.theme import LIGHT, STYLE
 
@@ -40,43 +40,53 @@ def main() -> None:
 
 def appended(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """All rows, in order; of one bench that one code was asked twice, the first."""
-    return pd.concat(tables, ignore_index=True).drop_duplicates(["seed", "version", "code"], ignore_index=True)
+    benches = pd.concat([located(table) for table in tables], ignore_index=True)
+    return benches.drop_duplicates(["laboratory", "seed", "version", "code"], ignore_index=True)
+
+
+def located(benches: pd.DataFrame) -> pd.DataFrame:
+    """The benches with their laboratory, the virtual lab itself where nothing says."""
+    return benches.assign(laboratory=benches.get("laboratory", OWN))
 
 
 def by_code(benches: pd.DataFrame) -> pd.DataFrame:
-    """A row for each code and rate, in the table's order: code, benches, name, right, count, share, low, high."""
+    """A row for each code, laboratory and rate, in the table's order: code, laboratory, benches, name, right, count,
+    share, low, high."""
     rows = []
-    for one, some in benches.groupby("code", sort=False):
+    for (one, laboratory), some in located(benches).groupby(["code", "laboratory"], sort=False):
         inside = pd.Series([value["inside"] for kept in some["values"] for value in json.loads(kept)], dtype=bool)
         chosen = {name: of(some[some["kind"].isin(kinds)]) for name, kinds, of, _, _ in COUNTED}
+        about = {"code": one, "laboratory": laboratory, "benches": len(some)}
         for name, right in {**chosen, "parameter in its interval": inside}.items():
-            rows.append({"code": one, "benches": len(some), "name": name, **counted(right)})
+            rows.append({**about, "name": name, **counted(right)})
     return pd.DataFrame(rows)
 
 
 def in_markdown(rates: pd.DataFrame) -> str:
-    """A line for each code, a column for each rate, with its 95 % interval in per cent."""
+    """A line for each code and laboratory, a column for each rate, with its 95 % interval in per cent."""
     names = list(dict.fromkeys(rates["name"]))
-    lines = [f"| code | benches | {' | '.join(names)} |", "| --- " * (len(names) + 2) + "|"]
-    for one, some in rates.groupby("code", sort=False):
+    lines = [f"| code | laboratory | benches | {' | '.join(names)} |", "| --- " * (len(names) + 3) + "|"]
+    for (one, laboratory), some in rates.groupby(["code", "laboratory"], sort=False):
         cells = [
             f"{k} of {n} ({100 * low:.1f} to {100 * high:.1f})" if n else ""
             for k, n, low, high in some[["right", "count", "low", "high"]].itertuples(index=False)
         ]
-        lines.append(f"| {str(one)[:7]} | {some['benches'].iloc[0]} | {' | '.join(cells)} |")
+        lines.append(f"| {str(one)[:7]} | {laboratory} | {some['benches'].iloc[0]} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def picture(rates: pd.DataFrame, path: Path) -> None:
-    """Shares over the codes, with their intervals."""
+    """Shares over the codes, with their intervals; another laboratory's name stands behind the code."""
     with plt.style.context(STYLE):
         figure, axes = plt.subplots(figsize=(10, 4))
-        codes = list(dict.fromkeys(rates["code"]))
+        labels = rates["code"].str[:7] + (" " + rates["laboratory"]).where(rates["laboratory"] != OWN, "")
+        place = rates.groupby(["code", "laboratory"], sort=False).ngroup()
         for number, (name, colour) in enumerate(SHOWN.items()):
             some = rates[(rates["name"] == name) & (rates["count"] > 0)]
-            across = [codes.index(one) + 0.2 * (number - 1) for one in some["code"]]
+            across = place[some.index] + 0.2 * (number - 1)
             axes.errorbar(across, some["share"], bars(some), fmt="o", ms=4, color=LIGHT[colour], label=name)
-        axes.set_xticks(range(len(codes)), [one[:7] for one in codes], rotation=60, ha="right")
+        first = ~place.duplicated()
+        axes.set_xticks(place[first], labels[first], rotation=60, ha="right")
         axes.set(ylabel="share, with its 95 % interval", ylim=(-0.03, 1.03), xlabel="code, in the order of time")
         axes.legend(loc="center right")
         figure.savefig(path, dpi=120, facecolor="white")

@@ -11,12 +11,13 @@ import pandas as pd
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.studies.blind.verdicts import (
     RESOLUTION,
+    SEVERAL,
     Row,
     answered,
     answers,
     confidence,
     correct,
-    found_of_pair,
+    found_of_several,
     named_above,
 )
 from stringcast.pipeline.studies.counts import COUNTS, UNKNOWN_CODE, counted
@@ -24,6 +25,7 @@ from stringcast.stages.model.library import library
 
 BINS = np.linspace(0.0, 1.0, 11)  # of confidence
 SIZES = np.array([5.0, 8.0, 12.0, 20.0, 30.0, np.inf])  # [sigma]
+OWN = "own"  # laboratory of benches of the virtual lab itself
 FIRST = 1  # version of rows of studies that were begun before they said so
 CHANCE = 2000  # studies simulated for the calibration error that chance alone makes
 
@@ -32,9 +34,9 @@ BENCHES = Table(
     "a row a bench: what was hidden and what was said",
     (
         Column("seed", "1", "of the bench", "int"),
-        Column("kind", "", "effect, none, outside, pair or resolution", "text"),
+        Column("kind", "", "effect, none, outside, pair, triple or resolution", "text"),
         Column("truth", "", "what was hidden, joined by +", "text"),
-        Column("size", "1", "how far it moves the tip, in noise sigmas, base parameters refitted; the least of a pair"),
+        Column("size", "1", "how far it moves the tip, in noise sigmas, base parameters refitted; least of several"),
         Column("verdict", "", "of the diagnosis", "text"),
         Column("answer", "", "first named, the true one if it is among the look-alikes named first", "text"),
         Column("named", "", "all that was named, look-alikes joined by |", "text"),
@@ -48,7 +50,8 @@ BENCHES = Table(
         Column("rms_extended", "m", "on held-out trials"),
         Column("noise_floor", "m", "as estimated"),
         Column("runtime", "s", "of the diagnosis"),
-        Column("version", "1", "of the benches; see hardware/virtual/blind/version.py", "int"),
+        Column("laboratory", "", "who drew the bench; where nothing says, the virtual lab", "text", optional=True),
+        Column("version", "1", "of the benches; see version.py of the laboratory", "int"),
         Column(
             "code",
             "",
@@ -73,7 +76,7 @@ PARAMETERS = Table(
 )
 CONFUSION = Table(
     "confusion",
-    "how often what was hidden got which answer; pairs are not in it",
+    "how often what was hidden got which answer; pairs and triples are not in it",
     (
         Column("kind", "", "effect, none, outside or resolution", "text"),
         Column("truth", "", "what was hidden", "text"),
@@ -85,7 +88,7 @@ BY_SIZE = Table(
     "by_size",
     "how often a hidden effect was found, by its size",
     (
-        Column("kind", "", "effect (with resolution), outside or pair", "text"),
+        Column("kind", "", "effect (with resolution), outside, pair or triple", "text"),
         Column("from", "1", "least size of the bin [sigma]"),
         Column("to", "1", "largest size of the bin [sigma]"),
         Column("size", "1", "mean size in the bin [sigma]"),
@@ -172,12 +175,13 @@ def _bench(row: Row, told: Set[str]) -> dict[str, object]:
         "confidence": confidence(row),
         "group": len(said[0]) if said else 0,
         "extra": sum(not group & set(truth["names"]) for group in said),
-        "found": found_of_pair(row),
+        "found": found_of_several(row),
         "named_above_half": named_above(row, 0.5),
         "rms_base": rms.get("base", np.nan),
         "rms_extended": rms.get("extended", np.nan),
         "noise_floor": rms.get("noise_floor", np.nan),
         "runtime": row["runtime"],
+        "laboratory": truth.get("laboratory", OWN),
         "version": row.get("version", FIRST),
         "code": row.get("code", UNKNOWN_CODE),
         "values": json.dumps(_parameters(row, told)),
@@ -197,7 +201,7 @@ def _parameters(row: Row, told: Set[str]) -> list[dict[str, object]]:
 
 
 def _confusion(benches: pd.DataFrame) -> pd.DataFrame:
-    single = benches[benches["kind"] != "pair"]
+    single = benches[~benches["kind"].isin(SEVERAL)]
     return single.groupby(["kind", "truth", "answer"]).size().rename("count").reset_index()
 
 
@@ -255,12 +259,13 @@ def _runtime(benches: pd.DataFrame) -> pd.DataFrame:
 Chosen = Callable[[pd.DataFrame], pd.Series]
 # What is counted, of which benches, what of them, and the goal: at least, at most.
 COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
-    ("cause found", ("effect", "resolution", "pair"), lambda b: b["correct"], 0.95, np.nan),
+    ("cause found", ("effect", "resolution", *SEVERAL), lambda b: b["correct"], 0.95, np.nan),
     ("single effect found", ("effect", "resolution"), lambda b: b["correct"], 0.95, np.nan),
     ("pair found", ("pair",), lambda b: b["correct"], 0.95, np.nan),
     ("one of a pair found", ("pair",), lambda b: b["found"] >= 1, np.nan, np.nan),
+    ("triple found", ("triple",), lambda b: b["correct"], 0.75, np.nan),
     ("found without look-alikes", ("effect", "resolution"), lambda b: b["correct"] & (b["group"] == 1), np.nan, np.nan),
-    ("more named than there is", ("effect", "resolution", "pair"), lambda b: b["extra"] > 0, np.nan, np.nan),
+    ("more named than there is", ("effect", "resolution", *SEVERAL), lambda b: b["extra"] > 0, np.nan, np.nan),
     ("false alarm", ("none",), lambda b: ~b["correct"], np.nan, 0.02),
     ("outside called unknown", ("outside",), lambda b: b["correct"], 0.90, np.nan),
     ("outside named above 0.5", ("outside",), lambda b: b["named_above_half"], np.nan, 0.0),

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import pandas as pd
 from omegaconf import OmegaConf
@@ -16,23 +16,27 @@ from pydantic import Field
 from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import DataError
+from stringcast.hardware.virtual import laboratory
 from stringcast.hardware.virtual.blind import draw
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.settings import build
-from stringcast.pipeline.studies.blind.bench import OneBench
+from stringcast.pipeline.studies.blind.bench import Draw, OneBench
 from stringcast.pipeline.studies.blind.pictures import pictures
-from stringcast.pipeline.studies.blind.scores import TABLES, scores
+from stringcast.pipeline.studies.blind.scores import OWN, TABLES, scores
 from stringcast.pipeline.studies.engine import Study
 
 
 @dataclass(frozen=True)
 class Asked:
-    """benches: how many, from seed `first`. processes: 0 is one for each core."""
+    """benches: how many, from seed `first`. processes: 0 is one for each core. laboratory: who draws them, the virtual
+    lab itself or one of `hardware.virtual.laboratory`. kind: of all of a laboratory's, instead of each seed's own."""
 
     benches: Annotated[int, Field(ge=1)]
     first: Annotated[int, Field(ge=0)]
     processes: Annotated[int, Field(ge=0)]
+    laboratory: Literal["own", "nodal"] = "own"
+    kind: Literal["none", "single", "pair", "triple", "outside"] | None = None
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,9 @@ class BlindStudy(Study):
     def jobs(self, experiment: Experiment, folder: Path) -> list[OneBench]:
         """A bench for each seed."""
         asked = build(Asked, experiment.config[self.BLOCK], self.BLOCK, "conf/config.yaml")
-        drawn = partial(draw, arm=experiment.arm, camera=experiment.camera)
+        drawn: Draw = partial(draw, arm=experiment.arm, camera=experiment.camera)
+        if asked.laboratory != OWN:
+            drawn = partial(laboratory.drawn, asked.laboratory, kind=asked.kind)
         asks = partial(diagnosed, config=experiment.config)
         return [OneBench(asked.first + number, folder, drawn, asks) for number in range(asked.benches)]
 

@@ -1,9 +1,9 @@
 """What a diagnosis answered, and whether that is right: one bench at a time.
 
-A true cause is found when it is named first, or stands in the group of look-alikes that is named first. Both of a
-pair must be named, in causes or groups. All strings of the lab are finer than ten points of Eq. 1 can represent;
-where that is off by more than RESOLVED sigmas, `resolution` is true beside whatever is hidden and counts neither
-for nor against an answer.
+A true cause is found when it is named first, or stands in the group of look-alikes that is named first. All of a
+pair or a triple must be named, in causes or groups. All strings of the lab are finer than ten points of Eq. 1 can
+represent; where that is off by more than RESOLVED sigmas, or nobody says how far, `resolution` is true beside whatever
+is hidden and counts neither for nor against an answer.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 RESOLUTION, NONE, UNKNOWN = "resolution", "none", "unknown"
+SEVERAL = ("pair", "triple")
 RESOLVED = 5.0  # sigmas
 Row = Mapping[str, Any]
 Answer = frozenset[str]
@@ -19,11 +20,11 @@ Answer = frozenset[str]
 
 def answers(row: Row) -> list[Answer]:
     """Causes in the order named, each as the group of those it cannot be told from; without what is true anyway."""
-    diagnosis = row["diagnosis"]
-    groups = [frozenset(group) for group in diagnosis.get("indistinguishable") or []]
+    diagnosis, alike = row["diagnosis"], row["truth"].get("alike", {})
+    groups = [frozenset(alike.get(n, n) for n in group) for group in diagnosis.get("indistinguishable") or []]
     found: list[Answer] = []
     for cause in diagnosis.get("causes") or []:
-        name = cause["effect"]
+        name = alike.get(cause["effect"], cause["effect"])
         answer = next((group for group in groups if name in group), frozenset({name}))
         if answer not in found and not (answer == {RESOLUTION} and _true_anyway(row)):
             found.append(answer)
@@ -32,7 +33,7 @@ def answers(row: Row) -> list[Answer]:
 
 def _true_anyway(row: Row) -> bool:
     """Too few points, on a bench that hides something else or nothing."""
-    return row["truth"]["kind"] != RESOLUTION and row["truth"]["paper"] >= RESOLVED
+    return row["truth"]["kind"] != RESOLUTION and row["truth"].get("paper", RESOLVED) >= RESOLVED
 
 
 def correct(row: Row) -> bool:
@@ -45,12 +46,12 @@ def correct(row: Row) -> bool:
         return not said and verdict in (NONE, "effect")
     if verdict not in ("effect", "ambiguous"):
         return False
-    if kind == "pair":
-        return found_of_pair(row) == 2
+    if kind in SEVERAL:
+        return found_of_several(row) == len(names)
     return bool(said) and names[0] in said[0]
 
 
-def found_of_pair(row: Row) -> int:
+def found_of_several(row: Row) -> int:
     """How many of what is hidden are named, each in a group of its own."""
     names, said = row["truth"]["names"], answers(row)
     places = {name: [i for i, group in enumerate(said) if name in group] for name in names}
@@ -69,9 +70,9 @@ def answered(row: Row) -> str:
 
 def beliefs(row: Row) -> dict[str, float]:
     """Probabilities by name; what is missing to one goes to `none` or `unknown` if that is the verdict."""
-    diagnosis = row["diagnosis"]
+    diagnosis, alike = row["diagnosis"], row["truth"].get("alike", {})
     stated = [*(diagnosis.get("causes") or []), *(diagnosis.get("alternatives") or [])]
-    known = {one["effect"]: float(one["probability"]) for one in stated}
+    known = {alike.get(one["effect"], one["effect"]): float(one["probability"]) for one in reversed(stated)}
     verdict = diagnosis["verdict"]
     if verdict in (NONE, UNKNOWN):
         known.setdefault(verdict, max(1.0 - sum(known.values()), 0.0))
