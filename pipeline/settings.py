@@ -19,6 +19,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from stringcast.data.errors import ExpectedError
 from stringcast.pipeline.targets import MOVED, roles
+from stringcast.stages.common import Together
 
 Built = TypeVar("Built")
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -84,7 +85,7 @@ def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any
     """The function a block names, with the block's settings checked and bound.
 
     place: name of the block; where: the file it comes from. The settings must be exactly the
-    function's keyword-only arguments, less those that the run itself supplies.
+    function's keyword-only arguments, or the fields of those that are `Together`, less what the run itself supplies.
     """
     function = loaded(block["_target_"], place, where)
     hints = get_type_hints(function, include_extras=True)
@@ -93,9 +94,15 @@ def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any
         for name, parameter in inspect.signature(function).parameters.items()
         if parameter.kind is inspect.Parameter.KEYWORD_ONLY and name not in FROM_THE_RUN
     }
+    groups = {name: kind for name, kind in wanted.items() if isinstance(kind, type) and issubclass(kind, Together)}
+    inside = {name: get_type_hints(kind, include_extras=True) for name, kind in groups.items()}
+    flat = {n: kind for name, hint in wanted.items() for n, kind in inside.get(name, {name: hint}).items()}
     given = {key: value for key, value in block.items() if key != "_target_"}
-    _check_names(given, wanted, place, where)
-    return functools.partial(function, **{n: _checked(wanted[n], given[n], f"{place}.{n}", where) for n in wanted})
+    _check_names(given, flat, place, where)
+    known = {n: _checked(flat[n], given[n], f"{place}.{n}", where) for n in flat}
+    for name, kind in groups.items():
+        known[name] = kind(**{field: known.pop(field) for field in inside[name]})
+    return functools.partial(function, **known)
 
 
 def build(kind: type[Built], block: Mapping[str, Any], place: str, where: str) -> Built:

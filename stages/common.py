@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +12,12 @@ NORMAL = 1.4826  # standard deviation over median magnitude, of a normal distrib
 PLACE = 1e-3  # [m] points of two frames so near along the string are of one place
 FULL = 0.9  # of the frames have no more points than a full one
 AGAIN = 0.3  # of the steps along a place's way that take as many frames as those before them, where places are fixed
+
+
+@dataclass(frozen=True)
+class Together:
+    """Settings that belong together: an argument of a stage's function whose fields are settings of the stage's block,
+    side by side with its others."""
 
 
 def part(progress: Progress, number: int, count: int) -> Progress:

@@ -25,7 +25,7 @@ from stringcast.data.artifacts import (
 )
 from stringcast.data.errors import ExpectedError
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Progress, Together
 from stringcast.stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
 from stringcast.stages.generate.space import check_reach
 from stringcast.stages.model.arm import Arm
@@ -42,6 +42,35 @@ HIT = "hit"
 
 class MotionNotFoundError(ExpectedError):
     """No motion was found in the budget; the message says why the tries failed and what to change."""
+
+
+@dataclass(frozen=True)
+class Drawing(Together):
+    """How motions are drawn. shortest, longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2].
+    fraction: of the control points' range by which slight changes of the last motion differ."""
+
+    shortest: Annotated[float, Field(gt=0)]
+    longest: Annotated[float, Field(gt=0)]
+    alpha: Annotated[float, Field(gt=0)]
+    fraction: Annotated[float, Field(gt=0, le=1)]
+
+    @property
+    def durations(self) -> tuple[float, float]:
+        """Range of T [s]. Raises DataError where it is empty."""
+        if self.shortest > self.longest:
+            ends = f"generate.shortest = {self.shortest} is above generate.longest = {self.longest}"
+            raise DataError(f"{ends}. Change one of them.")
+        return self.shortest, self.longest
+
+
+@dataclass(frozen=True)
+class Budget(Together):
+    """attempts: motions of a kind tried at most. together: of these at a time. hits: motions that hit, of which the one
+    whose tip stays longest in the box is taken (1 is the paper's first come)."""
+
+    attempts: Annotated[int, Field(ge=1)]
+    together: Annotated[int, Field(ge=1)]
+    hits: Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True)
@@ -69,33 +98,27 @@ def generate(
     estimate: Estimate | None,
     *,
     seed: int,
-    attempts: Annotated[int, Field(ge=1)],
-    together: Annotated[int, Field(ge=1)],
-    shortest: Annotated[float, Field(gt=0)],
-    longest: Annotated[float, Field(gt=0)],
-    alpha: Annotated[float, Field(gt=0)],
-    fraction: Annotated[float, Field(gt=0, le=1)],
-    hits: Annotated[int, Field(ge=1)],
+    drawing: Drawing,
+    budget: Budget,
     progress: Progress = lambda share: None,
 ) -> Motion:
     """A motion whose simulated tip hits the target during the movement.
 
     previous: the last motion, slightly changed from the second manipulation on; where no such change hits, any motion
-    may (the paper does not say). estimate: of the string, None before the first trial. attempts: motions of a kind
-    tried at most, `together` at a time. shortest, longest: range of T [s]. alpha: limit of the random accelerations
-    [rad/s^2]. fraction: of the control points' range by which they change. hits: motions that hit from which the one
-    whose tip stays longest in the box is taken (1 is the paper's first come). Raises MotionNotFoundError, and DataError
-    for a target out of reach or an empty range.
+    may (the paper does not say). estimate: of the string, None before the first trial. Raises MotionNotFoundError, and
+    DataError for a target out of reach or an empty range of durations.
     """
-    if shortest > longest:
-        raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
+    durations = drawing.durations
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     values = model.values({} if estimate is None else estimate.values())
     check, count = partial(_tried, model, target, obstacles, values), Counter[str]()
-    for near in [None] if previous is None else [previous, None]:
-        draw = partial(_drawn, model.arm, rng, (shortest, longest), alpha, near, fraction)
-        found, tried = _searched(check, draw, attempts, together, hits, progress)
+    curves: list[Callable[[int], Curves]] = [lambda size: first_curves(model.arm, rng, size, durations, drawing.alpha)]
+    if previous is not None:
+        given, last = (durations, drawing.alpha), (curves_of(previous), drawing.fraction)
+        curves.insert(0, lambda size: next_curves(model.arm, rng, size, *given, *last))
+    for draw in curves:
+        found, tried = _searched(check, draw, budget, progress)
         count += tried
         if found:
             return _counted(max(found, key=lambda one: one[0])[1], count)
@@ -105,32 +128,16 @@ def generate(
 def _searched(
     check: Callable[[Curves, Counter[str], int], list[tuple[float, Motion]]],
     draw: Callable[[int], Curves],
-    attempts: int,
-    together: int,
-    hits: int,
+    budget: Budget,
     progress: Progress,
 ) -> tuple[list[tuple[float, Motion]], Counter[str]]:
     """Motions that hit, with how long each stays in the box [s], and what became of all that were tried."""
     count, found = Counter[str](), list[tuple[float, Motion]]()
-    while count.total() < attempts and len(found) < hits:
-        found += check(draw(min(together, attempts - count.total())), count, hits - len(found))
-        progress(count.total() / attempts)
+    while count.total() < budget.attempts and len(found) < budget.hits:
+        size = min(budget.together, budget.attempts - count.total())
+        found += check(draw(size), count, budget.hits - len(found))
+        progress(count.total() / budget.attempts)
     return found, count
-
-
-def _drawn(
-    arm: Arm,
-    rng: np.random.Generator,
-    durations: tuple[float, float],
-    alpha: float,
-    previous: Motion | None,
-    fraction: float,
-    size: int,
-) -> Curves:
-    """First or later candidates."""
-    if previous is None:
-        return first_curves(arm, rng, size, durations, alpha)
-    return next_curves(arm, rng, size, durations, alpha, curves_of(previous), fraction)
 
 
 def curves_of(motion: Motion) -> Curves:

@@ -16,12 +16,11 @@ from pydantic import Field
 
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
 from stringcast.data.later import Later
-from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress, part
+from stringcast.stages.common import Progress, Together, part
 from stringcast.stages.generate.chance import Place, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, joined
 from stringcast.stages.generate.draws import Doubt, Draws, drawn
-from stringcast.stages.generate.generate import HIT, MotionNotFoundError, commands_of, control_points_of
+from stringcast.stages.generate.generate import HIT, Drawing, MotionNotFoundError, commands_of, control_points_of
 from stringcast.stages.generate.learning import spread_after
 from stringcast.stages.generate.race import entrants, race
 from stringcast.stages.generate.refine import Space, refine
@@ -45,6 +44,21 @@ class Sought:
     share: float
 
 
+@dataclass(frozen=True)
+class Search(Together):
+    """motions: random ones that race. strings: draws on which winners are refined, for `rounds` of CMA-ES. tries: how
+    often that is done at most, from other random motions, while none found hits half of the draws; before the first
+    trial, once. informative: closeness (see `Outcome`) that may be given up for a cast that teaches more. fresh: draws
+    that say what the chance is."""
+
+    motions: Annotated[int, Field(ge=16)]
+    strings: Annotated[int, Field(ge=4)]
+    rounds: Annotated[int, Field(ge=0)]
+    tries: Annotated[int, Field(ge=1)]
+    informative: Annotated[float, Field(ge=0, le=1)]
+    fresh: Annotated[int, Field(ge=10)]
+
+
 def generate(
     model: Model,
     target: Box,
@@ -53,46 +67,32 @@ def generate(
     estimate: Estimate | None,
     *,
     seed: int,
-    motions: Annotated[int, Field(ge=16)],
-    strings: Annotated[int, Field(ge=4)],
-    rounds: Annotated[int, Field(ge=0)],
-    tries: Annotated[int, Field(ge=1)],
-    informative: Annotated[float, Field(ge=0, le=1)],
-    fresh: Annotated[int, Field(ge=10)],
-    shortest: Annotated[float, Field(gt=0)],
-    longest: Annotated[float, Field(gt=0)],
-    alpha: Annotated[float, Field(gt=0)],
-    fraction: Annotated[float, Field(gt=0, le=1)],
+    drawing: Drawing,
+    search: Search,
     doubt: Doubt,
     progress: Progress = lambda share: None,
 ) -> Motion:
     """The motion with the highest chance that the tip enters the target box, as far as is known.
 
     previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
-    string, None before the first trial. motions: random ones that race. strings: draws on which the winners are
-    refined, for `rounds` of CMA-ES. tries: how often that is done at most, from other random motions, while none
-    found hits half of the draws; before the first trial, once. informative: closeness (see `Outcome`) that may be given
-    up for a cast that teaches more. fresh: draws that say what the chance is. shortest, longest: range of T [s]. alpha:
-    limit of the random accelerations [rad/s^2]. fraction: of the control points' range by which slight changes differ.
-    doubt: of what is not the string. Raises MotionNotFoundError where the arm can make no motion or none is clear of
-    the obstacles, and DataError for a target out of reach or an empty range; a motion that hits with no draw is still
-    the one that comes nearest.
+    string, None before the first trial. doubt: of what is not the string. Raises MotionNotFoundError where the arm can
+    make no motion or none is clear of the obstacles, and DataError for a target out of reach or an empty range of
+    durations; a motion that hits with no draw is still the one that comes nearest.
     """
-    if shortest > longest:
-        raise DataError(f"generate.shortest = {shortest} is above generate.longest = {longest}. Change one of them.")
+    space = Space(model.arm, *drawing.durations, drawing.alpha)
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
-    place, space = Place(model, target, obstacles), Space(model.arm, shortest, longest, alpha)
-    draws = drawn(model, estimate, doubt, strings, rng)
-    most = 1 if estimate is None else tries  # half of all strings there may be are not hit by any motion
+    place = Place(model, target, obstacles)
+    draws = drawn(model, estimate, doubt, search.strings, rng)
+    most = 1 if estimate is None else search.tries  # half of all strings there may be are not hit by any motion
     found: list[Sought] = []
     while len(found) < most and not any(each.share >= ENOUGH for each in found):
-        random = entrants(place, space, previous, fraction, motions, rng)
-        found.append(sought(place, space, random, draws, rounds, seed, part(progress, len(found), most)))
+        random = entrants(place, space, previous, drawing.fraction, search.motions, rng)
+        found.append(sought(place, space, random, draws, search.rounds, seed, part(progress, len(found), most)))
     final = joined([each.best for each in found])
-    chosen = choice(place, final, drawn(model, estimate, doubt, strings, rng), informative)
+    chosen = choice(place, final, drawn(model, estimate, doubt, search.strings, rng), search.informative)
     progress(1.0)
-    return stated(place, chosen, drawn(model, estimate, doubt, fresh, rng), sum(each.tried for each in found))
+    return stated(place, chosen, drawn(model, estimate, doubt, search.fresh, rng), sum(each.tried for each in found))
 
 
 def sought(

@@ -11,7 +11,7 @@ from stringcast.pipeline.experiment import with_effects
 from stringcast.pipeline.settings import UserError
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.generate.generate import generate
+from stringcast.stages.generate.generate import Budget, Drawing, generate
 from stringcast.stages.inference.forward import case
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import hand_motion, hand_motion_from_grasp, joint_motion
@@ -184,15 +184,7 @@ def test_without_effects_the_model_is_the_string_to_the_bit(arm, camera):
 def test_generation_knows_a_hand_that_lags(arm, camera):
     """What is hit is hit by the model with the lag, and not by the one without."""
     model = Model(STRING, arm, camera).with_effects(*named(["arm_lag", "tip_mass"]))
-    settings = {
-        "attempts": 20000,
-        "together": 256,
-        "shortest": 0.4,
-        "longest": 0.6,
-        "alpha": 150.0,
-        "fraction": 0.25,
-        "hits": 1,
-    }
+    settings = {"drawing": Drawing(0.4, 0.6, 150.0, 0.25), "budget": Budget(20000, 256, 1)}
     known = TRUTH | {"arm_lag.time_constant": 0.05, "tip_mass.ratio": 0.3}
     box = Box(0.4, 0.7, 0.04, 0.04)
     motion = generate(replace(model, known=known), box, (), None, None, seed=1, **settings)

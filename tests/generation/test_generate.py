@@ -7,8 +7,9 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 
 from stringcast.data.schema import DataError
+from stringcast.pipeline.settings import stage
 from stringcast.stages.generate.curves import Curves, first_curves, next_curves
-from stringcast.stages.generate.generate import MotionNotFoundError, generate
+from stringcast.stages.generate.generate import MotionNotFoundError
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import hand_motion
 from stringcast.stages.model.model import Model
@@ -26,6 +27,11 @@ SETTINGS = {
     "hits": 1,
 }
 TARGET = Box(0.4, 0.7, 0.02, 0.04)
+
+
+def generate(*given, seed, **settings):
+    """As a run does it, with settings side by side."""
+    return stage({"_target_": "stages.generate.generate.generate"} | settings, "generate", "here")(*given, seed=seed)
 
 
 def test_a_box_is_crossed_by_what_passes_through_it_only():

@@ -10,13 +10,14 @@ from scipy.stats import binomtest
 
 from stringcast.data.artifacts import Estimate
 from stringcast.data.schema import DataError
+from stringcast.pipeline.settings import stage
 from stringcast.stages.generate import race
-from stringcast.stages.generate import robust as chosen
 from stringcast.stages.generate.chance import TOGETHER, Place, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, first_curves, joined, plain_cast
 from stringcast.stages.generate.draws import Doubt, Draws, drawn
-from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults, curves_of, generate
+from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults, curves_of
 from stringcast.stages.generate.learning import spread_after
+from stringcast.stages.generate.robust import stated
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.model import Model
@@ -41,6 +42,16 @@ SETTINGS = {
 SOFT = {"bending_stiffness": 0.05, "bending_damping": 2e-4, "grasp_stiffness": 0.05, "grasp_damping": 1e-3}
 STIFF = {"bending_stiffness": 20.0, "bending_damping": 1e-2, "grasp_stiffness": 5.0, "grasp_damping": 5e-3}
 COMMON = {"axial_stiffness": 1e5, "axial_damping": 30.0, "linear_drag": 0.3, "quadratic_drag": 0.2}
+
+
+def likeliest(*given, seed, **settings):
+    """As a run does it, with settings side by side."""
+    return stage({"_target_": "stages.generate.robust.generate"} | settings, "generate", "here")(*given, seed=seed)
+
+
+def first_come(*given, seed, **settings):
+    """The same without regard to what is not known."""
+    return stage({"_target_": "stages.generate.generate.generate"} | settings, "generate", "here")(*given, seed=seed)
 
 
 def known(*strings, rms=0.0):
@@ -69,7 +80,7 @@ def model(arm, camera):
 @pytest.fixture(scope="module")
 def blind(model):
     """The first motion, with nothing known of the string."""
-    return chosen.generate(model, TARGET, (), None, None, seed=3, **SETTINGS)
+    return likeliest(model, TARGET, (), None, None, seed=3, **SETTINGS)
 
 
 def test_the_chance_foretold_is_the_share_that_is_found(model, blind):
@@ -105,14 +116,14 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
     def chance(motion):
         return outcome(place, curves_of(motion), draws).hit.mean()
 
-    robust = [chosen.generate(model, TARGET, (), None, both, seed=s, **SETTINGS) for s in range(2)]
-    plain = [generate(model, TARGET, (), None, both, seed=s, hits=1, **settings) for s in range(4)]
+    robust = [likeliest(model, TARGET, (), None, both, seed=s, **SETTINGS) for s in range(2)]
+    plain = [first_come(model, TARGET, (), None, both, seed=s, hits=1, **settings) for s in range(4)]
     assert all(chance(motion) == 1.0 for motion in robust)
     assert np.mean([chance(motion) for motion in plain]) < 0.7
 
 
 def test_a_certain_string_is_hit_as_plain_generation_promises(model):
-    motion = chosen.generate(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
+    motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
     tip = performed(model, motion, model.values(COMMON | SOFT)[None])[0, :, -1]
     assert TARGET.crossed(tip[:-1], tip[1:]).any()
     told = motion.outcome.iloc[0]
@@ -125,7 +136,7 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
     """A wall under the target: strings that are said to hit reach it before they touch the wall, looked at anew."""
     wall = Box(0.6, 0.35, 0.03, 0.3)
     target = Box(0.75, 0.55, 0.06, 0.06)
-    motion = chosen.generate(model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400})
+    motion = likeliest(model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400})
     draws = drawn(model, None, NONE, 60, np.random.default_rng(7))
     made = outcome(Place(model, target, (wall,)), curves_of(motion), draws)
     points = performed(model, motion, draws.values)
@@ -156,7 +167,7 @@ def test_what_comes_after_a_touch_does_not_count(model):
 
 def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
     """A post where the hand is at the end, and nowhere near before: the string has hit long since."""
-    motion = chosen.generate(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
+    motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
     joints = model.arm.joints(motion.commands[["q1", "q2", "q3"]].to_numpy())
     x, y = joints[-1, -1]
     post = Box(float(x), float(y), 1e-3, 1e-3)
@@ -169,7 +180,7 @@ def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
 
 def test_every_limit_of_the_arm_is_kept(model):
     slow = replace(model, arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)))
-    motion = chosen.generate(slow, TARGET, (), None, known(SOFT), seed=4, **SETTINGS)
+    motion = likeliest(slow, TARGET, (), None, known(SOFT), seed=4, **SETTINGS)
     curves = curves_of(motion)
     angles, speeds = curves.sampled(0.0005, motion.duration)
     assert (arm_faults(slow.arm, (), *curves.sampled(slow.arm.tick, motion.duration)) == "").all()
@@ -180,7 +191,7 @@ def test_every_limit_of_the_arm_is_kept(model):
 
 def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
     with other_threads():
-        again = chosen.generate(model, TARGET, (), None, None, seed=3, **SETTINGS)
+        again = likeliest(model, TARGET, (), None, None, seed=3, **SETTINGS)
     for table in blind.TABLES:
         pd.testing.assert_frame_equal(getattr(blind, table), getattr(again, table), check_exact=True)
 
@@ -212,26 +223,26 @@ def test_the_way_between_ticks_is_a_cubic():
 
 def test_failures_say_why(model, monkeypatch):
     with pytest.raises(DataError, match="out of reach"):
-        chosen.generate(model, Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
+        likeliest(model, Box(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS)
     with pytest.raises(DataError, match=r"generate\.shortest"):
-        chosen.generate(model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0})
+        likeliest(model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0})
     monkeypatch.setattr(race, "TRIES", 2)
     in_the_way = Box(0.2, 0.2, 0.1, 0.1)
     with pytest.raises(MotionNotFoundError, match="no random motion"):
-        chosen.generate(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
+        likeliest(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
     curtain = Box(0.2, 0.0, 3.0, 1e-6)  # below the arm, where some strings hang through it whatever happens
     down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6)))
     draws = drawn(model, None, NONE, 10, np.random.default_rng(0))
     with pytest.raises(MotionNotFoundError, match="each of 10 likely strings touches"):
-        chosen.stated(Place(model, TARGET, (curtain,)), down, draws, 1)
+        stated(Place(model, TARGET, (curtain,)), down, draws, 1)
 
 
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     """The cast will teach what the string is like."""
     tiny = SETTINGS | {"motions": 60, "rounds": 0, "fresh": 10}
     target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"tries": 2}
-    motion, first = (chosen.generate(model, target, (), None, None, seed=0, **some) for some in (tiny, more))
-    again = chosen.generate(model, target, (), None, known(SOFT), seed=0, **more)
+    motion, first = (likeliest(model, target, (), None, None, seed=0, **some) for some in (tiny, more))
+    again = likeliest(model, target, (), None, known(SOFT), seed=0, **more)
     told = motion.outcome.iloc[0]
     assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
     assert told["chance_high"] > 0.2

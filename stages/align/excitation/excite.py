@@ -88,10 +88,8 @@ def excite(
         progress((number + 1) / motions)
     if best is None:
         reasons = "; ".join(f"{reason}: {times}" for reason, times in count.most_common())
-        raise DataError(
-            f"no motion of excite.motions={motions} is allowed ({reasons}). Lower excite.speed, draw more of "
-            "them, or make room."
-        )
+        remedy = "Lower excite.speed, draw more of them, or make room."
+        raise DataError(f"no motion of excite.motions={motions} is allowed ({reasons}). {remedy}")
     return motion_of(model.arm, best, count)
 
 
