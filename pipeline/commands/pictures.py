@@ -1,13 +1,17 @@
-"""Take the pictures out of a report, each as a file."""
+"""Take the pictures out of a report, each as a file, and its curves as tables."""
 
 from __future__ import annotations
 
 import argparse
 import base64
+import csv
+import io
+import json
 import re
 from collections.abc import Iterator, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 from stringcast.data import disk
 from stringcast.pipeline.settings import UserError
@@ -34,15 +38,29 @@ class Page(HTMLParser):
         data = re.fullmatch(r"data:image/([^;]+);base64,(.*)", dict(attrs).get("src") or "", re.DOTALL)
         if tag == "img" and data and data[1] in ENDINGS:
             self.found.append((" ".join(self.headings.values()), ENDINGS[data[1]], base64.b64decode(data[2])))
+        self.within = "script" if ("type", "application/json") in attrs else self.within
 
     def handle_endtag(self, tag: str) -> None:
         """A heading ends."""
         self.within = "" if tag == self.within else self.within
 
     def handle_data(self, data: str) -> None:
-        """Words of a heading."""
-        if self.within:
+        """Words of a heading, or the data of curves."""
+        if self.within == "script":
+            drawn = json.loads(data)
+            if "lines" in drawn:
+                self.found.append((" ".join(self.headings.values()), "csv", table(drawn)))
+        elif self.within:
             self.headings[self.within] += data
+
+
+def table(drawn: dict[str, Any]) -> bytes:
+    """Curves as CSV: time in ms, and a column a curve. drawn: `Chart.data` of stages.report.page."""
+    text = io.StringIO()
+    rows = csv.writer(text)
+    rows.writerow(["t [ms]", *(f"{line['label']}, {drawn['axis']}" for line in drawn["lines"])])
+    rows.writerows(zip(drawn["t"], *(line["values"] for line in drawn["lines"]), strict=True))
+    return text.getvalue().encode()
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -79,8 +79,9 @@ def webp(image: np.ndarray, quality: int) -> bytes:
 
 
 def themed(svg: str) -> str:
-    """Name the theme's colours in an SVG and define both sides of each; a hundredth of a point is fine enough."""
-    svg = re.sub(r"(\d\.\d\d)\d+", r"\1", svg)
+    """Name the theme's colours in an SVG and define both sides of each; a hundredth of a point is enough for places,
+    of which labels are none."""
+    svg = re.sub(r'(?<= )(?:d|x|y|transform)="[^"]*"', lambda places: re.sub(r"(\.\d\d)\d+", r"\1", places[0]), svg)
     for name, (light, _) in THEME.items():
         svg = svg.replace(light, f"var(--{name})")
     light, dark = ("".join(f"--{name}:{sides[i]};" for name, sides in THEME.items()) for i in (0, 1))

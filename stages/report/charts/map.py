@@ -72,6 +72,7 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
         axes.yaxis.set_major_formatter(powers())
         axes.yaxis.set_minor_locator(NullLocator())
     axes.set_xlabel(factor, fontsize=8)
+    axes.set_ylabel(outcome.title, fontsize=8)
     return vector(figure, _words(means, outcome, factor))
 
 

@@ -47,13 +47,30 @@ def sweep_page(record: SweepRecord) -> str:
         Page(
             title=f"{record.name}: {record.sentence}",
             kicker=f"stringcast sweep · {record.name}",
-            heading=record.sentence,
+            heading=finding(record) or record.sentence,
             lead=_varied(record),
             sections=[*sections, combined(record), jobs(record)],
             origin=record.origin,
             settings=record.settings,
         )
     )
+
+
+def finding(record: SweepRecord) -> str:
+    """The largest effect of a setting on the first outcome there is, if it is beyond chance; empty where no setting was
+    varied or nothing is known."""
+    if not record.factors or record.done.empty:
+        return ""
+    outcome = _mapped(record)[0]
+    means = {factor: response(record.done, outcome, [factor]) for factor in record.factors}
+    ends = {f: (rows.loc[rows["mean"].idxmin()], rows.loc[rows["mean"].idxmax()]) for f, rows in means.items()}
+    apart = {f: low for f, low in ends.items() if low[0]["high"] < low[1]["low"]}
+    if not apart:
+        return f"No setting varied changes the {outcome.label} by more than chance"
+    factor = max(apart, key=lambda f: float(apart[f][1]["mean"] - apart[f][0]["mean"]))
+    low, high = apart[factor]
+    values = [f"{significant(row['mean'])}{outcome.unit and f' {outcome.unit}'}" for row in (high, low)]
+    return f"The {outcome.label} is {values[0]} with {factor}={high[factor]}, {values[1]} with {low[factor]}"
 
 
 def _varied(record: SweepRecord) -> str:
@@ -66,7 +83,7 @@ def _varied(record: SweepRecord) -> str:
             "With one seed nobody can say how much chance there is in these means, so they have no intervals but that "
         )
         sure += "of the hit rate."
-    return f"{varied} {seeds} {sure}"
+    return f"{record.sentence}. {varied} {seeds} {sure}"
 
 
 def tiles(record: SweepRecord) -> Tiles:
