@@ -106,6 +106,8 @@ def _placed(frames: pd.DataFrame, place: Path) -> pd.DataFrame:
 
 def read(folder: Path) -> Dataset:
     """Read a dataset; raises DataError naming the file and the remedy. Damaged rows are left out."""
+    if folder.is_file():
+        raise DataError(f"trials={folder}: this is a file. Name the folder that holds it: {folder.parent}")
     if not folder.is_dir():
         raise DataError(f"trials={folder}: there is no such folder. Name a run's folder or one in the data format.")
     known = about(folder)
@@ -232,6 +234,9 @@ def _instead_of(folder: Path) -> str:
     known = {f"{table.name}{end}" for table in (ARM, GRASP, *PUBLISHED) for end in (".parquet", ".csv")}
     others = [p for p in sorted(folder.iterdir()) if p.suffix in (".csv", ".parquet", ".tsv", ".h5", ".mcap")]
     named = [str(path) for path in others if path.name not in known]
+    inner = next((path.parent for path in sorted(folder.glob(f"*/{NAME}"))), None)
+    if inner is not None:
+        return f"A dataset lies in {inner}. Name that folder"
     if not named:
         return "Add it, with column 'trial'."
     files = " ".join(map(shlex.quote, named[:4])) + " ..." * (len(named) > 4)

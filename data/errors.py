@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 
-OTHERWISE = "Choose another folder, or look at the disk"
+OTHERWISE = "Look at the disk, or choose another folder"
 REMEDIES = {
     errno.ENOSPC: "Free space on the disk, or choose another folder",
     errno.EDQUOT: "Free space within your quota, or choose another folder",

@@ -32,6 +32,8 @@ def regular(path: Path, most: int | None = None) -> Path:
     """The path, if it is a plain file of at most `most` bytes: a pipe blocks its reader, a device may never end."""
     try:
         about = path.stat()
+    except FileNotFoundError as error:
+        raise DataError(f"{path}: there is no such file. Restore it, or look at its name.") from error
     except OSError as error:
         raise DataError(
             f"{path}: cannot be read ({error.strerror}). Restore it, or look at its permissions."

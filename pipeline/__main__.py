@@ -59,6 +59,7 @@ def asked(name: str, arguments: list[str]) -> int:
 
 def called() -> None:
     """Hand over, and turn what Hydra refuses into one clear message too."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # what it warns of is said in one line of ours
     os.environ["HYDRA_FULL_ERROR"] = "1"  # errors come here instead of being printed with a traceback
     if "-v" in sys.argv:
         sys.argv.remove("-v")

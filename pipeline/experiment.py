@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.hand import JointMotion
-from stringcast.stages.model.library import named
+from stringcast.stages.model.library import files, named
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.string import String
@@ -172,10 +172,13 @@ def _of_the_library(own: Any, where: str) -> None:
 def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Values of parameters that are known from before, and the ranges of those that were measured."""
     values, ranges = {}, {}
-    for name, told in block.items():
+    for name, told in _by_full_name(block):
         if name not in model.names:
-            known = ", ".join(model.names)
-            raise UserError(f"known.{name} ({where}): there is no such parameter. Known are: {known}.")
+            effect = name.partition(".")[0]
+            remedy = f"Known are: {', '.join(model.names)}"
+            if effect in files():
+                remedy = f"Model it: 'effects=[{effect}]' '+known.{effect}.<parameter>=<number>'"
+            raise UserError(f"known.{name} ({where}): there is no such parameter of what is modelled. {remedy}.")
         measured = isinstance(told, Mapping) and set(told) == {"value", "low", "high"}
         parts = [told["value"], told["low"], told["high"]] if measured else [told]
         if not all(isinstance(part, float | int) and math.isfinite(part) for part in parts):
@@ -187,6 +190,15 @@ def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict
         if measured:
             ranges[name] = _range(name, parts[0], parts[1], parts[2], where)
     return values, ranges
+
+
+def _by_full_name(block: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Parameters by their full names: on the command line, +known.tip_mass.ratio=0.05 is a block in a block."""
+    for name, told in block.items():
+        if isinstance(told, Mapping) and "value" not in told:
+            yield from ((f"{name}.{inner}", value) for inner, value in told.items())
+        else:
+            yield name, told
 
 
 def _range(name: str, value: float, low: float, high: float, where: str) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import yaml
 
 from stringcast.pipeline.called import as_called
 from stringcast.pipeline.commands import listed
+from stringcast.pipeline.meanings import explained
 from stringcast.pipeline.settings import CONF, composed
 
 PAGE = """\
@@ -42,7 +43,7 @@ Settings of this call:
 
 def page(overrides: Sequence[str]) -> str:
     """The help, with the settings as these overrides make them."""
-    settings = yaml.safe_dump(composed(overrides), sort_keys=False, allow_unicode=True)
+    settings = "\n".join(explained(yaml.safe_dump(composed(overrides), sort_keys=False, allow_unicode=True)))
     return as_called(PAGE).format(commands=listed(), groups="\n".join(groups()), settings=settings)
 
 

@@ -7,12 +7,16 @@ file are functions of `provenance.py`.
 
 from __future__ import annotations
 
+import argparse
 import ast
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
+from typing import NoReturn
+
+from stringcast.pipeline.settings import UserError
 
 NAMES = (
     "import",
@@ -28,9 +32,16 @@ NAMES = (
     "pictures",
     "export",
 )
-
-
 PROVENANCE = frozenset({"verify", "why", "diff", "lineage"})
+
+
+class Arguments(argparse.ArgumentParser):
+    """Of a command: what is wrong with them is said in one line, as everywhere."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise UserError."""
+        plain = message.removeprefix("the following ").replace("arguments are required", "it needs")
+        raise UserError(f"{self.prog.split()[-1]}: {plain}. Try: {self.prog} --help")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.settings import build, composed
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.calibrate.board import Board
@@ -29,7 +30,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Of the command's arguments."""
-    made = argparse.ArgumentParser("python -m pipeline board", description=__doc__, allow_abbrev=False)
+    made = Arguments("python -m pipeline board", description=__doc__, allow_abbrev=False)
     made.add_argument("file", type=Path, help="PDF to write")
     made.add_argument("settings", nargs="*", help="as for a run, such as board=a1 or board.square=0.03")
     return made

@@ -19,6 +19,7 @@ from rich.text import Text
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
 from stringcast.pipeline.called import as_called
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
 from stringcast.pipeline.terminal import Terminal
@@ -49,9 +50,9 @@ def main(arguments: Sequence[str]) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Of the command's arguments."""
-    made = argparse.ArgumentParser("python -m pipeline check", description=__doc__, allow_abbrev=False)
+    made = Arguments("python -m pipeline check", description=__doc__, allow_abbrev=False)
     made.add_argument("folder", type=Path, help="measured data, or a run's folder")
-    made.add_argument("settings", nargs="*", help="as for a run, such as string.length=0.4 or arm=mine")
+    made.add_argument("settings", nargs="*", default=[], help="as for a run, such as string.length=0.4 or arm=mine")
     made.add_argument("--json", action="store_true", help="print all that was found as JSON")
     return made
 

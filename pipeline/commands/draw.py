@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stringcast.hardware.virtual.blind import draw
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.settings import build, composed
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.model.arm import Arm
@@ -31,7 +32,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Of the command's arguments."""
-    made = argparse.ArgumentParser("python -m pipeline draw", description=__doc__, allow_abbrev=False)
+    made = Arguments("python -m pipeline draw", description=__doc__, allow_abbrev=False)
     made.add_argument("seed", type=natural, help="from which string, casts and cause are drawn")
     made.add_argument("folder", type=Path, help="for the measured data")
     made.add_argument("envelope", type=Path, help="file for what is really so; keep it out of the folder")

@@ -10,6 +10,7 @@ import pandas as pd
 from stringcast.data.errors import printable
 from stringcast.data.store import write_text
 from stringcast.known import KnownString, prepared
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.settings import UserError
 
 HELP = "by its ending, .xml: a chain of links as MJCF (MuJoCo, Playground, Isaac); .csv: parameters with units"
@@ -17,7 +18,7 @@ HELP = "by its ending, .xml: a chain of links as MJCF (MuJoCo, Playground, Isaac
 
 def main(arguments: list[str]) -> int:
     """0: it is written."""
-    parser = argparse.ArgumentParser("python -m pipeline export", description=__doc__)
+    parser = Arguments("python -m pipeline export", description=__doc__)
     parser.add_argument("run", type=Path, help="folder of a diagnosis, an estimation or casts; or an extended.yaml")
     parser.add_argument("file", type=Path, help=HELP)
     parser.add_argument("--mass", type=float, help="of the string [kg], which its motion does not tell; for .xml")

@@ -23,7 +23,7 @@ from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 from stringcast.data.store import whole
 from stringcast.pipeline.called import called_as
-from stringcast.pipeline.commands import check
+from stringcast.pipeline.commands import Arguments, check
 from stringcast.pipeline.importing import Brought, Told, brought, written
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.terminal import Terminal
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Of the command's arguments."""
-    made = argparse.ArgumentParser(
+    made = Arguments(
         *("python -m pipeline import", None, __doc__, EXAMPLES),
         allow_abbrev=False,
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from collections.abc import Iterator
 from importlib import import_module
@@ -18,6 +17,7 @@ from rich.text import Text
 from stringcast.data import dataset, store
 from stringcast.data.artifacts import FIT
 from stringcast.data.schema import Column, DataError, Table
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.layout import ENDED, FAILED
 from stringcast.pipeline.older import modern
 from stringcast.pipeline.provenance import PACKAGES, code, reasons_of, versions
@@ -41,12 +41,12 @@ RUNS = Table(
     ),
 )
 OTHERWISE = (KeyError, TypeError, ValueError, AttributeError)  # what files of another make raise where they are read
-SHOWN = ("run", "experiment", "state", "outcome", "iterations", "best_E", "seconds", "stale")
+RUN, OTHERS = 38, 10  # characters of a column, so that a row is one line of 80
 
 
 def main(arguments: list[str]) -> int:
     """0; also where there is no run."""
-    parser = argparse.ArgumentParser("python -m pipeline index", description=__doc__)
+    parser = Arguments("python -m pipeline index", description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?", default=Path("outputs"), help="where runs are; default outputs")
     parser.add_argument("--to", type=Path, help="a .html, .parquet or .csv file to write the list to")
     asked = parser.parse_args(arguments)
@@ -99,13 +99,15 @@ def row(run: Path) -> dict[str, Any]:
 
 
 def printed(runs: pd.DataFrame) -> Printed:
-    """The list for people."""
+    """The list for people: how runs ended, or else in which state they are; `why` says more of what is stale."""
     table = Printed(box=None, pad_edge=False)
-    for name in SHOWN:
-        table.add_column(name, overflow="fold")
-    short = runs[list(SHOWN)].assign(stale=np.where(runs["stale"] != "", "yes", ""))  # `why` says more
-    for one in short.itertuples(index=False):
-        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else Text(str(cell)) for cell in one))
+    table.add_column("run", overflow="fold", min_width=min(RUN, max(runs["run"].str.len(), default=0)))
+    for heading in ("ended as", "casts", "best E", "time [s]", "stale"):
+        table.add_column(Text(heading), justify="left" if heading == "ended as" else "right", max_width=OTHERS)
+    for one in runs.itertuples(index=False):
+        best = "" if np.isnan(one.best_E) else f"{one.best_E:.3f}"
+        cells = (one.run, one.outcome or one.state, str(one.iterations), best, f"{one.seconds:.0f}")
+        table.add_row(*map(Text, (*cells, "yes" if one.stale else "")))
     return table
 
 

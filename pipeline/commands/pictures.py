@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import base64
 import csv
 import io
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data import disk
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.terminal import Terminal
 
@@ -65,7 +65,7 @@ def table(drawn: dict[str, Any]) -> bytes:
 
 def main(arguments: Sequence[str]) -> int:
     """Write them into a folder, numbered and named after the headings above them. The exit status."""
-    parser = argparse.ArgumentParser("python -m pipeline pictures", description=__doc__)
+    parser = Arguments("python -m pipeline pictures", description=__doc__)
     parser.add_argument("page", type=Path, help="a report.html")
     parser.add_argument("folder", type=Path, help="for the pictures")
     asked = parser.parse_args(arguments)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -22,6 +21,7 @@ from stringcast.data import dataset, store
 from stringcast.data.errors import printable
 from stringcast.data.schema import DataError
 from stringcast.pipeline import run_folder
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_experiment, stored_settings, walk
 from stringcast.pipeline.console import bars
 from stringcast.pipeline.experiment import Experiment
@@ -46,7 +46,7 @@ def _say(heading: str, words: list[str] | tuple[str, ...]) -> None:
 # --- verify -----------------------------------------------------------------------------------
 def verify(arguments: list[str]) -> int:
     """Compute every step of a run again from what is on the disk, and compare to the bit."""
-    parser = argparse.ArgumentParser("python -m pipeline verify", description=verify.__doc__)
+    parser = Arguments("python -m pipeline verify", description=verify.__doc__)
     parser.add_argument("run", type=Path, help="the run's folder; nothing is written into it")
     folder = parser.parse_args(arguments).run
     here = stored_experiment(folder)
@@ -113,7 +113,7 @@ def _ending(here: Experiment, folder: Path, aside: Path, result: Result, outcome
 # --- why ----------------------------------------------------------------------------------------
 def why(arguments: list[str]) -> int:
     """Say of each step of a run whether it is fresh or stale, and why, by its files and settings: nothing is built."""
-    parser = argparse.ArgumentParser("python -m pipeline why", description=why.__doc__)
+    parser = Arguments("python -m pipeline why", description=why.__doc__)
     parser.add_argument("place", type=Path, help="a run's folder, or that of one step: <run>/iterations/01/estimate")
     place = parser.parse_args(arguments).place
     folder = run_of(place)
@@ -190,7 +190,7 @@ def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iter
 # --- diff ---------------------------------------------------------------------------------------
 def diff(arguments: list[str]) -> int:
     """Say what differs between two runs: settings, data, code, packages, results."""
-    parser = argparse.ArgumentParser("python -m pipeline diff", description=diff.__doc__)
+    parser = Arguments("python -m pipeline diff", description=diff.__doc__)
     parser.add_argument("a", type=Path, help="a run's folder")
     parser.add_argument("b", type=Path, help="another's")
     asked = parser.parse_args(arguments)
@@ -299,7 +299,7 @@ def _of_images(a: Path, b: Path) -> list[str]:
 # --- lineage --------------------------------------------------------------------------------------
 def lineage(arguments: list[str]) -> int:
     """Show what made a file: back through its inputs to settings, seed, code and packages."""
-    parser = argparse.ArgumentParser("python -m pipeline lineage", description=lineage.__doc__)
+    parser = Arguments("python -m pipeline lineage", description=lineage.__doc__)
     parser.add_argument("file", type=Path, help="a file of a run, or a step's folder")
     file = parser.parse_args(arguments).file
     changed: list[str] = []

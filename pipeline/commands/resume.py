@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.commands.stored import stored_experiment
 from stringcast.pipeline.inherited import refuse_inherited_limits
 from stringcast.pipeline.run import perform
@@ -14,7 +14,7 @@ from stringcast.pipeline.terminal import Terminal
 
 def main(arguments: list[str]) -> int:
     """Go on; 0 when the run has ended."""
-    parser = argparse.ArgumentParser("python -m pipeline resume", description=__doc__)
+    parser = Arguments("python -m pipeline resume", description=__doc__)
     parser.add_argument("run", type=Path, help="the run's folder")
     parser.add_argument("--accept-limits", action="store_true", help="move a real arm by the limits stored there")
     asked = parser.parse_args(arguments)

@@ -17,10 +17,10 @@ def summary(made: Alignment) -> Summary:
     rows = [
         {
             "parameter": row.name,
-            "value": f"{row.value:.5g}",
-            "95 % interval": f"{row.low:.5g} to {row.high:.5g}",
+            "value": f"{row.value:.2e}",
+            "95 % interval": f"{row.low:.2e} to {row.high:.2e}",
             "unit": row.unit,
-            "": "" if row.found else "not seen",
+            "": "" if not row.low <= 0 <= row.high else "may be 0" if row.found else "not seen",
         }
         for row in made.measured.itertuples()
     ]

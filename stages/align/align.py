@@ -129,10 +129,16 @@ def settings(model: Model, measured: pd.DataFrame, fit: Fit) -> dict[str, object
 def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:
     """What was found, and what looks alike."""
     rows = measured.set_index("name")
-    said = []
+    said, agreed = [], []
     for effect in named(fit.effects):
+        ends = rows.loc[[effect.qualified(p) for p in effect.parameters], ["low", "high"]].to_numpy()
+        if (ends[:, 0] <= 0).all() and (ends[:, 1] >= 0).all():
+            agreed.append(effect.name)
+            continue
         words = effect.words({p.name: fit.values[effect.qualified(p)] for p in effect.parameters})
         said.append(words[0].upper() + words[1:])
+    if agreed:
+        said.append(f"Nothing is off, within the intervals, in {', '.join(agreed)}")
     reach = float(rows.loc[OFFSET, "high"] - rows.loc[OFFSET, "low"]) / 2
     clocks = f"The clocks are compared to +- {1e3 * reach:.2f} ms (95 %)"
     clocks += "." if reach < AIM else f", which is more than the {1e3 * AIM:.0f} ms that are aimed at."

@@ -8,15 +8,17 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
 
 @dataclass(frozen=True)
 class Box:
     """An upright rectangle: centre (x, y), full width w and height h [m]."""
 
-    x: float
-    y: float
-    w: Annotated[float, Field(gt=0)]
-    h: Annotated[float, Field(gt=0)]
+    x: Finite
+    y: Finite
+    w: Annotated[Finite, Field(gt=0)]
+    h: Annotated[Finite, Field(gt=0)]
 
     def crossed(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Whether segments from a to b, (..., 2) each [m], touch the box; (...) bool (slab method)."""

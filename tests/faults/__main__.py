@@ -43,7 +43,7 @@ KILLS = Table(
         Column("steps", "1", "steps that stood whole on the disk then", "int"),
     ),
 )
-QUICK = ("+experiment=quick", "manipulations=2", "estimate.candidates=40")
+QUICK = ("+experiment=quick", "manipulations=2", "target.w=0.02", "target.h=0.04", "estimate.candidates=40")
 
 
 def main() -> None:

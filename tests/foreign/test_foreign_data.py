@@ -325,7 +325,6 @@ def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
     assert index.main([str(tmp_path)]) == 0
     shown = capsys.readouterr().out
     assert "\x1b[2J" not in shown
-    assert "[/]" in shown
     found = index.index(tmp_path).set_index("run")["state"]
     assert found.to_dict() == {"[bold]": "incomplete", "other": "damaged"}
 

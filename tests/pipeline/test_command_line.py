@@ -18,6 +18,7 @@ from stringcast.data import store
 from stringcast.pipeline import inherited, settings
 
 BARE = "leave=[frames]"  # no report, where nobody asks for it
+MISSED = ("target.w=0.02", "target.h=0.04")  # [m], as small as the paper's: two casts do not hit
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
@@ -25,7 +26,7 @@ EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml
 def quick(tmp_path_factory):
     """A finished smoke run."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
-    done = pipeline("-v", "+experiment=quick", "manipulations=2", f"hydra.run.dir={folder}")
+    done = pipeline("-v", "+experiment=quick", "manipulations=2", *MISSED, f"hydra.run.dir={folder}")
     assert done.returncode == 0, done.stderr
     assert "pipeline.run_folder: iterations/02/motion made in" in done.stderr
     return folder
@@ -108,7 +109,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(quick, called, tmp_path):
     same(tables(part), tables(quick))
     for name in ("run.json", "report.html", "dataset.yaml"):
         assert (part / name).read_bytes() == (quick / name).read_bytes(), name
-    other = called("+experiment=quick", "manipulations=2", "seed=9", f"hydra.run.dir={part}")
+    other = called("+experiment=quick", "manipulations=2", *MISSED, "seed=9", f"hydra.run.dir={part}")
     assert other.returncode == 1
     assert "other settings" in other.stderr
 
@@ -175,7 +176,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, 
         (["string=fine", "string.tolerance=1e-6"], "string.tolerance = 1e-06 .* best measured"),
         (["+experiment=estimate", "trials=/nonexistent"], "no such folder"),
         (["+experiment=strinB"], "stringB"),
-        (["hardwear=virtual"], "Did you mean 'hardware'"),
+        (["hardwear=virtual"], "Try: .* hardware=virtual"),
         (["hydra.run.dir=/proc/nope"], "cannot be written"),
         (["hardware=serial", "hardware.port=/dev/nowhere", "generate.longest=0.4"], "source.number"),
     ],
@@ -294,4 +295,4 @@ def test_help_helps(called):
     assert "+experiment=stringB" in shown.stdout
     assert "trials=" in shown.stdout
     assert "experiment/paper: A_300_900, " in shown.stdout
-    assert "\nname: stringB\n" in pipeline("+experiment=stringB", "--help").stdout
+    assert re.search(r"\nname: stringB +# names the run", pipeline("+experiment=stringB", "--help").stdout)

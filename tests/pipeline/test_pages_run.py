@@ -118,7 +118,7 @@ RUN = {
     "tests.drivers.sweep": Run(less="100"),
     # What is on the disk.
     "pipeline draw 7 riddle riddle.json": Run(r"5 trials\. What they hide is in .*riddle\.json", long=False),
-    "pipeline index --to runs.parquet": Run(r"run +experiment +state"),
+    "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
     "pipeline export <run> string.xml --mass 0.012": Run(r"string\.xml"),
     "pipeline resume <run>": Run(r"report\.html$"),
     "pipeline pictures outputs/gallery/report.html outputs/gallery/pictures": Run(r"\.(svg|webp) +\d+ kB"),
@@ -219,7 +219,7 @@ def made(place, name):
     if folder.exists():
         return folder
     words = {
-        "cast": ["+experiment=quick", "manipulations=2"],
+        "cast": ["+experiment=quick", "manipulations=2", "target.w=0.02", "target.h=0.04"],
         "diagnosed": ["+experiment=diagnose", "trials=data/sample"],
         "aligned": ["+experiment=align"],
     }

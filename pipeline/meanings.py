@@ -1,0 +1,61 @@
+"""What settings mean, and in which unit: the comments of the files in `conf`, by the settings' full names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from stringcast.pipeline.settings import CONF
+
+LINE = re.compile(r"(?P<indent> *)(?P<name>[\w.]+):(?P<value>[^#]*)(#\s*(?P<comment>.*))?$")
+RENAMED = re.compile(r"- (\w+)@(\w+):")  # groups whose settings stand under another name
+MORE = re.compile(r" +#\s*(.*)")  # a comment that goes on in the next line
+COLUMN = 40  # at which meanings begin
+
+
+@cache
+def meanings() -> dict[str, str]:
+    """Comments by name: `estimate.beta`, `seed`. Of options of a group that call a setting alike, the first counts."""
+    found: dict[str, str] = {}
+    groups = (file for file in sorted(CONF.rglob("*/*.yaml")) if file.relative_to(CONF).parts[0] != "experiment")
+    for file in (CONF / "config.yaml", *groups):
+        for name, comment in _of(file):
+            found.setdefault(name, comment)
+    for group, name in RENAMED.findall((CONF / "config.yaml").read_text(encoding="utf-8")):
+        found |= {
+            name + inner.removeprefix(group): said for inner, said in found.items() if inner.startswith(f"{group}.")
+        }
+    return found
+
+
+def _of(file: Path) -> Iterator[tuple[str, str]]:
+    """Names and comments of a file's settings."""
+    text = file.read_text(encoding="utf-8")
+    alone = file.parent == CONF or "@package _global_" in text
+    above = [] if alone else [(-1, file.parent.relative_to(CONF).as_posix())]
+    name, comment = "", ""
+    for line in text.splitlines():
+        if found := LINE.match(line):
+            yield from [(name, comment)] if comment else []
+            indent = len(found["indent"])
+            above = [(depth, part) for depth, part in above if depth < indent] + [(indent, found["name"])]
+            name, comment = ".".join(part for _, part in above), found["comment"] or ""
+        elif comment and (more := MORE.match(line)):
+            comment += f" {more[1]}"
+    yield from [(name, comment)] if comment else []
+
+
+def explained(text: str) -> Iterator[str]:
+    """Lines of settings as YAML, each with what it means behind it."""
+    above: list[tuple[int, str]] = []
+    for line in text.splitlines():
+        found = LINE.match(line)
+        if found is None:
+            yield line
+            continue
+        indent = len(found["indent"])
+        above = [(depth, part) for depth, part in above if depth < indent] + [(indent, found["name"])]
+        meaning = meanings().get(".".join(part for _, part in above), "")
+        yield f"{line:<{COLUMN}}# {meaning}" if meaning else line

@@ -1,0 +1,33 @@
+"""Every setting that the help lists says what it means, or belongs to a block that does; numbers in a unit say it."""
+
+import re
+
+from stringcast.pipeline.help import page
+from stringcast.pipeline.meanings import meanings
+from stringcast.pipeline.settings import composed, leaves
+
+
+def explained(name):
+    parts = name.split(".")
+    return any(".".join(parts[:end]) in meanings() for end in range(len(parts), 0, -1))
+
+
+def test_every_setting_is_explained_in_the_help():
+    settings = leaves(composed())
+    assert len(settings) > 130
+    bare = [name for name in settings if not name.endswith("_target_") and not explained(name)]
+    assert bare == []
+
+
+def test_lengths_times_and_angles_have_units():
+    wanted = ("arm.links", "arm.base", "arm.speed", "camera.px_per_m", "camera.fps", "string.length", "target.x")
+    wanted += ("generate.shortest", "generate.longest", "execute.before", "string.largest_step")
+    for name in wanted:
+        assert re.search(r"\[(m|s|px/m|1/s|rad/s)\]", meanings()[name]), name
+
+
+def test_what_stands_behind_a_setting_is_its_own_meaning():
+    shown = page(["+experiment=stringB", "estimate=least_squares"])
+    assert re.search(r"\n  iterations: 20 +# of each start at most", shown)
+    assert re.search(r"\n  largest_step: 0.0002 +# of the simulation \[s\]", shown)
+    assert re.search(r"\n  x: 0.4 +# of its centre \[m\]", shown)
