@@ -157,12 +157,9 @@ def inherited(folder: Path, given: set[str]) -> dict[str, Any]:
             for key, value in values.items()
             if key in FROM_DATASETS[group] and value is not None
         }
-    return {name: value for name, value in brought.items() if not _taken(name, given)}
-
-
-def _taken(name: str, given: set[str]) -> bool:
-    """Whether the command line says this itself. string=... says how a string is simulated, and not how long it is."""
-    return name in given or (name != LENGTH and name.partition(".")[0] in given)
+    # what the command line says itself is not taken; string=... says how a string is simulated, not how long it is
+    said = {name for name in brought if name in given or (name != LENGTH and name.partition(".")[0] in given)}
+    return {name: value for name, value in brought.items() if name not in said}
 
 
 def check_bench(folder: Path, given: set[str]) -> None:

@@ -143,18 +143,12 @@ def _steps(run: Path) -> dict[str, Any]:
     rates = [
         float(store.read_table(FIT, fit)["after"].iloc[0]) for fit in run.glob("iterations/*/estimate/fit.parquet")
     ]
+    settings = modern(dataset.settings(run / "config.json"))
+    reasons = ((step.relative_to(run).as_posix(), reasons_of(run, step, settings)) for step in steps)
     return {
         "date": min((one["at"] for one in made if one), default=""),
         "iterations": len({step.parent for step in steps}),
         "best_E": max(rates, default=float("nan")),
         "seconds": float(sum(one.get("seconds", 0.0) for one in made)),
-        "stale": _stale(run),
+        "stale": next((f"{place}: {words[0]}" for place, words in reasons if words), ""),
     }
-
-
-def _stale(run: Path) -> str:
-    """The first reason why a step would be made again."""
-    settings = modern(dataset.settings(run / "config.json"))
-    places = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
-    reasons = ((place.relative_to(run).as_posix(), reasons_of(run, place, settings)) for place in places)
-    return next((f"{place}: {words[0]}" for place, words in reasons if words), "")

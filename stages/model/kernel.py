@@ -136,16 +136,11 @@ def source(
         return _sum(slots, slot, names, {PER[slot][1]: argument})
 
     longer, over = (f"P[np.uintp({names.index(row)}) * W + j]" if row in names else "" for row in HIDDEN)
+    turning = [f"{slot} * {_factor(slot)}" for slot in per]
     heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
     pieces = {
         "tension": _sum(slots, "tension", names),
-        "moment": " + ".join(
-            [
-                _sum(slots, "moment", names),
-                *(f"{slot} * {_factor(slot)}" for slot in per),
-                *_held_moments(slots, "held", names),
-            ]
-        ),
+        "moment": " + ".join([_sum(slots, "moment", names), *turning, *_held_moments(slots, "held", names)]),
         **{slot: "\n".join(_memory(slots, slot, names, len(integrator.nodes))) for slot, _, _ in HELD.values()},
         "per": "\n".join([*(f"{slot} = {at(slot, _factor(slot))}" for slot in per), *integrator.hinge(per, at)]),
         "rest": _sum(slots, "rest_curvature", names),

@@ -131,8 +131,7 @@ def _run(
     positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further, width)
     shared = len(pose) == 1
     cubic = _cubic(own, rate if shared else rate[index], hand.tick)
-    if shared:
-        cubic = np.repeat(cubic, width, axis=2)  # as wide as the lanes, so that the kernel loads vectors
+    cubic = np.repeat(cubic, width, axis=2) if shared else cubic  # as wide as the lanes, so that it loads vectors
     cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
     out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
     out[:, 0] = positions.reshape(blocks, width, -1, 2).transpose(0, 3, 2, 1)

@@ -258,7 +258,8 @@ class Page:
     def __str__(self) -> str:
         """The page as text; the same record gives the same page. One file that needs nothing else."""
         scripts = [_read(name) for name in SCRIPTS] if self.explored else []
-        allowed = "; script-src " + " ".join(f"'sha256-{_digest(script)}'" for script in scripts) if scripts else ""
+        digests = [base64.b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in scripts]
+        allowed = "; script-src " + " ".join(f"'sha256-{one}'" for one in digests) if scripts else ""
         sheet = _read("theme.css") + (_read("vendor/uPlot.min.css") if scripts else "")
         given = {
             "ahead": Section("What next", [Card("", [Commands(self.following)])]) if self.following else None,
@@ -327,10 +328,6 @@ def _figures(values: np.ndarray) -> list[float | None]:
 @cache
 def _read(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
-
-
-def _digest(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 @cache

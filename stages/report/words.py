@@ -28,6 +28,12 @@ def ms(seconds: float, digits: int = 0) -> str:
     return f"{seconds * 1e3:.{digits}f} ms" if np.isfinite(seconds) else UNKNOWN
 
 
+def mean_with_interval(row: Mapping[str, Any]) -> str:
+    """A mean with its interval, where it has one. row: of `outcomes.response`."""
+    ends = f" ({significant(row['low'])} to {significant(row['high'])})" if np.isfinite(row["low"]) else ""
+    return significant(row["mean"]) + ends
+
+
 def rate(share: float | None) -> str:
     """A matching rate."""
     return f"{share:.3f}" if share is not None and np.isfinite(share) else UNKNOWN

@@ -205,6 +205,7 @@ def animation(record: Record, cast: Cast, part: View) -> dict[str, Any] | None:
         "after": list(cast.after[chosen]),
         "measured": measured,
     }
+    evenly = np.linspace(0, len(chosen) - 1, STILLS)
     return {
         "width": width,
         "height": height,
@@ -215,14 +216,12 @@ def animation(record: Record, cast: Cast, part: View) -> dict[str, Any] | None:
             (ON_FRAMES[kind], _pixels(record, corners(box), part, scale))
             for kind, box in [("target", record.target), *(("wall", box) for box in record.obstacles)]
         ],
-        "stills": [(chosen.index(frame), ms(cast.t[frame])) for frame in _evenly(chosen)],
+        "stills": [
+            (chosen.index(frame), ms(cast.t[frame]))
+            for frame in sorted({chosen[i] for i in evenly.round().astype(int)})
+        ],
         "strings": {name: [_pixels(record, line, part, scale) for line in lines] for name, lines in drawn.items()},
     }
-
-
-def _evenly(chosen: list[int]) -> list[int]:
-    """Frames of the strip below the film."""
-    return sorted({chosen[i] for i in np.linspace(0, len(chosen) - 1, STILLS).round().astype(int)})
 
 
 def choose(cast: Cast, most: int) -> list[int]:

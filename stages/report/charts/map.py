@@ -20,7 +20,7 @@ from stringcast.stages.report.theme import (
     powers,
     vector,
 )
-from stringcast.stages.report.words import significant
+from stringcast.stages.report.words import mean_with_interval, significant
 
 DECADES = 20  # a setting whose levels span more than this ratio has an axis in powers of ten
 Place = Callable[[pd.Series], np.ndarray]
@@ -73,17 +73,8 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
         axes.yaxis.set_minor_locator(NullLocator())
     axes.set_xlabel(factor, fontsize=8)
     axes.set_ylabel(outcome.title, fontsize=8)
-    return vector(figure, _words(means, outcome, factor))
-
-
-def _words(means: pd.DataFrame, outcome: Outcome, factor: str) -> str:
-    """For those who cannot see it."""
-    each = [f"{significant(row['mean'])}{_ends(row)} at {row[factor]}" for _, row in means.iterrows()]
-    return f"{outcome.title} over {factor}: {', '.join(each)}."
-
-
-def _ends(row: pd.Series) -> str:
-    return f" ({significant(row['low'])} to {significant(row['high'])})" if np.isfinite(row["low"]) else ""
+    each = ", ".join(f"{mean_with_interval(row)} at {row[factor]}" for row in means.to_dict("records"))
+    return vector(figure, f"{outcome.title} over {factor}: {each}.")
 
 
 DARKEST = 0.75  # opacity of the largest mean, dark enough to see and light enough to read on

@@ -89,12 +89,8 @@ def screenings(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
     return [
         (plain(context), _bars(record, rows))
         for context, rows in tables
-        if set(_split(context)) < chosen or not context
+        if set(filter(None, context.split(" + "))) < chosen or not context
     ]
-
-
-def _split(context: str) -> list[str]:
-    return [name for name in context.split(" + ") if name]
 
 
 def _bars(record: DiagnosisRecord, rows: pd.DataFrame) -> Picture:

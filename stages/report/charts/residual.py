@@ -201,17 +201,13 @@ def curves(record: DiagnosisRecord, trial: str) -> Chart:
     frames = record.trials[trial].groupby("t")
     t = np.array([at for at, _ in frames])
     lines = [
-        Line(NAMES[model], frames.apply(_mean_square_root, model).to_numpy() * MM, colour)
+        Line(NAMES[model], np.array([np.sqrt(np.mean(away(frame, model) ** 2)) for _, frame in frames]) * MM, colour)
         for model, colour in zip(record.models, ("before", "after"), strict=False)
     ]
     floor = np.sqrt(2) * np.sqrt(frames["sigma"].apply(lambda some: np.mean(some**2))).to_numpy()
     lines.append(Line("noise floor", floor * MM, "soft", dashed=True))
     most = ", ".join(f"{mm(float(np.nanmax(line.values)) / MM, 1)} for the {line.label}" for line in lines[:-1])
     return Chart("Residual", t, lines, "RMS [mm]", f"Residual in trial {trial} over time: at most {most}.")
-
-
-def _mean_square_root(frame: pd.DataFrame, model: str) -> float:
-    return float(np.sqrt(np.mean(away(frame, model) ** 2)))
 
 
 def tip_curves(record: DiagnosisRecord, trial: str, ends: pd.DataFrame) -> Chart:

@@ -270,10 +270,6 @@ def _told(cast: Cast) -> Markup:
     return joined([*said, "" if cast.estimate is None else sentence(cast.estimate.fit["sentence"].iloc[0])])
 
 
-def _key(names: tuple[str, ...]) -> Key:
-    return Key([(COLOURS[name], ON_FRAMES[name]) for name in names])
-
-
 def _closest(record: Record, cast: Cast) -> Part:
     title, drawn = "At the closest approach", overlay(record, cast)
     if drawn is None:
@@ -281,7 +277,7 @@ def _closest(record: Record, cast: Cast) -> Part:
     caption = (
         "The camera frame nearest in time. Dashed: the tip's way 30 ms before and after, ring: its closest approach."
     )
-    return Figure(title, drawn, caption, beside=_key(("before", "after", "measured", "target")))
+    return Figure(title, drawn, caption, beside=Key([(words, ON_FRAMES[name]) for name, words in COLOURS.items()]))
 
 
 def _animated(record: Record, cast: Cast, part: View) -> Card:

@@ -31,7 +31,10 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
     empty. folder: that was listed."""
     newest = runs.sort_values("date", ascending=False, kind="stable")
     kinds = [Tile(str(count), str(kind)) for kind, count in runs["state"].value_counts().items()]
-    sections: list[Part] = [Tiles(kinds), Section("Newest first", [Card("", [_table(newest)])])]
+    sections: list[Part] = [
+        Tiles(kinds),
+        Section("Newest first", [Card("", [Table(COLUMNS, [_row(row) for row in newest.to_dict("records")])])]),
+    ]
     stale = newest[newest["stale"] != ""]
     if len(stale):
         lead = "A step of these would be made otherwise by the code and settings as they are now."
@@ -39,10 +42,6 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
         sections.append(Section("Stale", [Text(lead), Details(f"{len(stale)} of {len(runs)}", [why])]))
     title = f"{len(runs)} run{'s' * (len(runs) != 1)} in {folder}"
     return str(Page(title, "stringcast runs", title, "Each links to its own page.", sections, origin, {}))
-
-
-def _table(runs: pd.DataFrame) -> Table:
-    return Table(COLUMNS, [_row(row) for row in runs.to_dict("records")])
 
 
 def _row(row: Mapping[str, Any]) -> list[Any]:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from itertools import combinations
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 from matplotlib import style
 
@@ -33,7 +32,7 @@ from stringcast.stages.report.page import (
 )
 from stringcast.stages.report.records import SweepRecord
 from stringcast.stages.report.theme import STYLE, Picture
-from stringcast.stages.report.words import UNKNOWN, significant, unit
+from stringcast.stages.report.words import UNKNOWN, mean_with_interval, significant, unit
 
 MAPPED = ("hit", "manipulations", "E_after")
 
@@ -93,18 +92,12 @@ def tiles(record: SweepRecord) -> Tiles:
     done = Tile(f"{len(record.done)} of {len(record.table)}", Markup("jobs done{}{}").format(bad, seconds))
     means = [
         Tile(
-            interval(_overall(record, o)) + (" %" if o.unit == "%" else ""),
+            mean_with_interval(_overall(record, o)) + (" %" if o.unit == "%" else ""),
             f"{o.label}, mean of all jobs that are done",
         )
         for o in _mapped(record)
     ]
     return Tiles([done, *means])
-
-
-def interval(row: Mapping[str, Any]) -> str:
-    """A mean with its interval, where it has one. row: of `response`."""
-    ends = f" ({significant(row['low'])} to {significant(row['high'])})" if np.isfinite(row["low"]) else ""
-    return significant(row["mean"]) + ends
 
 
 def _mapped(record: SweepRecord) -> list[Outcome]:
@@ -187,7 +180,7 @@ def combined(record: SweepRecord) -> Section | None:
     for outcome in outcomes:
         for row in response(record.done, outcome, factors).to_dict("records"):
             place = tuple(row[factor] for factor in factors)
-            means.setdefault(place, {"jobs": row["jobs"]})[outcome.name] = interval(row)
+            means.setdefault(place, {"jobs": row["jobs"]})[outcome.name] = mean_with_interval(row)
     rows = [
         [*place, number(means[place]["jobs"]), *(number(means[place].get(o.name, UNKNOWN)) for o in outcomes)]
         for place in sorted(means, key=lambda place: [str(level) for level in place])
