@@ -185,5 +185,7 @@ def test_curves_follow_the_theme_and_are_on_paper(chromium, pages):
     assert page.ask("getComputedStyle(document.querySelector('.controls')).display") == "none"
     narrow = "[...document.querySelectorAll('canvas, img')].every(e => e.getBoundingClientRect().right <= innerWidth)"
     assert page.ask(narrow)
+    wide = "[...document.querySelectorAll('.plot')].map(e => e.querySelector('canvas').clientWidth / e.clientWidth)"
+    assert page.ask(wide) == pytest.approx([1] * 8, abs=0.02)
     page.call("Emulation.setEmulatedMedia", media="")
     assert page.faults == []
