@@ -45,11 +45,7 @@ def summary(result: Result, config: Mapping[str, Any]) -> Group:
     """How the run ended: what the stage found that it was for, or manipulation by manipulation. config: settings."""
     if result.stage is not None:
         return answer(result, result.stage)
-    table = Table(box=None, pad_edge=False)
-    for heading in ("cast", "tip in the box", "closest [mm]", "E before [1]", "E after [1]", "rms [mm]"):
-        table.add_column(Text(heading), justify="right")
-    for iteration in result.iterations:
-        table.add_row(*_row(iteration))
+    table = _casts(result)
     words = "" if result.estimate is None else str(result.estimate.fit["sentence"].iloc[0])
     colour = "green" if result.hit else "yellow"
     ended, _, more = result.sentence.partition(". ")
@@ -103,6 +99,19 @@ def faults(result: Result) -> list[str]:
     touched = {i.number: i.verdict.touched for i in result.iterations if i.verdict is not None and i.verdict.touched}
     lay = {n: f"the string lay in an obstacle in {frames} frame(s)" for n, frames in touched.items()}
     return [f"Cast {number}: {words}." for fault in (late, lay) for number, words in fault.items()]
+
+
+def _casts(result: Result) -> Table:
+    """A row for each cast or stored trial of which there is anything to say, without columns in which there is not."""
+    headings = ("cast", "tip in the box", "closest [mm]", "E before [1]", "E after [1]", "rms [mm]")
+    rows = [row for row in map(_row, result.iterations) if any(row[1:])]
+    kept = [n for n in range(len(headings)) if n == 0 or any(row[n] for row in rows)]
+    table = Table(box=None, pad_edge=False)
+    for n in kept:
+        table.add_column(Text(headings[n]), justify="right")
+    for row in rows:
+        table.add_row(*(row[n] for n in kept))
+    return table
 
 
 def _row(iteration: Iteration) -> list[str]:

@@ -20,7 +20,9 @@ from stringcast.pipeline.settings import UserError
 
 NAMES = (
     "import",
+    "template",
     "check",
+    "new",
     "board",
     "draw",
     "resume",

@@ -19,6 +19,7 @@ CHECKS: tuple[Check, ...] = (
     clocks.scarce,
     motion.wrapped,
     contents.noise,
+    contents.empty,
     contents.rejected,
     contents.length,
     contents.arm,

@@ -43,6 +43,13 @@ def rows(measured: Measured) -> Iterator[Finding]:
             )
 
 
+def empty(measured: Measured) -> Iterator[Finding]:
+    """Tables without a row."""
+    for file, what in measured.data.rows.items():
+        if not what.read:
+            yield Finding(Severity.ERROR, file, "", "it holds no rows", "Fill it in")
+
+
 def rejected(measured: Measured) -> Iterator[Finding]:
     """Trials that cannot be used."""
     for name, fault in measured.data.unusable.items():

@@ -1,6 +1,7 @@
 """What people type when they mean something else is answered by one line, with the command to paste."""
 
 import re
+import shlex
 
 import pytest
 
@@ -66,7 +67,7 @@ def test_what_nothing_is_like_says_what_there_is():
 @pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
 def test_what_pages_show_is_no_mistake(given):
     if given.partition(" ")[0] not in NAMES and not given.startswith("+sway"):  # a group that the page has made
-        refuse_mistakes([word.strip("'\"") for word in PLACEHOLDER.sub("place", given).split()])
+        refuse_mistakes(shlex.split(PLACEHOLDER.sub("place", given)))
 
 
 @pytest.mark.parametrize(

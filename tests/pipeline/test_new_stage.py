@@ -1,4 +1,5 @@
-"""A stage is one folder and one group of settings: put into a copy of the package, it is found, run, kept and shown."""
+"""A stage is one folder and one group of settings: as `new stage` writes it, put into a copy of the package, it is found,
+run, kept and shown."""
 
 import inspect
 import json
@@ -12,71 +13,12 @@ import pandas as pd
 import pytest
 from hydra.utils import get_object
 
+from stringcast.pipeline.commands import new
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.settings import composed
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
-STAGE = '''"""Sway: how far the tip of each trial goes from where it begins."""
-
-from dataclasses import dataclass
-from typing import ClassVar
-
-import pandas as pd
-
-from stringcast.data.artifacts import TrialSet
-from stringcast.data.schema import Column, Table
-from stringcast.stages.spec import StageSpec, Summary, This
-
-FARTHEST = Table(
-    "farthest", "a row a trial", (Column("trial", "", "its name", "text"), Column("sway", "m", "of its tip, at most"))
-)
-
-
-@dataclass(frozen=True)
-class Sway:
-    farthest: pd.DataFrame
-
-    TABLES: ClassVar[dict[str, Table]] = {"farthest": FARTHEST}
-
-
-def summary(made: Sway) -> Summary:
-    return Summary("sway", f"The tip goes {made.farthest['sway'].max():.3f} m at most.", made.farthest.round(3))
-
-
-STAGE = StageSpec(
-    name="sway",
-    makes=Sway,
-    folder="sway",
-    uses=("sway",),
-    run="stages.sway.sway.run",
-    inputs={"trials": This(TrialSet)},
-    by=("stages.sway.sway.sway",),
-    summary=summary,
-)
-'''
-FUNCTION = '''"""How far a tip goes."""
-
-from typing import Annotated
-
-import numpy as np
-import pandas as pd
-from pydantic import Field
-
-from stringcast.stages.sway import FARTHEST, Sway
-
-
-def run(call, trials):
-    return call.by(trials.observations, progress=call.progress)
-
-
-def sway(observations, *, least: Annotated[float, Field(ge=0)], progress=lambda share: None) -> Sway:
-    tips = {trial.trial: trial.read[trial.read["s"] == trial.read["s"].max()] for trial in observations}
-    far = {name: np.hypot(tip["x"] - tip["x"].iloc[0], tip["y"] - tip["y"].iloc[0]).max() for name, tip in tips.items()}
-    rows = [{"trial": name, "sway": value} for name, value in far.items() if value > least]
-    return Sway(FARTHEST.check(pd.DataFrame(rows)))
-'''
-SETTINGS = "_target_: stages.sway.sway.sway\nleast: 0.0   # [m] that is told of\n"
 ASKED = ("+sway=plain", "mode=batch", "mode.stage=sway", f"trials={ROOT / 'data/sample'}")
 
 
@@ -90,13 +32,10 @@ def package(tmp_path_factory):
         shutil.copytree(
             ROOT / room, site / "stringcast" / room, ignore=shutil.ignore_patterns("results", "__pycache__")
         )
-    for name, text in {
-        "stages/sway/__init__.py": STAGE,
-        "stages/sway/sway.py": FUNCTION,
-        "conf/sway/plain.yaml": SETTINGS,
-    }.items():
-        (site / "stringcast" / name).parent.mkdir(exist_ok=True)
-        (site / "stringcast" / name).write_text(text)
+    for path, text in new.stage("sway")[0].items():
+        place = site / "stringcast" / path.relative_to(ROOT)
+        place.parent.mkdir(exist_ok=True)
+        place.write_text(text)
     return site
 
 

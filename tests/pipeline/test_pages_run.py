@@ -64,6 +64,17 @@ RUN = {
     "pipeline +experiment=estimate trials=outputs/...": Run(leaves=("report.html", "run.json")),
     "pipeline +experiment=estimate estimate=least_squares 'effects=[rest_curvature,maxwell_slip]' "
     "trials=outputs/...": Run(leaves=("report.html", "run.json")),
+    **{
+        f"pipeline +experiment=estimate estimate=least_squares {words} trials=<folder>": Run(
+            leaves=("report.html", "run.json"), of="mine"
+        )
+        for words in (
+            "memory=all",
+            "memory=all 'effects=[rest_curvature,maxwell_slip]'",
+            "'effects=[tip_mass]' +known.tip_mass.ratio=0.05",
+            "'+known.bending_stiffness={value: 20, low: 15, high: 25}'",
+        )
+    },
     "pipeline +experiment=align": Run(leaves=("report.html", "extended.yaml")),
     "pipeline +experiment=align trials=outputs/...": Run(leaves=("report.html", "extended.yaml")),
     "pipeline +experiment=calibrate source=images source.folder=tilted plane.folder=flat": Run(
@@ -93,6 +104,12 @@ RUN = {
     "pipeline +experiment=blind_study study.first=2830": Run(
         "cause found", ("benches.parquet", "rates.parquet", "overview.png"), ("benches.parquet", 2), "study.benches=2"
     ),
+    **{
+        f"pipeline +experiment=blind_study laboratory=nodal {words}": Run(
+            "cause found", ("benches.parquet", "rates.parquet"), ("benches.parquet", 1), "study.benches=1"
+        )
+        for words in ("seed=100 study.benches=10", "study.kind=none study.benches=100")
+    },
     "pipeline +experiment=hit_study": Run(
         "Hit: paper", STUDIED, less=f"{ONE_CASE} ~hits.cases.B ~hits.cases.C ~hits.cases.D ~hits.cases.wall"
     ),
@@ -128,6 +145,7 @@ SHORT = "tests/pipeline/test_readme_commands.py::test_short_commands_do_what_the
 ELSEWHERE = {  # which test runs it, or why none can
     "pipeline import robot_*.csv tracker_*.csv --to mine --length 304mm --links 0.25,0.20,0.135 --base 0.2,0.2": "tests/"
     "importing/test_import.py::test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of",
+    "pipeline new stage sway": "tests/pipeline/test_new_stage.py::test_a_new_stage_is_a_folder_and_a_group_of_settings",
     "pipeline check mine": TEN_MINUTES,
     "pipeline check wrong": TEN_MINUTES,
     "pipeline check data/sample": SHORT,

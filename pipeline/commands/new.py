@@ -1,0 +1,203 @@
+"""Write a small start of an arm, a camera, an effect or a stage of your own, that works as it is."""
+
+from __future__ import annotations
+
+import keyword
+import os
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from stringcast.data.store import write_text
+from stringcast.pipeline.called import called_as
+from stringcast.pipeline.commands import Arguments
+from stringcast.pipeline.settings import CONF, UserError
+from stringcast.pipeline.terminal import Terminal
+
+ROOMS = CONF.parent
+NAME = re.compile(r"[a-z][a-z0-9_]*")
+EFFECT = '''\
+"""Say in a line what is so: here the whole string is pulled to the right."""
+
+from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Values, nothing_at_zero
+
+
+class {Name}(StringEffect):
+    """Say what the law is, where it holds and what it leaves out."""
+
+    name = "{name}"
+    parameters = (  # name, unit, meaning, least, most, and where it begins: there the effect is absent
+        Parameter("strength", "m/s2", "steady pull to the right, over mass", -2.0, 2.0, 0.0),
+    )
+    reference = "Where the law is from"
+    symmetries = (nothing_at_zero("acceleration", "strength"),)  # tests hold it to these; others: symmetry.py
+
+    @staticmethod
+    def words(values: Values) -> str:
+        """What is so, in the diagnosis."""
+        return f"the string is pulled to the right with {{values['strength']:.3f}} m/s2"
+
+    @staticmethod
+    def acceleration(strength: Quantity) -> tuple[Quantity, Quantity]:  # one of the slots in slots.py
+        return strength, 0.0 * strength
+'''
+STAGE = '''\
+"""{Name}: say in a line what it finds out; here how far the tip of each trial goes from where it begins."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pandas as pd
+
+from stringcast.data.artifacts import TrialSet
+from stringcast.data.schema import Column, Table
+from stringcast.stages.spec import StageSpec, Summary, This
+
+FARTHEST = Table(
+    "farthest", "a row a trial", (Column("trial", "", "its name", "text"), Column("sway", "m", "of its tip, at most"))
+)
+
+
+@dataclass(frozen=True)
+class {Name}:
+    """What it makes: a field for each table."""
+
+    farthest: pd.DataFrame
+
+    TABLES: ClassVar[dict[str, Table]] = {{"farthest": FARTHEST}}
+
+
+def summary(made: {Name}) -> Summary:
+    """Title, sentence and table for the terminal."""
+    return Summary("{name}", f"The tip goes {{made.farthest['sway'].max():.3f}} m at most.", made.farthest.round(3))
+
+
+STAGE = StageSpec(
+    name="{name}",  # of its group of settings
+    makes={Name},
+    folder="{name}",  # where it lies in an iteration
+    uses=("{name}",),  # settings that decide what comes out: another value makes it stale
+    run="stages.{name}.{name}.run",  # from the artifacts below to its own
+    inputs={{"trials": This(TrialSet)}},  # Last(Estimate): of an earlier iteration, if any
+    by=("stages.{name}.{name}.{name}",),  # what `_target_` of conf/{name}/*.yaml may name
+    summary=summary,
+)
+'''
+FUNCTION = '''\
+"""How far a tip goes."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from stringcast.data.artifacts import Observation, TrialSet
+from stringcast.stages.common import Progress
+from stringcast.stages.spec import Call
+from stringcast.stages.{name} import FARTHEST, {Name}
+
+
+def run(call: Call, trials: TrialSet) -> {Name}:
+    """The stage, on all trials that it is given."""
+    made: {Name} = call.by(trials.observations, progress=call.progress)
+    return made
+
+
+def {name}(
+    observations: Sequence[Observation],
+    *,
+    least: Annotated[float, Field(ge=0)],
+    progress: Progress = lambda share: None,
+) -> {Name}:
+    """A pure function: artifacts by position, settings by name. least: that is told of [m]."""
+    rows = []
+    for trial in observations:
+        tip = trial.read[trial.read["s"] == trial.read["s"].max()]
+        far = np.hypot(tip["x"] - tip["x"].iloc[0], tip["y"] - tip["y"].iloc[0]).max()
+        rows += [{{"trial": trial.trial, "sway": far}}] if far > least else []
+    return {Name}(FARTHEST.check(pd.DataFrame(rows)))
+'''
+SETTINGS = """\
+# What is to be set of it; each is a keyword of the function.
+_target_: stages.{name}.{name}.{name}
+least: 0.0   # that is told of [m]
+"""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the files; 0."""
+    parser = Arguments("python -m pipeline new", description=__doc__)
+    parser.add_argument("kind", choices=list(KINDS), help="of what")
+    parser.add_argument("name", help="its name: small letters, digits and _")
+    asked = parser.parse_args(arguments)
+    if not NAME.fullmatch(asked.name) or keyword.iskeyword(asked.name):
+        near = re.sub(r"\W+", "_", asked.name.lower()).strip("_0123456789") or "mine"
+        raise UserError(
+            f"{asked.name}: a name is of small letters, digits and _. Try: {called_as()} new {asked.kind} {near}"
+        )
+    files, use = KINDS[asked.kind](asked.name)
+    for path in files:
+        if path.exists():
+            raise UserError(f"{path}: it is there already. Choose another name.")
+    for path, text in files.items():
+        write_text(path, text)
+    console = Terminal()
+    for path in files:
+        console.print(f"Written: {shown(path)}", highlight=False, markup=False, soft_wrap=True)
+    console.print(f"Try it: {called_as()} {use}", highlight=False, markup=False, soft_wrap=True)
+    return 0
+
+
+Files = dict[Path, str]
+
+
+def arm(name: str) -> tuple[Files, str]:
+    """The settings of an arm: those of the paper's, to be changed."""
+    return settings("arm", name, "paper"), f"+experiment=quick arm={name}"
+
+
+def camera(name: str) -> tuple[Files, str]:
+    """Of a camera: those of the paper's bench, to be changed or measured."""
+    return settings("camera", name, "highspeed"), f"+experiment=stringB method=robust camera={name}"
+
+
+def settings(group: str, name: str, like: str) -> Files:
+    """An option of a group of settings, made of another whose comments say what each is."""
+    text = (CONF / group / f"{like}.yaml").read_text(encoding="utf-8")
+    own = [line for line in text.splitlines() if not line.startswith("#")]
+    return {
+        CONF / group / f"{name}.yaml": "\n".join([f"# {name}: a copy of {like}. Change what is different.", *own, ""])
+    }
+
+
+def effect(name: str) -> tuple[Files, str]:
+    """An effect, among those of the library or in the first of the folders that STRINGCAST_EFFECTS names."""
+    elsewhere = [folder for folder in os.environ.get("STRINGCAST_EFFECTS", "").split(os.pathsep) if folder]
+    folder = Path(elsewhere[0]) if elsewhere else ROOMS / "stages" / "model" / "effects"
+    return {folder / f"{name}.py": filled(EFFECT, name)}, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
+
+
+def stage(name: str) -> tuple[Files, str]:
+    """A stage: a folder and a group of settings."""
+    folder = ROOMS / "stages" / name
+    files = {
+        folder / "__init__.py": filled(STAGE, name),
+        folder / f"{name}.py": filled(FUNCTION, name),
+        CONF / name / "plain.yaml": filled(SETTINGS, name),
+    }
+    return files, f"+{name}=plain mode=batch mode.stage={name} trials=data/sample"
+
+
+KINDS: dict[str, Callable[[str], tuple[Files, str]]] = {"arm": arm, "camera": camera, "effect": effect, "stage": stage}
+
+
+def filled(text: str, name: str) -> str:
+    """A template with a name put in, as it is and as a class is called."""
+    return text.format(name=name, Name="".join(part.capitalize() for part in name.split("_")))
+
+
+def shown(path: Path) -> Path:
+    """A path as it is shortest."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
