@@ -14,26 +14,6 @@ FAR = 1e3  # [m] where no tip is
 PIECE = 128  # candidates that are worth a thread: what is done with each of them takes ten microseconds and more
 
 
-def unpacked(lanes: np.ndarray, count: int) -> np.ndarray:
-    """Positions (C, K, n, 2) of the first `count` candidates from the kernel's lanes (blocks, K, 2, n, width)."""
-    result = np.empty((count, lanes.shape[1], lanes.shape[3], 2))
-    side_by_side(lambda first, last: _unpack(lanes, first, last, result), len(lanes), -(-PIECE // lanes.shape[4]))
-    return result
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _unpack(lanes: np.ndarray, first: int, last: int, result: np.ndarray) -> None:
-    """Some of the blocks, tick by tick: the lanes of a tick stay in the first cache. result: (C, K, n, 2), filled in
-    place."""
-    width = lanes.shape[4]
-    for block in range(first, last):
-        for k in range(lanes.shape[1]):
-            for c in range(block * width, min((block + 1) * width, len(result))):
-                for p in range(lanes.shape[3]):
-                    result[c, k, p, 0] = lanes[block, k, 0, p, c - block * width]
-                    result[c, k, p, 1] = lanes[block, k, 1, p, c - block * width]
-
-
 def asked(position: np.ndarray) -> np.ndarray:
     """The last tick that each candidate asks for, (C,), or one for all, (1,): what is simulated longer for others must
     not matter. position: (F,) or (C, F) in ticks."""

@@ -11,7 +11,7 @@ import numpy as np
 from stringcast.stages.model import kernel
 from stringcast.stages.model.equilibrium import hanging, stretched
 from stringcast.stages.model.hand import HandMotion, rested
-from stringcast.stages.model.sampling import asked, between, sampled, stayed, unpacked
+from stringcast.stages.model.sampling import asked, between, sampled, stayed
 from stringcast.stages.model.slots import HELD
 from stringcast.stages.model.stability import averaged, steps_per_tick
 from stringcast.stages.model.state import State
@@ -128,13 +128,12 @@ def _run(
     constants = string.integrator.constants(*chain, hand.tick / steps)
     let_back = 0.0 if initial is None else np.broadcast_to(initial.let_back, count)[index][:, None]
     further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung, let_back)}
-    positions, buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further, width)
+    buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further, width)
     shared = len(pose) == 1
     cubic = _cubic(own, rate if shared else rate[index], hand.tick)
     cubic = np.repeat(cubic, width, axis=2) if shared else cubic  # as wide as the lanes, so that it loads vectors
     cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
-    out = np.empty((blocks, cubic.shape[0] + 1, 2, string.points, width))
-    out[:, 0] = positions.reshape(blocks, width, -1, 2).transpose(0, 3, 2, 1)
+    out = np.empty((count, cubic.shape[0] + 1, string.points, 2))
     alive = np.ones((blocks, width), dtype=bool)
     run = partial(
         kernel.kernel_for(*loop, width),
@@ -142,9 +141,9 @@ def _run(
         **{"points": string.points, "length": string.segment},
     )
     if initial is not None and string.integrator.behind:
-        _set_back(string, run, buffers, cubic, hand.tick / steps, steps, out[:, :2].copy())
+        _set_back(string, run, buffers, cubic, hand.tick / steps, steps, width)
     run(buffers, H=cubic, steps=np.full(blocks, steps), tick=hand.tick, out=out, alive=alive)
-    return unpacked(out, count)
+    return out
 
 
 def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -183,16 +182,16 @@ def _set_back(
     cubic: np.ndarray,
     dt: float,
     steps: int,
-    out: np.ndarray,
+    width: int,
 ) -> None:
     """Velocities to the time at which the integrator keeps them, in place, by a step tried on a copy.
 
     With a the steps by which they are behind the positions, v(-a dt) = v(0) - a (v(dt) - v(0)).
     """
-    blocks, width = len(buffers), out.shape[-1]
+    blocks, nowhere = len(buffers), np.empty((0, 2, string.points, 2))
     first = cubic[:1] * np.repeat((1.0 / steps) ** (np.arange(12) % 4), width)
     after, alive = buffers.copy(), np.ones((blocks, width), dtype=bool)
-    run(after, H=first, steps=np.ones(blocks, dtype=int), tick=dt, out=out, alive=alive)
+    run(after, H=first, steps=np.ones(blocks, dtype=int), tick=dt, out=nowhere, alive=alive)
     kinds = kernel.kinds(string.integrator, string.effects)
     rows = [kinds["VX"], kinds["VY"]]
     now, then = (each.reshape(blocks, -1, len(kinds), width) for each in (buffers, after))
@@ -208,8 +207,8 @@ def _buffers(
     velocity: np.ndarray,
     constants: Mapping[str, np.ndarray],
     width: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The initial state: positions (C, n, 2) [m], and the kernel's rows filled with it.
+) -> np.ndarray:
+    """The kernel's rows, filled with the initial state.
 
     velocity: of the points, (C, n, 2) [m/s]. constants: further rows, of the integrator and of
     hinges with a memory, (C, 1 to n) each. width: candidates side by side.
@@ -217,7 +216,7 @@ def _buffers(
     blocks = len(material) // width
     vectors = lengths[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     positions = np.cumsum(np.concatenate([np.zeros((len(material), 1, 2)), vectors], axis=1), axis=1)
-    positions = positions + (pose[:, None, :2])
+    positions = positions + pose[:, None, :2]
     masses, cells = string.masses(material)
     rows = {
         "X": positions[..., 0],
@@ -236,7 +235,7 @@ def _buffers(
     for name, data in {**rows, **constants}.items():
         lanes = data.reshape(blocks, width, -1).transpose(0, 2, 1)
         buffers[:, : data.shape[1], kinds[name]] = lanes
-    return positions, buffers.reshape(blocks, -1)
+    return buffers.reshape(blocks, -1)
 
 
 def _memory(

@@ -219,12 +219,14 @@ def point(B, P, j, p, fx, fy, s_point, dt, t, stage):
 
 
 @njit(**LAW)
-def record(B, n, now, alive):
-    # Positions at a tick; a lane that is no longer finite is given up. Whether any is left.
-    for i in range(n):
-        for j in range(W):
-            now[0, i, j] = B[X + i * NEXT + j]
-            now[1, i, j] = B[Y + i * NEXT + j]
+def record(B, n, first, k, out, alive):
+    # Positions at tick k of the candidates from the first on, as many as there are; a lane that is no longer finite is
+    # given up. Whether any is left.
+    for j in range(W):
+        if first + j < np.uintp(out.shape[0]):
+            for i in range(n):
+                out[first + j, k, i, 0] = B[X + i * NEXT + j]
+                out[first + j, k, i, 1] = B[Y + i * NEXT + j]
     some = False
     for j in range(W):
         size = abs(B[X + (n - ONE) * NEXT + j]) + abs(B[Y + (n - ONE) * NEXT + j])
@@ -236,14 +238,15 @@ def record(B, n, now, alive):
 @njit(nogil=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
 def run(first, last, buffers, P, H, per_block, points, length, steps, tick, start, out, alive):
     # Blocks first to last - 1. buffers (blocks, size), P (blocks, parameters * W), H (ticks, blocks or 1, 12 * W),
-    # steps (blocks,) in a tick, out (blocks, ticks + 1, 2, n, W), alive (blocks, W).
+    # steps (blocks,) in a tick, out (candidates, ticks + 1, n, 2), alive (blocks, W).
     for b in range(first, last):
         B = buffers[b]
         own = P[b]
         n = np.uintp(points)
         dt = tick / steps[b]
         over = 1.0 / length
-        record(B, n, out[b, 0], alive[b])
+        candidate = np.uintp(b) * W
+        record(B, n, candidate, 0, out, alive[b])
         for c in range(H.shape[0]):
             hand = H[c, b * per_block]
             for q in range(steps[b]):
@@ -282,5 +285,5 @@ def run(first, last, buffers, P, H, per_block, points, length, steps, tick, star
 
             for j in range(W):
                 grasp(B, hand, j, 1.0, tick)
-            if not record(B, n, out[b, c + 1], alive[b]):
+            if not record(B, n, candidate, c + 1, out, alive[b]):
                 break
