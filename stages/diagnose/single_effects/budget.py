@@ -1,0 +1,96 @@
+"""The error budget: what each cause, the numerical error, noise and the unknown are of the misfit at the tip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+
+from stringcast.stages.diagnose.single_effects.search import Found, refitted
+from stringcast.stages.inference.evidence import TIP, Data, Fit, Hypothesis
+from stringcast.stages.inference.forward import Case
+
+DRAWS = 400  # of what is lacking, from which its interval is told
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One source. tip_rms: root mean square at the tip over all trials [m]; log_evidence: what is lost without a cause,
+    NaN of what is none."""
+
+    source: str
+    tip_rms: float
+    log_evidence: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """entries: whose squares add up to the square of the base model's misfit at the tip. base: that [m]. unexplained:
+    value and 95 % interval of what is left [m]. by_cause: the fits with the first causes, none first."""
+
+    entries: tuple[Entry, ...]
+    base: float
+    unexplained: tuple[float, float, float]
+    by_cause: tuple[Fit, ...]
+
+
+def budgeted(found: Found, rng: np.random.Generator) -> Budget:
+    """Causes share in the order in which they entered. What is left of the misfit beside noise and numerical error, as
+    these are known, is unexplained."""
+    data, fits = found.prepared.data, _one_after_another(found)
+    squares = np.minimum.accumulate([_tip_square(data, fit) for fit in fits])
+    noise, numerical = _known(found.prepared.raw, data)
+    left = float(squares[-1])
+    numerical = min(numerical, left)
+    noise = min(noise, left - numerical)
+    names, full = found.fit.hypothesis.names, fits[-1]
+    lost = [full.evidence - refitted(data, full, full.hypothesis.without(c)).evidence for c in full.hypothesis.causes]
+    shares = -np.diff(squares)
+    entries = [Entry(n, float(np.sqrt(s)), e) for n, s, e in zip(names, shares, lost, strict=True)]
+    rest = [("numerical error", numerical), ("noise", noise), ("unexplained", left - numerical - noise)]
+    entries += [Entry(name, float(np.sqrt(max(square, 0.0)))) for name, square in rest]
+    low, high = _unexplained(data, full, rng)
+    value = entries[-1].tip_rms
+    ends = (value, min(low, value), max(high, value))
+    return Budget(tuple(entries), float(np.sqrt(squares[0])), ends, tuple(fits))
+
+
+def _one_after_another(found: Found) -> list[Fit]:
+    """The fits with no cause, with the first, and so on, to the same data."""
+    data, full = found.prepared.data, found.fit
+    hypotheses = [
+        Hypothesis(full.hypothesis.base, full.hypothesis.causes[:k]) for k in range(len(full.hypothesis.causes))
+    ]
+    if not hypotheses:
+        return [full]
+    first = refitted(data, found.prepared.base, hypotheses[0])
+    between = reduce(lambda fits, h: [*fits, refitted(data, full, h)], hypotheses[1:], [first])
+    return [*between, full]
+
+
+def _tip_square(data: Data, fit: Fit) -> float:
+    """Mean square of the residual at the tip, over trials [m2]."""
+    return float(np.mean(data.tip_rms(fit.residuals) ** 2))
+
+
+def _known(raw: Sequence[Case], data: Data) -> tuple[float, float]:
+    """Mean squares at the tip that noise, and what is in doubt of the numerical error, leave [m2]."""
+    noise, doubt = [], []
+    for plain, doubted in zip(raw, data.trials, strict=True):
+        tip = plain.s > plain.s.max() - TIP
+        noise.append(2 * np.mean(plain.sigma[tip] ** 2))
+        doubt.append(2 * np.mean(doubted.sigma[tip] ** 2) - noise[-1])
+    return float(np.mean(noise)), float(np.mean(doubt))
+
+
+def _unexplained(data: Data, fit: Fit, rng: np.random.Generator) -> tuple[float, float]:
+    """95 % interval of what is lacking at the tip, root mean square over trials [m]."""
+    squares = np.zeros(DRAWS)
+    told = data.coefficients([each[None] for each in fit.residuals])
+    for k, each in enumerate(told):
+        drawn = data.discrepancies[k].draws(each[0], int(fit.sizes[k]), DRAWS, rng)
+        squares += np.array([data.only([k]).tip_rms([draw])[0] ** 2 for draw in drawn])
+    low, high = np.quantile(np.sqrt(squares / len(told)), [0.025, 0.975])
+    return float(low), float(high)

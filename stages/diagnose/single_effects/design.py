@@ -1,0 +1,199 @@
+"""The motion that would tell look-alikes apart: of many random ones, that with the largest expected log odds.
+
+Each rival may move its parameters as far as the trials made allow, and may lack as much as it does there. To first
+order in these the log odds of the true one over another, on one more trial, are normal with mean m, variance 2 m:
+
+    m = 1/2 d' (V + J N^(-1) J')^(-1) d,        d what the rivals differ by, J the other's slopes, N what is known of it
+
+All motions are compared by d alone; the most promising with what the rivals could do about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import norm
+
+from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
+from stringcast.stages.diagnose.casts import Design, imagined, possible, standing_for
+from stringcast.stages.diagnose.single_effects.prepared import corrected
+from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.generate import commands_of, control_points_of
+from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.covariance import PRIOR
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
+from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.solver import LOST
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.hand import JointMotion
+from stringcast.stages.model.parameter import values_of
+
+PROMISING = 24  # motions of which it is asked what rivals could do
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """next_experiment: as in diagnosis.json, None where nothing is left to be decided. The motion's tables, and where
+    each rival has the string in it; all empty where no motion would help."""
+
+    next_experiment: Mapping[str, Any] | None
+    commands: pd.DataFrame
+    control_points: pd.DataFrame
+    foretold: pd.DataFrame
+
+
+NOTHING = Proposal(None, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Hypotheses that stand against one another, the likeliest first, by what differs in them. data: the trials made.
+    enough: log odds that decide."""
+
+    fits: Mapping[str, Fit]
+    data: Data
+    enough: float
+
+    def odds(self, trial: Data) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Expected log odds (R, R) of each rival, if it is true, over each other in a further trial; and what each
+        would show at its points as near to the likeliest as it can come, (2 n,) over sigma."""
+        size = int(np.median(next(iter(self.fits.values())).sizes))
+        shown, slopes = {}, {}
+        for name, fit in self.fits.items():
+            offset = np.where(fit.chi > 0.5, -STEP, STEP)
+            many = trial.residuals(fit.hypothesis.model, np.concatenate([fit.chi[None], fit.chi + np.diag(offset)]))[0]
+            if (many == LOST).any():
+                return np.zeros((len(self.fits), len(self.fits))), {}
+            shown[name], slopes[name] = many[0], (many[1:] - many[0]) / offset[:, None]
+        names, one = list(self.fits), np.array([size])
+        odds, near = np.full((len(names), len(names)), np.inf), {names[0]: shown[names[0]]}
+        for a, b in ((a, b) for a in range(len(names)) for b in range(len(names)) if a != b):
+            apart = shown[names[b]] - shown[names[a]]
+            d, j = (trial.white([each], one)[0] for each in (apart[None], slopes[names[b]]))
+            step = -np.linalg.solve(self._known(names[b]) + j @ j.T, j @ d[0])
+            odds[a, b] = 0.5 * float(d[0] @ (d[0] + step @ j))
+            if a == 0:
+                near[names[b]] = shown[names[b]] + step @ slopes[names[b]]
+        return odds, near
+
+    def _known(self, name: str) -> np.ndarray:
+        """What the trials made tell of a rival's parameters, (P, P)."""
+        fit = self.fits[name]
+        white = np.concatenate(self.data.white(fit.slopes, fit.sizes), axis=1)
+        return np.asarray(white @ white.T + PRIOR * np.eye(len(fit.chi)))
+
+
+STEP = 1e-4  # of exponents, for the slopes
+
+
+def designed(rivals: Rivals, obstacles: Sequence[Box], design: Design, rng: np.random.Generator) -> Proposal:
+    """The motion to perform next, and what it will do; nothing where one hypothesis stands alone or the arm is
+    unknown."""
+    if len(rivals.fits) < 2 or not all(isinstance(t.motion, JointMotion) for t in rivals.data.trials):
+        return NOTHING
+    likeliest = next(iter(rivals.fits.values()))
+    curves = possible(likeliest.hypothesis.base, obstacles, design, rng)
+    if not len(curves.duration):
+        return NOTHING
+    like = max(rivals.data.trials, key=lambda trial: len(trial.s))
+    cases = [_imagined(likeliest.hypothesis, curves, i, like, design) for i in range(len(curves.duration))]
+    few = _promising(rivals, cases, obstacles)
+    tried = {i: rivals.odds(corrected([cases[i]], likeliest.hypothesis, likeliest.chi)[0]) for i in few}
+    best = max(few, key=lambda i: _least(tried[i][0]), default=None)
+    if best is None:
+        return NOTHING
+    odds, near = tried[best]
+    text = _document(rivals, odds, len(cases))
+    if _least(odds) < 1:
+        return Proposal(text, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
+    curve = curves.only(np.array([best]))
+    arm = likeliest.hypothesis.model.arm
+    return Proposal(text, commands_of(arm, curve), control_points_of(curve), _foretold(cases[best], near))
+
+
+def _imagined(hypothesis: Hypothesis, curves: Curves, number: int, like: Case, design: Design) -> Case:
+    """The trial that a motion would make, each point as certain as those it stands for."""
+    case = imagined(hypothesis.model, curves.only(np.array([number])), like, design)
+    many = max(standing_for(hypothesis.model, case, like), 1.0)
+    return Case(
+        *(case.name, case.model, case.motion, case.times, case.frame, case.s, case.points), case.sigma / np.sqrt(many)
+    )
+
+
+def _promising(rivals: Rivals, cases: Sequence[Case], obstacles: Sequence[Box]) -> list[int]:
+    """Motions on which the rivals as they were fitted differ most, none of those in which the string touches an
+    obstacle or cannot be simulated."""
+    seen = []
+    for fit in rivals.fits.values():
+        values = values_of(fit.hypothesis.parameters, fit.chi[None])
+        seen.append([points[0] for points in seen_together(fit.hypothesis.model, cases, values)])
+    apart = np.array([_apart([each[i] for each in seen]) for i in range(len(cases))])
+    struck = [any(bool(box.crossed(p[:, :-1], p[:, 1:]).any()) for box in obstacles) for p in seen[0]]
+    allowed = np.flatnonzero(np.isfinite(apart) & ~np.array(struck))
+    return [int(i) for i in allowed[np.argsort(-apart[allowed], kind="stable")][:PROMISING]]
+
+
+def _apart(strings: Sequence[np.ndarray]) -> float:
+    """The least mean square by which two of several strings (F, n, 2) differ over a motion [m2]."""
+    return float(min(np.mean((a - b) ** 2) for a, b in combinations(strings, 2)))
+
+
+def _least(odds: np.ndarray) -> float:
+    """The least expected log odds of a true rival over another. odds: (R, R)."""
+    return float(odds.min())
+
+
+def probability(odds: float, enough: float) -> float:
+    """That log odds of this mean, and twice that variance, exceed what decides."""
+    return float(norm.cdf((odds - enough) / np.sqrt(2 * max(odds, 1e-12))))
+
+
+def _stated(odds: float, enough: float) -> dict[str, float]:
+    numbers = {"probability_to_decide": probability(odds, enough), "expected_log_odds": odds}
+    return {name: round(value, 3) for name, value in (numbers | {"spread": float(np.sqrt(2 * odds))}).items()}
+
+
+def _document(rivals: Rivals, odds: np.ndarray, count: int) -> dict[str, Any]:
+    """next_experiment, but for the place where the motion will be."""
+    made = [_least(rivals.odds(rivals.data.only([k]))[0]) for k in range(len(rivals.data.trials))]
+    again = int(np.argmax(made))
+    old = {"trial": rivals.data.trials[again].name, **_stated(made[again], rivals.enough)}
+    found, names = _stated(_least(odds), rivals.enough), list(rivals.fits)
+    pairs = combinations(range(len(names)), 2)
+    alike = [[names[a], names[b]] for a, b in pairs if min(odds[a, b], odds[b, a]) < 1]
+    text = {"sentence": _sentence(names, alike, found, old, count, rivals.enough), "between": names}
+    return text | found | {"already_performed": old, "inseparable": alike, "motions_compared": count}
+
+
+def _sentence(
+    names: Sequence[str],
+    alike: Sequence[Sequence[str]],
+    found: Mapping[str, float],
+    old: Mapping[str, Any],
+    count: int,
+    enough: float,
+) -> str:
+    pairs = "; ".join(" and ".join(pair) for pair in alike)
+    if alike:
+        return f"No motion tells them apart, of {count} within the arm's limits: {pairs}."
+    return (
+        f"Of {count} motions within the arm's limits, one tells {', '.join(names)} apart with a probability of "
+        f"{found['probability_to_decide']:.2f} (expected log odds {found['expected_log_odds']:.1f}, spread "
+        f"{found['spread']:.1f}; {enough:.1f} decides). Trial {old['trial']} made once more would with "
+        f"{old['probability_to_decide']:.2f}."
+    )
+
+
+def _foretold(case: Case, shown: Mapping[str, np.ndarray]) -> pd.DataFrame:
+    """Table FORETOLD."""
+    frames = []
+    for name, each in shown.items():
+        x, y = (case.points + each.reshape(-1, 2) * case.sigma[:, None]).T
+        table = {"theory": name, "t": case.times[case.frame], "s": case.s, "x": x, "y": y, "sigma": case.sigma}
+        frames.append(pd.DataFrame(table))
+    return FORETOLD.check(pd.concat(frames, ignore_index=True))

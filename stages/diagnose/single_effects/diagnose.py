@@ -1,0 +1,214 @@
+"""The diagnosis: from trials and a model to a verdict with its evidence."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+import yaml
+from pydantic import Field
+from scipy.stats import norm
+
+from stringcast.data.artifacts import FINDING, HELD_OUT, Diagnosis, Observation
+from stringcast.data.schema import DataError
+from stringcast.stages.common import Progress
+from stringcast.stages.diagnose.casts import Design
+from stringcast.stages.diagnose.single_effects import tables
+from stringcast.stages.diagnose.single_effects.budget import budgeted
+from stringcast.stages.diagnose.single_effects.design import Proposal, Rivals, designed
+from stringcast.stages.diagnose.single_effects.document import document, left_over, sentence, settings, without_nan
+from stringcast.stages.diagnose.single_effects.judgement import RESOLUTION, Judgement, judged
+from stringcast.stages.diagnose.single_effects.predictions import better, held_out_table, predicted
+from stringcast.stages.diagnose.single_effects.prepared import Prepared, configured, prepared
+from stringcast.stages.diagnose.single_effects.search import Criteria, Found, searched, unexplained
+from stringcast.stages.diagnose.single_effects.small_effects import Tempered, responses, tempered
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.inference.evidence import Data, Fit, evaluated
+from stringcast.stages.inference.forward import case
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange
+from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.library import library
+from stringcast.stages.model.model import Model
+
+log = logging.getLogger(__name__)
+
+DESIGN = 1  # keeps the chance of the design apart from that of the fits
+ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
+WORSE = "# There is no extended model: the causes do not predict trials left out better. This is the base model.\n"
+
+
+def diagnose(
+    model: Model,
+    observations: Sequence[Observation],
+    rejected: Mapping[str, str],
+    held_out: Sequence[str],
+    obstacles: Sequence[Box],
+    *,
+    seed: int,
+    starts: Annotated[int, Field(ge=2)],
+    criteria: Criteria,
+    matching: Matching,
+    design: Design,
+    progress: Progress = lambda share: None,
+) -> Diagnosis:
+    """What the model gets wrong in these trials, and why.
+
+    rejected: trials that cannot be used, with the reason. held_out: names of trials that are kept for measuring the
+    gain; where there are none, each trial is left out in turn. starts: of the search for the base model's parameters.
+    criteria: what decides. matching: how the matching rate E is counted. design: of the motion that would decide
+    between look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises DataError where no
+    trial can be used.
+    """
+    good, faults = _usable(model, observations)
+    rejected = {**rejected, **faults}
+    if not good:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
+        raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
+    rest = [i for i, o in enumerate(good) if o.trial in held_out]
+    rest = rest if len(rest) < len(good) else []
+    kept = [i for i in range(len(good)) if i not in rest]
+    ready = prepared(model, [good[i] for i in kept], np.random.default_rng(seed), starts, progress)
+    effects = candidates(ready.base.hypothesis.model, ready.data)
+    found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
+    judgement = judged(found, effects, criteria, _coarse(ready, model), seed)
+    if rest and not judgement.causes and _shown(found, [good[i] for i in rest], criteria):
+        log.info("the trials set aside show what the others do not: they are looked at as well")
+        again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
+        return again(model, good, rejected, (), obstacles, progress=progress)
+    if len(kept) == 1 and judgement.verdict == "unknown":
+        judgement = replace(judgement, verdict="insufficient", sentence=ALONE)
+    log.info("verdict: %s", judgement.verdict)
+    given = Given(model, good, rejected, kept, rest, criteria, matching, effects)
+    made = written(given, found, judgement, _proposal(found, judgement, criteria, obstacles, design, seed), seed)
+    progress(1.0)
+    return made
+
+
+@dataclass(frozen=True)
+class Given:
+    """What was given: trials, those rejected with the reason, numbers of those causes are sought in and of the rest."""
+
+    model: Model
+    observations: Sequence[Observation]
+    rejected: Mapping[str, str]
+    kept: Sequence[int]
+    rest: Sequence[int]
+    criteria: Criteria
+    matching: Matching
+    effects: Sequence[type[Effect]]
+
+
+def _usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
+    """The trials that can be made ready, and why the others cannot, by name."""
+    good, faults = [], {}
+    for observation in observations:
+        try:
+            case(model, observation)
+            good.append(observation)
+        except DataError as error:
+            faults[observation.trial] = str(error).removeprefix(f"trial {observation.trial}: ")
+    return good, faults
+
+
+def candidates(base: Model, data: Data) -> list[type[Effect]]:
+    """Effects with parameters that are not in the base model and not told; of those on joints, only where there are
+    joints; of those of a lens, only where it was not measured."""
+    grasp_only = any(isinstance(trial.motion, HandMotion) for trial in data.trials)
+    return [
+        e
+        for e in library().values()
+        if e not in base.effects
+        and not e.told
+        and not issubclass(e, ModelChange)
+        and not (base.camera.lens and issubclass(e, CameraEffect) and e.of_lens)
+        and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())
+    ]
+
+
+def _coarse(ready: Prepared, model: Model) -> float:
+    """Log Bayes factor by which the configured mesh is worse than one that does not matter."""
+    own = None if ready.literal else configured(ready, model)
+    return 0.0 if own is None else ready.base.evidence - own.evidence
+
+
+def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria) -> bool:
+    """Whether trials that were set aside lack more at the tip than is tolerated."""
+    data = found.prepared.others(observations)
+    return bool(unexplained(data, evaluated(data, found.fit.hypothesis, found.fit.chi)).max() > criteria.tolerance)
+
+
+def _proposal(
+    found: Found, judgement: Judgement, criteria: Criteria, obstacles: Sequence[Box], design: Design, seed: int
+) -> Proposal:
+    """The motion that would tell the first group of look-alikes apart."""
+    group = judgement.groups[0] if judgement.groups else ()
+    fits = {name: tables.fit_with(found, judgement, name) for name in group if name != RESOLUTION}
+    odds = float(np.log(criteria.coverage / (1 - criteria.coverage)))
+    return designed(Rivals(fits, found.prepared.data, odds), obstacles, design, np.random.default_rng([seed, DESIGN]))
+
+
+def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal, seed: int) -> Diagnosis:
+    """The artifact."""
+    data, z = found.prepared.data, float(norm.ppf(0.5 + given.criteria.coverage / 2))
+    budget = budgeted(found, np.random.default_rng([seed, len(data.trials)]))
+    base = budget.by_cause[0]
+    end = _tempered(given, found, judgement)
+    named = tables.causes(found, judgement, library(), end, z)
+    gains, predicts = _gained(given, found, base)
+    left = left_over(data, found.fit, base, judgement, budget, given.criteria)
+    text = document(
+        found.prepared, base, judgement, budget, named, gains, given.rejected, left, proposal.next_experiment
+    )
+    said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
+    row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
+    row |= {"extended": _extended(given, found, base, judgement, z, predicts)}
+    return Diagnosis(
+        FINDING.check(pd.DataFrame([row])),
+        named,
+        gains,
+        tables.residuals(data, base, found.fit),
+        tables.theories(found, budget.by_cause, judgement),
+        tables.screening(found),
+        tables.likeness(found),
+        tables.missing(data, found.fit, given.criteria),
+        proposal.commands,
+        proposal.control_points,
+        proposal.foretold,
+    )
+
+
+def _tempered(given: Given, found: Found, judgement: Judgement) -> dict[str, Tempered]:
+    """Of the fit with each cause that is named."""
+    data = found.prepared.data
+    small = responses(data, found.fit, given.effects)
+    fits = {n: tables.fit_with(found, judgement, n) for n in judgement.causes if n != RESOLUTION}
+    return {name: tempered(data, fit, small) for name, fit in fits.items()}
+
+
+def _gained(given: Given, found: Found, base: Fit) -> tuple[pd.DataFrame, bool]:
+    """Table HELD_OUT, and whether the extended model predicts better."""
+    if len(given.observations) == 1:
+        return HELD_OUT.empty(), False
+    seen = [given.observations[i] for i in given.rest or given.kept]
+    data = found.prepared.others(seen) if given.rest else found.prepared.data
+    plain, more = (predicted(data, fit, bool(given.rest)) for fit in (base, found.fit))
+    return held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more)
+
+
+def _extended(given: Given, found: Found, base: Fit, judgement: Judgement, z: float, predicts: bool) -> str:
+    """extended.yaml: the model with its causes if it predicts better, else the base model, which it says."""
+    if not (found.fit.hypothesis.causes and predicts):
+        plain = yaml.safe_dump(settings(given.model, base, {}), sort_keys=False)
+        return WORSE * bool(found.fit.hypothesis.causes) + plain
+    fit, ends = found.fit, {}
+    for cause in fit.hypothesis.causes:
+        for parameter, place in zip(cause.parameters, fit.hypothesis.places(cause, cause.parameters), strict=True):
+            ends[cause.qualified(parameter)] = tables.interval(fit, place, judgement.tempered, z)
+    return yaml.safe_dump(settings(given.model, fit, ends), sort_keys=False)

@@ -1,0 +1,186 @@
+"""The verdict in words, as diagnosis.json (shared format, version 1), and the extended model as settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stringcast.stages.diagnose.single_effects.budget import Budget
+from stringcast.stages.diagnose.single_effects.judgement import Judgement
+from stringcast.stages.diagnose.single_effects.prepared import Prepared
+from stringcast.stages.diagnose.single_effects.search import Criteria, unexplained
+from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+
+FORMAT = 1
+MM = 1e3
+
+
+def document(
+    prepared: Prepared,
+    base: Fit,
+    judgement: Judgement,
+    budget: Budget,
+    causes: pd.DataFrame,
+    held_out: pd.DataFrame,
+    rejected: Mapping[str, str],
+    left: Mapping[str, Any],
+    next_experiment: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    """diagnosis.json."""
+    used, listed = [trial.name for trial in prepared.data.trials], [*judgement.causes]
+    others = sorted(set(judgement.inclusion) - set(listed), key=lambda name: -judgement.inclusion[name])
+    rest = {"none": _none(judgement), "unknown": judgement.unknown}
+    alternatives = [{"effect": name, "probability": judgement.inclusion[name]} for name in others]
+    return {
+        "format": FORMAT,
+        "verdict": judgement.verdict,
+        "causes": [_cause(causes[causes["effect"] == name]) for name in listed],
+        "alternatives": alternatives + [{"effect": n, "probability": p} for n, p in rest.items() if n not in listed],
+        "indistinguishable": [list(group) for group in judgement.groups],
+        "base": {"parameters": base.values},
+        "gain": gain(held_out)
+        | {"causes_chosen_from_them": bool(len(held_out)) and set(held_out["trial"]) <= set(used)},
+        "unexplained": dict(left),
+        "budget": [_entry(entry) for entry in budget.entries],
+        "trials": {
+            "used": used,
+            "rejected": dict(rejected),
+            "points_left_out": {"outliers": prepared.outliers, "at_rest": prepared.resting},
+        },
+        "next_experiment": next_experiment,
+    }
+
+
+def _none(judgement: Judgement) -> float:
+    """Probability that no effect of the library is at work."""
+    return float(np.prod([slot.chances.get("", 0.0) for slot in judgement.slots]))
+
+
+def _entry(entry: Any) -> dict[str, Any]:
+    row = {"source": entry.source, "tip_rms_m": entry.tip_rms}
+    return row | ({"log_evidence": entry.log_evidence} if np.isfinite(entry.log_evidence) else {})
+
+
+def _cause(rows: pd.DataFrame) -> dict[str, Any]:
+    first = rows.iloc[0]
+    parameters = {
+        row.parameter: {"value": row.value, "low": row.low, "high": row.high, "unit": row.unit}
+        for row in rows.itertuples()
+        if row.parameter
+    }
+    found = {"effect": first["effect"], "probability": float(first["probability"]), "parameters": parameters}
+    return found | {"sentence": first["sentence"]}
+
+
+def gain(held_out: pd.DataFrame) -> dict[str, Any]:
+    """Base against extended over all trials left out; NaN for what no trial tells."""
+
+    def sides(column: str, mean: Callable[[pd.Series], float]) -> dict[str, float]:
+        return {side: float(mean(held_out[f"{column}_{side}"])) for side in ("base", "extended")}
+
+    difference = held_out["log_likelihood_difference"]
+    return {
+        "held_out_trials": held_out["trial"].tolist(),
+        "rms_m": {**sides("rms", _rms), "noise_floor": _rms(held_out["noise_floor"])},
+        "tip_rms_m": sides("tip_rms", _rms),
+        "matching_rate": sides("E", pd.Series.mean),
+        "log_likelihood_per_trial": {
+            "difference": float(difference.mean()),
+            "standard_error": float(difference.sem()),
+        },
+    }
+
+
+def _rms(values: pd.Series) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def without_nan(said: Any) -> Any:
+    """The same with None for every number that is not finite, of which JSON knows nothing."""
+    if isinstance(said, Mapping):
+        return {name: without_nan(value) for name, value in said.items()}
+    if isinstance(said, list | tuple):
+        return [without_nan(value) for value in said]
+    return None if isinstance(said, float) and not np.isfinite(said) else said
+
+
+def left_over(
+    data: Data, fit: Fit, base: Fit, judgement: Judgement, budget: Budget, criteria: Criteria
+) -> dict[str, Any]:
+    """What diagnosis.json says of what is left."""
+    value, low, high = budget.unexplained
+    square, before = unexplained(data, fit) ** 2, unexplained(data, base) ** 2
+    fraction = float(np.clip(square.sum() / max(before.sum(), np.finfo(float).tiny), 0, 1))
+    rms = {"value": value, "low": low, "high": high}
+    where = _where(data, fit) if judgement.unknown > 0.5 else ""
+    said = judgement.sentence or (f"What is left is {MM * value:.1f} mm at the tip; {where}." if where else "")
+    found = {"fraction": fraction if judgement.verdict != "none" else 0.0, "tip_rms_m": rms}
+    return found | {"tolerance_m": criteria.tolerance, "where": where, "sentence": said}
+
+
+def _where(data: Data, fit: Fit) -> str:
+    """In which trial, when and where along the string most is left."""
+    sizes = unexplained(data, fit)
+    k = int(np.argmax(sizes))
+    trial = data.trials[k]
+    told = data.discrepancies[k].coefficients(fit.residuals[k][None])[0]
+    off = np.linalg.norm(data.discrepancies[k].mean(told, int(fit.sizes[k])).reshape(-1, 2), axis=1) * trial.sigma
+    worst, share = int(np.argmax(off)), sizes[k] ** 2 / np.sum(sizes**2)
+    return (
+        f"most in trial {trial.name} ({100 * share:.0f} % of it), {MM * off[worst]:.1f} mm at "
+        f"{trial.times[trial.frame[worst]]:.2f} s, {trial.s[worst]:.2f} m along the string"
+    )
+
+
+def sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
+    """The verdict in one or two sentences."""
+    said = causes.drop_duplicates("effect").set_index("effect")["sentence"]
+    stated = {name: f"{said[name]} (probability {judgement.inclusion[name]:.2f})" for name in judgement.causes}
+    alike = set().union(*judgement.groups)
+    sure = [words for name, words in stated.items() if name not in alike]
+    doubtful = [_either([stated[name] for name in group], group) for group in judgement.groups]
+    named = [f"What the simulation lacks: {_and(sure)}."] if sure else []
+    fixed = {
+        "none": ["The simulation agrees with what was measured, within noise and tolerance: there is nothing to name."],
+        "unknown": ["The simulation disagrees with what was measured, and nothing in the library explains it."],
+        "insufficient": ["This data cannot answer."],
+    }  # fmt: skip
+    return " ".join(fixed.get(judgement.verdict, [*named, *doubtful]))
+
+
+def _either(stated: Sequence[str], group: Sequence[str]) -> str:
+    return f"This data cannot tell {_and(list(group))} apart: either {', or '.join(stated)}."
+
+
+def _and(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
+
+
+def settings(model: Model, fit: Fit, intervals: Mapping[str, tuple[float, float]]) -> dict[str, object]:
+    """A fit as settings that other stages take: what is at work, and what is known of it.
+
+    intervals: of what stages that come after must not leave, by qualified name; or of what was measured beforehand.
+    """
+    string, values = fit.hypothesis.model.string, fit.values
+    kind = type(string.integrator)
+    integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")}
+    told: dict[str, object] = {"points": string.points, "tip_cell": string.tip_cell, "grasp_cell": string.grasp_cell}
+    told |= {"largest_step": string.largest_step, "ranges": _wider(model.string, string), "integrator": integrator}
+    known: dict[str, object] = {name: float(f"{value:.8g}") for name, value in values.items()}
+    for name, (low, high) in {**intervals, **model.measured}.items():
+        known[name] = {"value": float(np.clip(values[name], low, high)), "low": low, "high": high}
+    at_work = [e.name for e in model.effects if not e.parameters or "." in e.qualified(e.parameters[0])]
+    effects = sorted({*at_work, *fit.hypothesis.names} - {"gravity"})
+    return {"effects": effects, "string": told, "known": known}
+
+
+def _wider(configured: String, string: String) -> dict[str, dict[str, float]]:
+    """Ranges that the data asked to be wider than they are configured."""
+    known = {p.name: p for p in configured.parameters}
+    wider = {n: p for n, p in string.ranges.items() if (p.low, p.high) != (known[n].low, known[n].high)}
+    return {name: {"low": p.low, "high": p.high} for name, p in wider.items()}

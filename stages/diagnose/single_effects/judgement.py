@@ -1,0 +1,131 @@
+"""What the data say of every effect: probabilities, look-alikes, and whether more is left than is tolerated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from stringcast.stages.diagnose.single_effects.search import (
+    Criteria,
+    Found,
+    Step,
+    compared,
+    refitted,
+    removed,
+)
+from stringcast.stages.diagnose.single_effects.small_effects import Tempered, responses, tempered
+from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.model.effect import Effect
+
+RESOLUTION = "resolution"
+NOTHING = 0.5  # probability, before the data speak, that a simulation lacks nothing of the library
+DRAWS = 400  # of what is lacking, from which it is told how likely more is left than is tolerated
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One effect of the sum. chances: of each candidate, and of none (""), summing to one. fits: of those fitted."""
+
+    chances: Mapping[str, float]
+    fits: Mapping[str, Fit]
+
+    def credible(self, coverage: float) -> tuple[str, ...]:
+        """The fewest candidates that hold so much of the probability, the likeliest first."""
+        ranked = sorted(self.chances, key=lambda name: -self.chances[name])
+        held = np.cumsum([self.chances[name] for name in ranked])
+        return tuple(ranked[: int(np.searchsorted(held, coverage * held[-1])) + 1])
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """verdict: as in diagnosis.json. causes: named, as they entered, and those that cannot be told from them. groups:
+    of effects that cannot be told apart. inclusion: probability that each effect is at work. unknown: probability that
+    more is left at the tip than is tolerated. tempered: of the final fit."""
+
+    verdict: str
+    causes: tuple[str, ...]
+    groups: tuple[tuple[str, ...], ...]
+    inclusion: Mapping[str, float]
+    unknown: float
+    slots: tuple[Slot, ...]
+    tempered: Tempered
+    sentence: str = ""
+
+
+def judged(found: Found, effects: Sequence[type[Effect]], criteria: Criteria, coarse: float, seed: int) -> Judgement:
+    """The verdict on the causes that entered. coarse: log Bayes factor by which the configured mesh is worse than one
+    that does not matter."""
+    data, fit = found.prepared.data, found.fit
+    small = responses(data, fit, effects)
+    end = tempered(data, fit, small)
+    steps = [_beside(found, cause, effects, criteria, seed) for cause in fit.hypothesis.causes]
+    slots = tuple(_slot(data, step, small, len(effects)) for step in steps or found.path[-1:])
+    inclusion = _inclusion(slots)
+    unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
+    nothing = not fit.hypothesis.causes or removed(data, _base(found), fit) < criteria.least_share
+    if fit.lost:
+        said = "a trial cannot be simulated with the parameters that suit the others"
+        return Judgement("insufficient", (), (), inclusion, unknown, slots, end, said)
+    if nothing:
+        verdict = "unknown" if unknown > 0.5 else "none"
+        if verdict == "none" and coarse > criteria.enough:
+            return Judgement("effect", (RESOLUTION,), (), {**inclusion, RESOLUTION: 1.0}, unknown, slots, end)
+        return Judgement(verdict, (), (), inclusion, unknown, slots, end)
+    groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
+    causes = tuple(dict.fromkeys(name for slot in slots for name in _group(slot, criteria)))
+    return Judgement("ambiguous" if groups else "effect", causes, groups, inclusion, unknown, slots, end)
+
+
+def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:
+    """Probability that in some trial more is lacking at the tip than is tolerated, root mean square."""
+    told = data.coefficients([each[None] for each in fit.residuals])
+    worst = np.zeros(DRAWS)
+    for k, (one, each) in enumerate(zip(data.discrepancies, told, strict=True)):
+        drawn = one.draws(each[0], int(fit.sizes[k]), DRAWS, rng)
+        tip = [data.only([k]).tip_rms([draw])[0] for draw in drawn]
+        worst = np.maximum(worst, tip)
+    return float(np.mean(worst > criteria.tolerance))
+
+
+def _base(found: Found) -> Fit:
+    """The base model at its best on the data as they are judged."""
+    fit = found.fit
+    hypothesis = fit.hypothesis
+    for cause in hypothesis.causes:
+        hypothesis = hypothesis.without(cause)
+    return refitted(found.prepared.data, found.prepared.base, hypothesis)
+
+
+def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:
+    """What else could be in the place of a cause, the others staying."""
+    if len(found.fit.hypothesis.causes) == 1 and found.path[0].best is not None:
+        return found.path[0]
+    less = refitted(found.prepared.data, found.fit, found.fit.hypothesis.without(cause))
+    return compared(found.prepared.data, less, effects, criteria, seed)
+
+
+def _slot(data: Data, step: Step, small: np.ndarray, count: int) -> Slot:
+    """Chances of what may be in one place of the sum, with all effects a little wrong. count: of candidates."""
+    fits = {fit.hypothesis.names[-1]: fit for fit in step.tried if not fit.lost}
+    odds = {"": np.log(NOTHING) + step.parent.evidence + tempered(data, step.parent, small).gain}
+    each = np.log((1 - NOTHING) / count)
+    odds |= {name: each + fit.evidence + tempered(data, fit, small).gain for name, fit in fits.items()}
+    total = logsumexp(list(odds.values()))
+    return Slot({name: float(np.exp(value - total)) for name, value in odds.items()}, fits)
+
+
+def _inclusion(slots: Sequence[Slot]) -> dict[str, float]:
+    """Probability that each effect is in one place of the sum or another."""
+    absent: dict[str, float] = {}
+    for slot in slots:
+        for name, chance in slot.chances.items():
+            if name:
+                absent[name] = absent.get(name, 1.0) * (1 - chance)
+    return {name: 1 - share for name, share in absent.items()}
+
+
+def _group(slot: Slot, criteria: Criteria) -> tuple[str, ...]:
+    return tuple(name for name in slot.credible(criteria.coverage) if name)

@@ -1,0 +1,101 @@
+"""Base and extended model on trials left out of the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.artifacts import HELD_OUT, Observation
+from stringcast.stages.estimate.matching import Matching, targets
+from stringcast.stages.inference.discrepancy import marginal
+from stringcast.stages.inference.evidence import TIP, Data, Fit, fitted
+from stringcast.stages.inference.forward import Case
+from stringcast.stages.model.parameter import values_of
+
+FRAMES = 20  # of a trial, from which E is counted
+TURNS, STEPS = 3, 8  # of a fit without one trial, from that with all
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One trial as a fit to others has it. fit: that. residual: over sigma, (2 n,). log_likelihood: of the trial."""
+
+    fit: Fit
+    residual: np.ndarray
+    log_likelihood: float
+
+
+def predicted(data: Data, fit: Fit, unseen: bool = False) -> list[Prediction]:
+    """Each trial of the data by a fit that has not seen it: by this one if all are unseen, or by one to the others."""
+    numbers = range(len(data.trials))
+    if unseen:
+        return [_predicted(data, fit, number) for number in numbers]
+    without = [[k for k in numbers if k != number] for number in numbers]
+    return [_predicted(data, _again(data.only(others), fit), k) for k, others in zip(numbers, without, strict=True)]
+
+
+def _again(data: Data, fit: Fit) -> Fit:
+    """The fit to some of the trials."""
+    sizes = np.full(len(data.trials), int(np.median(fit.sizes)))
+    return fitted(data, fit.hypothesis, fit.chi[None], sizes, TURNS, STEPS)
+
+
+def _predicted(data: Data, fit: Fit, number: int) -> Prediction:
+    own = data.only([number])
+    residuals = own.residuals(fit.hypothesis.model, fit.chi[None])
+    said = marginal(own.log_likelihoods(residuals))[0, 0]
+    return Prediction(fit, residuals[0][0], float(said))
+
+
+def held_out_table(
+    data: Data,
+    base: Sequence[Prediction],
+    extended: Sequence[Prediction],
+    known: Fit,
+    observations: Sequence[Observation],
+    matching: Matching,
+) -> pd.DataFrame:
+    """Table HELD_OUT. known: the extended model fitted to all that causes were chosen from."""
+    rows = []
+    for number, (plain, more) in enumerate(zip(base, extended, strict=True)):
+        trial, rise = data.trials[number], more.log_likelihood - plain.log_likelihood
+        row: dict[str, object] = {"trial": trial.name, "log_likelihood_difference": rise}
+        row["noise_floor"] = float(np.sqrt(2 * np.mean(trial.sigma**2)))
+        for name, one in (("base", plain), ("extended", more)):
+            row |= _rms(trial, one.residual, name)
+            row[f"E_{name}"] = _rate(one.fit, trial, observations[number], matching)
+        own = data.only([number]).residuals(known.hypothesis.model, known.chi[None])
+        rows.append(row | {"rms_known": _rms(trial, own[0][0], "known")["rms_known"]})
+    return HELD_OUT.check(pd.DataFrame(rows)) if rows else HELD_OUT.empty()
+
+
+def better(base: Sequence[Prediction], extended: Sequence[Prediction]) -> bool:
+    """Whether the extended model predicts the trials better, by its distance from them and by its likelihood."""
+    squares = [sum(float(np.sum(p.residual**2)) for p in side) for side in (base, extended)]
+    said = [sum(p.log_likelihood for p in side) for side in (base, extended)]
+    return squares[1] < squares[0] and said[1] > said[0]
+
+
+def _rms(trial: Case, residual: np.ndarray, name: str) -> dict[str, float]:
+    """Root mean squares of a trial's residual over sigma, of all of it and of the tip [m]."""
+    off = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
+    parts = {"rms": off, "tip_rms": off[trial.s > trial.s.max() - TIP]}
+    return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
+
+
+def _rate(fit: Fit, trial: Case, observation: Observation, matching: Matching) -> float:
+    """Matching rate E of a trial, Eq. 5."""
+    goal = targets(fit.hypothesis.model, [thinned(observation)], matching)[0]
+    goal = replace(goal, case=replace(goal.case, initial=trial.initial))
+    return float(np.mean(goal.per_frame(values_of(fit.hypothesis.parameters, fit.chi[None]))[0]))
+
+
+def thinned(observation: Observation) -> Observation:
+    """With some FRAMES frames, which are too far apart to tell how it begins: that is not asked of them."""
+    points = observation.read
+    times = np.unique(points["t"])
+    kept = times[:: max(len(times) // FRAMES, 1)]
+    return replace(observation, points=points[points["t"].isin(kept)], moving=False)

@@ -1,0 +1,269 @@
+"""From trials to data: the base model at its best, noise, outliers, numerical error, and what may be lacking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stringcast.data.artifacts import Observation
+from stringcast.data.dataset import FRAMES_NEEDED
+from stringcast.stages.common import Progress, tracked
+from stringcast.stages.inference import solver
+from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted
+from stringcast.stages.inference.forward import Case, case
+from stringcast.stages.inference.initial_modes import modes
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.search import CONVERGE, refined, screened, searched, with_noise
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import chi_of, values_of
+
+SEGMENTS, STEP = 20, 1e-3  # [s]: 1 mm of error at the tip in a plain cast (conf/string/swift.yaml), which is corrected
+RICHARDSON = 4 / 3  # of what half the segment and step change, at second order: how far the limit is
+DOUBT = 0.25  # of that correction: what a second one changes, of second order again
+GUESS = 1e-3  # [m] of noise before anything is known
+STATED_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
+OUTLYING = 6.0  # noises from smooth motion: one point in 5e8 by chance
+PASSES = 3  # of looking for outliers: one may hide another
+AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that side; in turns
+MESH = 5.0  # of the log evidence: a mesh that much nearer is the model's own (strong, by Jeffreys' scale)
+ROUNDS, MOST = 6, 20  # of a fit that is to stand: it mostly takes three of five
+LEAST_GROWTH = 0.1  # of the largest: early frames are not exact either
+STILL, RESTING = 0.01, 0.2  # of the length: a string at rest stays so near where it ends; [s] of rest that are kept
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a search for causes starts from.
+
+    data: with noise and numerical error. base: the base model at its best. raw: the trials before numerical error was
+    taken off. outliers, resting: points left out. error: numerical error of the tip of each trial [m]. literal: the
+    mesh is a part of the model, and has no error.
+    """
+
+    data: Data
+    base: Fit
+    raw: tuple[Case, ...]
+    outliers: int
+    resting: int
+    error: np.ndarray
+    literal: bool = False
+
+    def at(self, fit: Fit) -> Prepared:
+        """With numerical error and what may be lacking as they are at a fit."""
+        data, error = self.of(self.raw, fit)
+        return replace(self, data=data, error=error)
+
+    def of(self, trials: Sequence[Case], fit: Fit) -> tuple[Data, np.ndarray]:
+        """Data of any trials without the numerical error of a fit, and that error at each tip [m]."""
+        own = [replace(trial, model=fit.hypothesis.model) for trial in trials]
+        if self.literal:
+            return lacking(own, fit.hypothesis, fit.chi), np.zeros(len(own))
+        return corrected(own, fit.hypothesis, fit.chi)
+
+    def others(self, observations: Sequence[Observation]) -> Data:
+        """Data of further trials, with the noise of these."""
+        base, sigma = self.base, float(np.median(np.concatenate([trial.sigma for trial in self.raw])))
+        model = base.hypothesis.model
+        told = [replace(t, sigma=np.full(len(t.s), sigma)) for t in (_awake(case(model, o)) for o in observations)]
+        plain = lacking(told, base.hypothesis, base.chi).residuals(model, base.chi[None])
+        kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(told, plain, strict=True)]
+        return self.of(kept, base)[0]
+
+
+def prepared(
+    model: Model, observations: Sequence[Observation], rng: np.random.Generator, starts: int, progress: Progress
+) -> Prepared:
+    """Data and base model. Raises DataError where a trial cannot be used."""
+    stated = all("sigma" in o.points for o in observations)
+    whole = [case(resolved(model), o) for o in observations]
+    awake = tuple(_awake(t if stated else replace(t, sigma=np.full(len(t.s), GUESS))) for t in whole)
+    likelihood, chi = _base(Likelihood(resolved(model), awake), rng, starts, progress)
+    trials, outliers = _cleaned(likelihood, chi, stated)
+    hypothesis = Hypothesis(likelihood.model)
+    data, error = corrected(trials, hypothesis, chi)
+    sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
+    base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
+    resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in awake)
+    return _with_nearer_mesh(Prepared(data, base, trials, outliers, resting, error), model)
+
+
+def configured(prepared: Prepared, model: Model) -> Fit | None:
+    """The base model with the mesh as it is configured, at its best; None where that is the finer one."""
+    string, fine = model.string, prepared.base.hypothesis.model.string
+    if string.points > fine.points and string.tip_cell == fine.tip_cell:
+        return None
+    own = Hypothesis(replace(model, string=replace(string, ranges=fine.ranges)))
+    trials = tuple(replace(trial, model=own.model) for trial in prepared.raw)
+    data = Data(trials, prepared.data.discrepancies)
+    return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes, ROUNDS, MOST)
+
+
+def _with_nearer_mesh(prepared: Prepared, model: Model) -> Prepared:
+    """With the configured mesh as a part of the model, if the data are nearer to that: they come from a simulation of
+    such a chain."""
+    own = configured(prepared, model)
+    if own is None or own.evidence < prepared.base.evidence + MESH:
+        return prepared
+    literal = replace(prepared, literal=True)
+    data, error = literal.of(literal.raw, own)
+    base = fitted(data, own.hypothesis, own.chi[None], own.sizes, ROUNDS, MOST)
+    raw = tuple(replace(trial, model=own.hypothesis.model) for trial in prepared.raw)
+    return replace(literal, data=data, error=error, base=base, raw=raw)
+
+
+def resolved(model: Model) -> Model:
+    """With half cells at the ends and implicit steps, so that what mass points do is of second order."""
+    string = replace(model.string, points=SEGMENTS + 1, tip_cell=0.5, grasp_cell=0.5)
+    return replace(model, string=replace(string, integrator=ImplicitLeapfrog(), largest_step=STEP))
+
+
+def searched_again(data: Data, fit: Fit, rng: np.random.Generator, starts: int) -> Fit:
+    """The fit, or a better one from other strings: what was the base model's best may be a poor start with a cause."""
+    hypothesis, own = fit.hypothesis, np.zeros(len(fit.chi), dtype=bool)
+    for cause in hypothesis.causes:
+        own[hypothesis.places(cause, cause.parameters)] = True
+    drawn = np.where(own, fit.chi, rng.uniform(size=(8 * starts, len(fit.chi))))
+    likelihood = Likelihood(hypothesis.model, tuple(replace(t, model=hypothesis.model) for t in data.trials))
+    tried = np.concatenate([fit.chi[None], screened(likelihood, drawn, starts - 1)])
+    chi = searched(likelihood, tried, MOST)
+    other = fitted(data, hypothesis, chi[None], fit.sizes, ROUNDS, MOST)
+    return max(fit, other, key=lambda each: each.evidence)
+
+
+def lacking(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> Data:
+    """Data of trials, with what a hypothesis at exponents (P,) may lack in each."""
+    values = values_of(hypothesis.parameters, chi[None])[0]
+    nuisance = modes(trials, values) or [np.zeros((2 * len(t.s), 0)) for t in trials]
+    growth = _growth(trials, hypothesis, chi)
+    return Data(tuple(trials), tuple(Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True)))
+
+
+def corrected(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> tuple[Data, np.ndarray]:
+    """Data without the numerical error of a hypothesis at exponents (P,), and that error at each tip [m].
+
+    The error is what a mesh and a step half as long change, extrapolated (Richardson), and is taken off what was
+    measured (deferred correction: Stetter 1978): simulations stay cheap, and a quarter of it remains in doubt.
+    """
+    own = [replace(trial, model=hypothesis.model) for trial in trials]
+    shifts = _numerical_error(own, hypothesis, chi)
+    told = zip(own, shifts, strict=True)
+    moved = [replace(t, points=t.points - shift, sigma=_doubted(t, shift)) for t, shift in told]
+    data = lacking(moved, hypothesis, chi)
+    return data, data.tip_rms([(shift / t.sigma[:, None]).ravel() for t, shift in zip(moved, shifts, strict=True)])
+
+
+def _base(
+    likelihood: Likelihood, rng: np.random.Generator, starts: int, progress: Progress
+) -> tuple[Likelihood, np.ndarray]:
+    """The likelihood with ranges and initial states that suit the base model, and its best exponents (P,)."""
+    parameters = likelihood.parameters
+    start = chi_of(parameters, np.array([p.start for p in parameters]))
+    tried = np.concatenate([start[None], rng.uniform(size=(8 * starts, len(start)))])
+    chi = searched(likelihood, screened(likelihood, tried, starts), MOST, progress)
+    for _ in range(WIDENINGS):
+        wider = _widened(likelihood, chi)
+        if wider is likelihood:
+            break
+        values = values_of(likelihood.parameters, chi[None])
+        likelihood, start = wider, chi_of(wider.parameters, values)
+        chi = solver.fitted(with_noise(likelihood, start[0]), start, CONVERGE).chi[0]
+    return refined(likelihood, chi)
+
+
+def _widened(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
+    """With wider ranges of the string's own parameters that lie at an end of theirs; itself where none does."""
+    string, model = likelihood.model.string, likelihood.model
+    ranges = dict(string.ranges)
+    for parameter, place in zip(model.parameters, chi, strict=True):
+        if parameter.name in ranges and parameter.low > 0 and parameter.name not in model.measured:
+            low = parameter.low / WIDER if place < AT_END else parameter.low
+            high = parameter.high * WIDER if place > 1 - AT_END else parameter.high
+            ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
+    if ranges == dict(string.ranges):
+        return likelihood
+    wider = replace(model, string=replace(string, ranges=ranges))
+    return replace(likelihood, model=wider, trials=tuple(replace(t, model=wider) for t in likelihood.trials))
+
+
+def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tuple[Case, ...], int]:
+    """Trials with the noise as sigma and without outliers, and how many these were.
+
+    Noise is what residuals have beside smooth motion, of which what the model lacks is a part.
+    """
+    plain = replace(likelihood, scale=1.0, nuisance=(), limit=np.inf)
+    residual, trials, before = plain.residuals(chi[None])[0], [], sum(len(t.s) for t in plain.trials)
+    ends = np.cumsum([2 * len(t.s) for t in plain.trials])[:-1]
+    for trial, off in zip(plain.trials, np.split(residual, ends), strict=True):
+        trials.append(_without_outliers(trial, off.reshape(-1, 2)))
+    noise = float(np.median([level for _, level in trials]))
+    factor = noise if not stated or noise > STATED_WRONG else 1.0
+    kept = tuple(replace(trial, sigma=factor * trial.sigma) for trial, _ in trials)
+    return kept, before - sum(len(t.s) for t in kept)
+
+
+def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, float]:
+    """A trial without the points whose residuals (n, 2) over sigma are far from smooth motion, and the noise of the
+    others over sigma."""
+    noise = float("nan")
+    for _ in range(PASSES):
+        beside, noise = smoothed(trial, residual)
+        near = np.linalg.norm(beside, axis=1) < OUTLYING * noise
+        if near.all() or len(np.unique(trial.frame[near])) < FRAMES_NEEDED:
+            break
+        parts = {name: getattr(trial, name)[near] for name in ("frame", "s", "points", "sigma")}
+        trial, residual = replace(trial, **parts), residual[near]
+    return trial, noise
+
+
+def _numerical_error(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
+    """By how much a string without mesh or step would be elsewhere at the measured points of each trial, (n, 2) [m]."""
+    model = hypothesis.model.divided(2 * (hypothesis.model.string.points - 1))
+    finer = replace(model, string=replace(model.string, largest_step=model.string.largest_step / 2))
+    values = values_of(hypothesis.parameters, chi[None])
+    fine = [replace(trial, model=finer) for trial in trials]
+    pairs = zip(trials, seen_together(hypothesis.model, trials, values), strict=True)
+    here = [trial.at_measured(points)[0] for trial, points in pairs]
+    pairs = zip(fine, seen_together(finer, fine, values), strict=True)
+    there = [trial.at_measured(points)[0] for trial, points in pairs]
+    return [RICHARDSON * np.nan_to_num(b - a) for a, b in zip(here, there, strict=True)]
+
+
+def _doubted(trial: Case, shift: np.ndarray) -> np.ndarray:
+    """Sigma of a coordinate (n,) [m], with what is in doubt of a numerical error (n, 2) [m]."""
+    return np.asarray(np.hypot(trial.sigma, DOUBT * np.linalg.norm(shift, axis=1) / np.sqrt(2)))
+
+
+def _growth(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
+    """How a small change of the model's parameters has grown by each frame, (F,): root mean square over the points and
+    over the parameters, each scaled alike."""
+    offset = np.where(chi > 0.5, -solver.FIRST, solver.FIRST)
+    tried = values_of(hypothesis.parameters, np.concatenate([chi[None], chi + np.diag(offset)]))
+    found = []
+    for trial, seen in zip(trials, seen_together(hypothesis.model, trials, tried), strict=True):
+        here, *beside = np.nan_to_num(trial.at_measured(seen))
+        square = np.sum((np.stack(beside) - here) ** 2, axis=-1)
+        scaled = np.mean(square / np.maximum(square.mean(axis=1, keepdims=True), np.finfo(float).tiny), axis=0)
+        count = np.maximum(np.bincount(trial.frame, minlength=len(trial.times)), 1)
+        by_frame = np.sqrt(np.bincount(trial.frame, scaled, minlength=len(trial.times)) / count)
+        grown = np.maximum.accumulate(by_frame)
+        found.append(np.maximum(grown, LEAST_GROWTH * grown[-1]))
+    return found
+
+
+def _awake(trial: Case) -> Case:
+    """Without its end, in which the string hangs still: what a few frames say, a thousand must not say anew."""
+    away = np.zeros(len(trial.times))
+    late = trial.times[trial.frame] > trial.times[-1] - RESTING
+    for track in tracked(trial.frame, trial.s):
+        if late[track].any():
+            end = np.median(trial.points[track[late[track]]], axis=0)
+            np.maximum.at(away, trial.frame[track], np.linalg.norm(trial.points[track] - end, axis=1))
+    moving = np.flatnonzero(away > STILL * trial.model.string.length)
+    last = trial.times[moving[-1]] if moving.size else trial.times[0]
+    last = max(last + RESTING, trial.times[:FRAMES_NEEDED][-1])
+    return trial.until((last - trial.times[0]) / max(float(np.ptp(trial.times)), np.finfo(float).tiny))

@@ -1,0 +1,199 @@
+"""The search: one single effect after another, each chosen by its evidence beside those already at work.
+
+A sum of single effects (SuSiE) is forward choice done as Bayes: for every effect in the sum all candidates compete,
+none among them, and what cannot be told from the winner stays beside it. An effect enters that has evidence whichever
+trial is left out of it (jackknife), and moves the tip; what entered earlier leaves again if what came later does
+without, and what does not help to predict trials left out.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from stringcast.stages.common import Progress
+from stringcast.stages.diagnose.single_effects.predictions import predicted
+from stringcast.stages.diagnose.single_effects.prepared import MOST, ROUNDS, Prepared, searched_again
+from stringcast.stages.diagnose.single_effects.proposals import Proposal, proposals
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted
+from stringcast.stages.model.effect import Effect, placed
+
+log = logging.getLogger(__name__)
+
+PROMISING = 6  # proposals fitted first; the others, if none of these explains what is left
+TURNS = 4  # between a candidate's parameters and sizes of discrepancies
+STEPS = 8  # of each
+WORTH = 5.0  # of the log-likelihood to first order: less is not fitted first
+TOUCHES = 1e-4  # [m] at the tip: what moves it less in a trial does not act there
+
+Share = Annotated[float, Field(gt=0, lt=1)]
+Length = Annotated[float, Field(gt=0, lt=0.1)]
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """The six numbers that decide. causes: at most. coverage: of credible sets and intervals. alpha: an effect enters
+    with a Bayes factor of more than one over it. tolerance: [m] at the tip that may be left unexplained. least_size:
+    [m] by which a cause must move the tip. least_share: of what is unexplained that the causes must remove."""
+
+    causes: Annotated[int, Field(ge=1, le=8)]
+    coverage: Share
+    alpha: Share
+    tolerance: Length
+    least_size: Length
+    least_share: Share
+
+    @property
+    def enough(self) -> float:
+        """Logarithm of the Bayes factor from which an effect enters."""
+        return float(-np.log(self.alpha))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One choice. parent: the fit beside which it is made. proposals: of all candidates. tried: those fitted, the most
+    evident first. dropped: causes that left afterwards."""
+
+    parent: Fit
+    proposals: Sequence[Proposal]
+    tried: Sequence[Fit]
+    dropped: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> Fit | None:
+        """The most evident."""
+        return self.tried[0] if self.tried else None
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a search ended. prepared: data about the last fit. fit: with all causes. path: what was chosen on the way,
+    the last step being that which chose none."""
+
+    prepared: Prepared
+    fit: Fit
+    path: Sequence[Step] = field(default_factory=tuple)
+
+
+def searched(
+    prepared: Prepared, effects: Sequence[type[Effect]], criteria: Criteria, seed: int, starts: int, progress: Progress
+) -> Found:
+    """The causes that enter, one after another."""
+    found = Found(prepared, prepared.base)
+    for number in range(criteria.causes):
+        step = compared(found.prepared.data, found.fit, effects, criteria, seed)
+        progress((number + 1) / (criteria.causes + 1))
+        found = replace(found, path=(*found.path, step))
+        if step.best is None or not enters(found.prepared.data, step, criteria):
+            break
+        found = _joined(found, step.best, criteria, np.random.default_rng([seed, number]), starts)
+        log.info(
+            "enters: %s, evidence %+.1f", step.best.hypothesis.names[-1], step.best.evidence - step.parent.evidence
+        )
+    return pruned(found)
+
+
+def pruned(found: Found) -> Found:
+    """Without causes that do not help to predict trials left out, the last that entered first.
+
+    The log-likelihood of what was not seen must rise, whichever trial is left aside; of what acts in one trial alone no
+    other trial can tell.
+    """
+    data, fit = found.prepared.data, found.fit
+    if len(data.trials) < 2:
+        return found
+    with_all = predicted(data, fit)
+    for cause in reversed(fit.hypothesis.causes):
+        less = refitted(data, fit, fit.hypothesis.without(cause))
+        without = predicted(data, less)
+        gains = np.array([a.log_likelihood - b.log_likelihood for a, b in zip(with_all, without, strict=True)])
+        once = placed(cause) and int((moved(data, less, fit) > TOUCHES).sum()) == 1
+        if not once and gains.sum() - gains.max() <= 0:
+            log.info("%s leaves: it does not help to predict trials left out", cause.name)
+            fit, with_all = less, without
+    return replace(found, fit=fit)
+
+
+def compared(data: Data, parent: Fit, effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:
+    """Every effect beside those of a fit, the promising ones fitted; all of them where something is to be explained and
+    none of these does."""
+    free = [e for e in effects if e not in parent.hypothesis.causes]
+    ranked = proposals(data, parent, free, seed)
+    first = [p for p in ranked[:PROMISING] if p.gain > WORTH]
+    step = Step(parent, ranked, _fitted(data, parent, first))
+    lacking = unexplained(data, parent).max() > criteria.least_size
+    if lacking and not (step.best and enters(data, step, criteria)):
+        rest = [p for p in ranked if p not in first]
+        step = replace(step, tried=_ranked([*step.tried, *_fitted(data, parent, rest)]))
+    return step
+
+
+def enters(data: Data, step: Step, criteria: Criteria) -> bool:
+    """Whether the best of a step is there beyond doubt: without any one trial, and large enough to matter.
+
+    What touches the string in one trial alone, all the others cannot say: it must explain that one.
+    """
+    best = step.best
+    assert best is not None
+    gain, by_trial = best.evidence - step.parent.evidence, best.by_trial - step.parent.by_trial
+    acts = moved(data, step.parent, best)
+    once = placed(best.hypothesis.causes[-1]) and int((acts > TOUCHES).sum()) == 1
+    enough = removed(data, step.parent, best) if once else gain - by_trial.max()
+    wanted = criteria.least_share if once else criteria.enough
+    return bool(gain > criteria.enough and enough > wanted and acts.max() > criteria.least_size and not best.lost)
+
+
+def unexplained(data: Data, fit: Fit) -> np.ndarray:
+    """Root mean square at the tip of what a fit most likely lacks in each trial [m], (K,)."""
+    told = data.coefficients([each[None] for each in fit.residuals])
+    pairs = zip(data.discrepancies, told, fit.sizes, strict=True)
+    return data.tip_rms([d.mean(each[0], size) for d, each, size in pairs])
+
+
+def removed(data: Data, parent: Fit, fit: Fit) -> float:
+    """Share of what a parent lacks, in mean square at the tip, that a fit does not."""
+    before, after = (np.sum(unexplained(data, each) ** 2) for each in (parent, fit))
+    return float(1 - after / before) if before > 0 else 0.0
+
+
+def moved(data: Data, one: Fit, other: Fit) -> np.ndarray:
+    """Root mean square by which two fits differ at the tip of each trial [m], (K,)."""
+    return data.tip_rms([a - b for a, b in zip(one.residuals, other.residuals, strict=True)])
+
+
+def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generator, starts: int) -> Found:
+    """With one more cause, numerical error as it is there, and without causes that are not needed any more."""
+    prepared = found.prepared.at(best)
+    fit = fitted(prepared.data, best.hypothesis, best.chi[None], best.sizes, ROUNDS, MOST)
+    if unexplained(prepared.data, fit).max() > criteria.least_size:
+        fit = searched_again(prepared.data, fit, rng, starts)
+    dropped: list[str] = []
+    for cause in best.hypothesis.causes[:-1]:
+        less = refitted(prepared.data, fit, fit.hypothesis.without(cause))
+        if less.evidence > fit.evidence - criteria.enough:
+            fit, dropped = less, [*dropped, cause.name]
+    *earlier, last = found.path
+    return Found(prepared, fit, (*earlier, replace(last, dropped=tuple(dropped))))
+
+
+def refitted(data: Data, fit: Fit, hypothesis: Hypothesis) -> Fit:
+    """Another hypothesis at its best, from where a fit is."""
+    return fitted(data, hypothesis, hypothesis.carried(fit.named)[None], fit.sizes, ROUNDS, MOST)
+
+
+def _fitted(data: Data, parent: Fit, some: Sequence[Proposal]) -> list[Fit]:
+    fits = []
+    for proposal in some:
+        fits.append(fitted(data, proposal.hypothesis, proposal.starts, parent.sizes, TURNS, STEPS))
+        gain = fits[-1].evidence - parent.evidence
+        log.info("%s: evidence %+.1f, promised %.1f", proposal.effect.name, gain, proposal.gain)
+    return _ranked(fits)
+
+
+def _ranked(fits: Sequence[Fit]) -> list[Fit]:
+    return sorted(fits, key=lambda fit: -fit.evidence)

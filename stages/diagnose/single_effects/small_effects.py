@@ -1,0 +1,89 @@
+"""Everything may be a little wrong everywhere: what that leaves of evidence and intervals.
+
+A library's other effects are never exactly absent. So beside the causes of a hypothesis every effect, its own
+included, may move the tip by a normal deviation of W0 [m], the same in all trials, which the data tell (SuSiE-inf: Cui
+et al. 2024, Nature Genetics 56, 162: a sparse sum and many small effects). It is linear about a fit,
+so it costs no further one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from stringcast.stages.inference.covariance import PRIOR
+from stringcast.stages.inference.discrepancy import SIZES, log_prior
+from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.inference.solver import LOST
+from stringcast.stages.model.effect import Effect, components, placed
+
+SMALL = SIZES[SIZES < 2e-3]  # [m] of W0: more is not small
+TRIED = 0.01  # of the way from absent to the end of a range: about linear
+
+
+@dataclass(frozen=True)
+class Tempered:
+    """A fit with every effect a little wrong. gain: of its log evidence. centre, deviation: of its exponents (P,)."""
+
+    gain: float
+    centre: np.ndarray
+    deviation: np.ndarray
+
+
+def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarray:
+    """What each effect does when it moves the tip by 1 m, white, (E, N); none of those that depend on place, which do
+    nothing but where they touch."""
+    found = [np.zeros((0, sum(2 * len(d.variance) for d in data.discrepancies)))]
+    for effect in effects:
+        if placed(effect) or effect in fit.hypothesis.causes:
+            continue
+        hypothesis = fit.hypothesis.joined(effect)
+        start = hypothesis.carried(fit.named)
+        size = hypothesis.places(effect, components(effect))
+        end = np.where(start[size] > 0.5, 0.0, 1.0)
+        chi = np.repeat(start[None], len(size), axis=0)
+        chi[range(len(size)), size] += TRIED * (end - start[size])
+        moved = [each - own for each, own in zip(data.residuals(hypothesis.model, chi), fit.residuals, strict=True)]
+        found.append(_scaled(data, fit, moved))
+    for cause in fit.hypothesis.causes:
+        size = fit.hypothesis.places(cause, components(cause))
+        found.append(_scaled(data, fit, [slope[size] for slope in fit.slopes]))
+    return np.concatenate(found)
+
+
+def _scaled(data: Data, fit: Fit, moved: Sequence[np.ndarray]) -> np.ndarray:
+    """Displacements (C, 2 n) of each trial, white, (C, N), as if they moved the tip by 1 m."""
+    white = np.concatenate(data.white(moved, fit.sizes), axis=1)
+    sizes = [np.sqrt(np.mean(data.tip_rms([each[c] for each in moved]) ** 2)) for c in range(len(white))]
+    lost = np.any([np.abs(each).max(axis=1) > LOST / 2 for each in moved], axis=0)
+    return white[~lost & (np.array(sizes) > 0)] / np.array(sizes)[~lost & (np.array(sizes) > 0), None]
+
+
+def tempered(data: Data, fit: Fit, small: np.ndarray) -> Tempered:
+    """A fit with what small effects (E, N), white, leave of it."""
+    slopes = np.concatenate(data.white(fit.slopes, fit.sizes), axis=1)
+    residual = np.concatenate(data.white([r[None] for r in fit.residuals], fit.sizes), axis=1)[0]
+    both, own = np.concatenate([slopes, small]), len(slopes)
+    products, along = both @ both.T, both @ residual
+    said = [_at(products, along, own, size) for size in SMALL]
+    evidence = np.array([each[0] for each in said]) + log_prior()[: len(SMALL)]
+    weight = np.exp(evidence - logsumexp(evidence))
+    shift = np.array([each[1] for each in said])
+    variance = np.array([np.diag(each[2]) for each in said])
+    centre = weight @ shift
+    spread = weight @ (variance + (shift - centre) ** 2)
+    return Tempered(float(logsumexp(evidence) - said[0][0]), fit.chi + centre, np.sqrt(spread))
+
+
+def _at(products: np.ndarray, along: np.ndarray, own: int, size: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """Log evidence, step and covariance of the first `own` parameters, with small effects of a size [m]."""
+    scale = np.concatenate([np.ones(own), np.full(len(along) - own, size)])
+    prior = np.concatenate([np.full(own, PRIOR), np.ones(len(along) - own)])
+    normal = products * np.outer(scale, scale) + np.diag(prior)
+    step = -np.linalg.solve(normal, scale * along)
+    step[:own] = step[:own]
+    gain = -0.5 * float(step @ (scale * along)) - 0.5 * np.linalg.slogdet(normal)[1]
+    return gain, step[:own], np.linalg.inv(normal)[:own, :own]

@@ -1,0 +1,177 @@
+"""The evidence as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
+from stringcast.stages.diagnose.single_effects.judgement import RESOLUTION, Judgement
+from stringcast.stages.diagnose.single_effects.search import Criteria, Found, moved, removed, unexplained
+from stringcast.stages.diagnose.single_effects.small_effects import Tempered
+from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.model.effect import Effect, ModelChange
+
+ALIKE = 8  # effects whose likeness is shown: the most promising
+EVERY = 0.02  # [s] from one arrow of what is missing to the next
+ARROWS = 4  # along the string
+
+
+def joined_names(fit: Fit) -> str:
+    """As it stands in tables."""
+    return " + ".join(sorted(fit.hypothesis.names))
+
+
+def residuals(data: Data, base: Fit, extended: Fit) -> pd.DataFrame:
+    """Table RESIDUALS."""
+    frames = []
+    for trial, plain, more in zip(data.trials, base.residuals, extended.residuals, strict=True):
+        off = trial.sigma[:, None] * plain.reshape(-1, 2)
+        first, then = trial.points + off, trial.points + trial.sigma[:, None] * more.reshape(-1, 2)
+        along = _tangents(trial.frame, trial.s, first)
+        table = {"trial": trial.name, "t": trial.times[trial.frame], "s": trial.s, "sigma": trial.sigma}
+        table |= dict(zip(("x", "y"), trial.points.T, strict=True)) | {"doubt": trial.sigma}
+        table |= dict(zip(("base_x", "base_y", "extended_x", "extended_y"), (*first.T, *then.T), strict=True))
+        table["base_tangential"] = -np.sum(off * along, axis=1)
+        table["base_normal"] = -(off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1])
+        frames.append(pd.DataFrame(table))
+    return RESIDUALS.check(pd.concat(frames, ignore_index=True))
+
+
+def _tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Unit vectors along the string at its points (N, 2), from their neighbours in the same frame."""
+    along = np.zeros_like(points)
+    for number in np.unique(frame):
+        own = np.flatnonzero(frame == number)
+        if len(own) > 1 and np.ptp(s[own]) > 0:
+            along[own] = np.gradient(points[own], s[own] + 1e-12 * np.arange(len(own)), axis=0)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0])
+
+
+def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement) -> pd.DataFrame:
+    """Table THEORIES: all that were fitted, those with most evidence first."""
+    data, base = found.prepared.data, by_cause[0]
+    tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
+    tried |= {joined_names(fit): fit for slot in judgement.slots for fit in slot.fits.values()}
+    tried |= {joined_names(fit): fit for fit in by_cause}
+    chance = {
+        joined_names(slot.fits[n]): c for slot in judgement.slots for n, c in slot.chances.items() if n in slot.fits
+    }
+    rows = [
+        {
+            "causes": name,
+            "parameters": len(fit.chi),
+            "mean_square": float(np.mean(np.concatenate(fit.residuals) ** 2)),
+            "fit_gain": fit.evidence - base.evidence,
+            "held_out_gain": _jackknife(fit, base),
+            "by_chance": float("nan"),
+            "moved": float(moved(data, base, fit).max()),
+            "unexplained": 1 - removed(data, base, fit),
+            "probability": chance.get(name, 0.0),
+        }
+        for name, fit in tried.items()
+    ]
+    return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
+
+
+def _jackknife(fit: Fit, base: Fit) -> float:
+    """What is left of the evidence over the base model without the trial that says most."""
+    if fit is base or len(fit.by_trial) != len(base.by_trial):
+        return float("nan")
+    return float(fit.evidence - base.evidence - (fit.by_trial - base.by_trial).max())
+
+
+def screening(found: Found) -> pd.DataFrame:
+    """Table SCREENING."""
+    rows = [
+        {"context": joined_names(step.parent), "effect": p.effect.name, "predicted_gain": p.gain}
+        for step in found.path
+        for p in step.proposals
+    ]
+    return SCREENING.check(pd.DataFrame(rows)) if rows else SCREENING.empty()
+
+
+def likeness(found: Found) -> pd.DataFrame:
+    """Table LIKENESS: of the most promising effects of the first choice."""
+    best = found.path[0].proposals[:ALIKE] if found.path else []
+    rows = [
+        {"effect": a.effect.name, "other": b.effect.name, "cosine": _cosine(a.direction, b.direction)}
+        for b, a in combinations(best, 2)
+    ]
+    return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
+
+
+def _cosine(a: np.ndarray, b: np.ndarray) -> float:
+    return abs(float(a @ b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), np.finfo(float).tiny)
+
+
+def causes(
+    found: Found, judgement: Judgement, library: Mapping[str, type[Effect]], tempered: Mapping[str, Tempered], z: float
+) -> pd.DataFrame:
+    """Table CAUSES: those named, each as fitted among the others or in place of its look-alike. tempered: of the fit
+    with each. z: half width of the intervals in deviations."""
+    rows: list[dict[str, object]] = []
+    for name in judgement.causes:
+        effect, common = library[name], {"effect": name, "probability": judgement.inclusion.get(name, 0.0)}
+        if issubclass(effect, ModelChange):
+            nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
+            rows.append(common | {"sentence": effect.words({}), "parameter": "", "at_least": False, **nothing})
+            continue
+        fit = fit_with(found, judgement, name)
+        common["sentence"] = effect.words(fit.of(effect))
+        rows += [common | row for row in _parameters(fit, effect, tempered[name], z)]
+    return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
+
+
+def fit_with(found: Found, judgement: Judgement, name: str) -> Fit:
+    """The fit in which a cause that is named stands."""
+    if name in found.fit.hypothesis.names:
+        return found.fit
+    fits = [slot.fits[name] for slot in judgement.slots if name in slot.fits]
+    return max(fits, key=lambda fit: fit.evidence)
+
+
+def _parameters(fit: Fit, effect: type[Effect], tempered: Tempered, z: float) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = []
+    for parameter, place in zip(effect.parameters, fit.hypothesis.places(effect, effect.parameters), strict=True):
+        low, high = interval(fit, place, tempered, z)
+        high = parameter.high if parameter.at_least else high
+        row: dict[str, object] = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning}
+        value = float(parameter.value(fit.chi[place]))
+        rows.append(
+            row | {"unit": parameter.unit, "value": value, "low": low, "high": high, "at_least": parameter.at_least}
+        )
+    return rows
+
+
+def interval(fit: Fit, place: int, tempered: Tempered, z: float) -> tuple[float, float]:
+    """Ends of a parameter's interval, which holds its value."""
+    chi, parameter = fit.chi[place], fit.hypothesis.parameters[place]
+    ends = tempered.centre[place] + z * np.array([-1.0, 1.0]) * tempered.deviation[place]
+    low, high = parameter.value(np.clip([min(ends[0], chi), max(ends[1], chi)], 0.0, 1.0))
+    return float(low), float(high)
+
+
+def missing(data: Data, fit: Fit, criteria: Criteria) -> pd.DataFrame:
+    """Table MISSING: how the string is displaced beyond what the fit says, where that is more than is tolerated."""
+    told, frames = data.coefficients([each[None] for each in fit.residuals]), []
+    if unexplained(data, fit).max() < criteria.tolerance:
+        return MISSING.empty()
+    for k, (trial, each) in enumerate(zip(data.trials, told, strict=True)):
+        mean = data.discrepancies[k].mean(each[0], int(fit.sizes[k])).reshape(-1, 2) * trial.sigma[:, None]
+        x, y = -mean.T
+        table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, "x": x, "y": y})
+        place = np.ceil(trial.s / trial.s.max() * ARROWS).clip(1, ARROWS)
+        moment = np.floor((table["t"] - trial.times[0]) / EVERY)
+        mean_of_each = table.groupby([moment, place]).mean().reset_index(drop=True)
+        frames.append(mean_of_each.assign(kind="displacement of the string", trial=trial.name))
+    return MISSING.check(pd.concat(frames, ignore_index=True)[[c.name for c in MISSING.columns]])
+
+
+def named(judgement: Judgement) -> bool:
+    """Whether too few mass points are all that is wrong."""
+    return judgement.causes == (RESOLUTION,)

@@ -1,0 +1,247 @@
+"""Model hypotheses fitted to trials, and the evidence for each (Laplace's approximation: MacKay 2003, chapter 27).
+
+    ln p(y | h) = sum_k ln p(y_k | theta, h) + ln p(theta | h) + P/2 ln 2 pi - 1/2 ln |H|
+
+y_k are the coefficients of trial k, with the size of its discrepancy integrated out (`discrepancy`); H the curvature at
+the best theta. Before the data speak every exponent in its range is equally likely, but for the size of a cause: of
+that it is how far it moves the tip [m], half-normal of several widths. So a cause of whatever unit pays the same for
+being there, and one that moves nothing is no worse than none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from stringcast.stages.inference import solver
+from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.covariance import PRIOR
+from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, marginal
+from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.solver import LOST
+from stringcast.stages.model.effect import Effect, components
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter, values_of
+
+CHUNK = 128  # candidates simulated at once
+WIDTHS = np.array([1e-3, 3e-3, 1e-2, 3e-2])  # [m] by which a cause may well move the tip, each as likely
+FEW = 4  # iterations of several starts, before the best alone goes on
+TIP = 1e-3  # [m] points so near to the outermost are the tip
+ABSENT = 1e-9  # of a range: nearer than that is not there
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A base model with causes beside its own effects."""
+
+    base: Model
+    causes: tuple[type[Effect], ...] = ()
+
+    @cached_property
+    def model(self) -> Model:
+        """With the causes at work."""
+        return self.base.with_effects(*self.causes)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """(P,) of the model, all of which are fitted."""
+        return self.model.parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the causes."""
+        return tuple(cause.name for cause in self.causes)
+
+    def joined(self, cause: type[Effect]) -> Hypothesis:
+        """With one more cause."""
+        return replace(self, causes=(*self.causes, cause))
+
+    def without(self, cause: type[Effect]) -> Hypothesis:
+        """With one less."""
+        return replace(self, causes=tuple(other for other in self.causes if other is not cause))
+
+    def places(self, cause: type[Effect], parameters: Sequence[Parameter]) -> list[int]:
+        """Of some parameters of a cause among all."""
+        return [self.model.names.index(cause.qualified(p)) for p in parameters]
+
+    def carried(self, known: Mapping[str, float]) -> np.ndarray:
+        """(P,) exponents known by name; those of others at their start, where a cause is absent."""
+        return np.array([known.get(p.name, float(p.chi(np.asarray(p.start)))) for p in self.parameters])
+
+
+@dataclass(frozen=True)
+class Data:
+    """Trials that hypotheses are to explain together, and what each may lack."""
+
+    trials: tuple[Case, ...]
+    discrepancies: tuple[Discrepancy, ...]
+
+    def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
+        """Simulated less measured over sigma of each trial, (C, 2 n), for exponents (C, P); LOST where a run was
+        rejected."""
+        values, parts = values_of(model.parameters, chi), []
+        for first in range(0, len(values), CHUNK):
+            seen = seen_together(model, self.trials, values[first : first + CHUNK])
+            pairs = zip(self.trials, seen, strict=True)
+            parts.append([((t.at_measured(p) - t.points) / t.sigma[:, None]).reshape(len(p), -1) for t, p in pairs])
+        return [np.nan_to_num(np.concatenate(some), nan=LOST) for some in zip(*parts, strict=True)]
+
+    def coefficients(self, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """(C, 2 M) of each trial's residuals (C, 2 n)."""
+        return [d.coefficients(each) for d, each in zip(self.discrepancies, residuals, strict=True)]
+
+    def log_likelihoods(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
+        """Of residuals (C, 2 n) of each trial, at all sizes of its discrepancy, (K, C, S)."""
+        told = zip(self.discrepancies, self.coefficients(residuals), strict=True)
+        return np.stack([d.log_likelihoods(each) for d, each in told])
+
+    def white(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
+        """Coefficients (C, 2 M) of each trial, white if its discrepancy has its number of SIZES. sizes: (K,)."""
+        told = zip(self.discrepancies, self.coefficients(residuals), sizes, strict=True)
+        return [d.white(each, size) for d, each, size in told]
+
+    def only(self, chosen: Sequence[int]) -> Data:
+        """Some of the trials."""
+        return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen))
+
+    def tip_rms(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
+        """Root mean square over each trial of displacements (2 n,) over sigma, at the outermost place [m], (K,)."""
+        found = []
+        for trial, each in zip(self.trials, displacements, strict=True):
+            tip = trial.s > trial.s.max() - TIP
+            off = each.reshape(-1, 2)[tip] * trial.sigma[tip, None]
+            found.append(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+        return np.array(found)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A hypothesis as the solver's problem. sizes: (K,) of the discrepancies."""
+
+    data: Data
+    hypothesis: Hypothesis
+    sizes: np.ndarray
+    limit: float = np.inf
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """As of `solver.Problem`."""
+        return self.hypothesis.parameters
+
+    def residuals(self, chi: np.ndarray) -> np.ndarray:
+        """As of `solver.Problem`."""
+        raw = self.data.residuals(self.hypothesis.model, chi)
+        white = self.data.white(raw, self.sizes)
+        lost = [(each == LOST).any(axis=1) for each in raw]
+        return np.concatenate([np.where(gone[:, None], LOST, w) for gone, w in zip(lost, white, strict=True)], axis=1)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis at its best. chi: (P,). residuals: over sigma, of each trial (2 n,); slopes: of them with chi,
+    (P, 2 n). sizes: (K,) likeliest number of SIZES of each discrepancy. by_trial: (K,) log-likelihood of each trial,
+    whatever that is. evidence: ln p(y | h)."""
+
+    hypothesis: Hypothesis
+    chi: np.ndarray
+    residuals: tuple[np.ndarray, ...]
+    slopes: tuple[np.ndarray, ...]
+    sizes: np.ndarray
+    by_trial: np.ndarray
+    evidence: float
+
+    @property
+    def named(self) -> dict[str, float]:
+        """Exponents by name."""
+        return {p.name: float(chi) for p, chi in zip(self.hypothesis.parameters, self.chi, strict=True)}
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return {p.name: float(p.value(chi)) for p, chi in zip(self.hypothesis.parameters, self.chi, strict=True)}
+
+    def of(self, cause: type[Effect]) -> dict[str, float]:
+        """A cause's parameters by their own names."""
+        return {p.name: self.values[cause.qualified(p)] for p in cause.parameters}
+
+    @property
+    def lost(self) -> bool:
+        """Whether a trial could not be simulated."""
+        return any((each == LOST).any() for each in self.residuals)
+
+
+def fitted(data: Data, hypothesis: Hypothesis, starts: np.ndarray, sizes: np.ndarray, rounds: int, most: int) -> Fit:
+    """A hypothesis at its best from these starts (C, P), in turns with the sizes of the discrepancies, from (K,) on.
+
+    rounds: turns at most. most: iterations of each.
+    """
+    first = solver.fitted(Problem(data, hypothesis, sizes), starts, FEW)
+    told = data.log_likelihoods(data.residuals(hypothesis.model, first.chi))
+    best = int(np.argmax(marginal(told).sum(axis=0)))
+    chi, sizes = first.chi[best], likeliest(told[:, best])
+    for _ in range(rounds - 1):
+        chi = solver.fitted(Problem(data, hypothesis, sizes), chi[None], most).chi[0]
+        new = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None]))[:, 0])
+        if (new == sizes).all():
+            break
+        sizes = new
+    return evaluated(data, hypothesis, chi)
+
+
+def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
+    """What a hypothesis says of the data where it is, exponents (P,)."""
+    raw = [each[0] for each in data.residuals(hypothesis.model, chi[None])]
+    told = data.log_likelihoods([each[None] for each in raw])[:, 0]
+    sizes, by_trial = likeliest(told), marginal(told)
+    slopes = _slopes(data, hypothesis, chi, raw, sizes)
+    white = np.concatenate(data.white(slopes, sizes), axis=1)
+    prior, bounded = _prior(data, hypothesis, chi, raw, slopes)
+    normal = white @ white.T + np.diag(bounded)
+    occam = 0.5 * (len(chi) * np.log(2 * np.pi) - np.linalg.slogdet(normal)[1])
+    evidence = float(by_trial.sum() + prior + occam)
+    return Fit(hypothesis, chi, tuple(raw), tuple(slopes), sizes, by_trial, evidence)
+
+
+def _slopes(
+    data: Data, hypothesis: Hypothesis, chi: np.ndarray, raw: Sequence[np.ndarray], sizes: np.ndarray
+) -> list[np.ndarray]:
+    """Slopes (P, 2 n) of each trial's residuals (2 n,): forward differences as wide as the solver's."""
+    width = np.full(len(chi), solver.FIRST)
+    for _ in range(2):  # the first differences say how wide the second should be
+        offset = np.where(chi > 0.5, -width, width)
+        beside = data.residuals(hypothesis.model, chi + np.diag(offset))
+        pairs = list(zip(beside, raw, strict=True))
+        slopes = [np.where((b == LOST) | (r == LOST), 0.0, b - r) / offset[:, None] for b, r in pairs]
+        width = solver.suited(np.concatenate(data.white(slopes, sizes), axis=1)[None], np.ones(1))[0]
+    return slopes
+
+
+def _prior(
+    data: Data, hypothesis: Hypothesis, chi: np.ndarray, raw: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
+) -> tuple[float, np.ndarray]:
+    """Log density of the causes' sizes at exponents (P,), and the curvature (P,) that stands for the ranges of all
+    other parameters."""
+    total, bounded = 0.0, np.full(len(chi), PRIOR)
+    for cause in hypothesis.causes:
+        for place, size in zip(hypothesis.places(cause, components(cause)), components(cause), strict=True):
+            bounded[place] = ABSENT
+            absent = chi.copy()
+            absent[place] = float(size.chi(np.asarray(size.start)))
+            away = abs(float(chi[place] - absent[place]))
+            moved = [slope[place] for slope in slopes]
+            if away > ABSENT:
+                moved = [r - o[0] for r, o in zip(raw, data.residuals(hypothesis.model, absent[None]), strict=True)]
+            moves = float(np.sqrt(np.mean(data.tip_rms(moved) ** 2)))
+            rise = moves / away if away > ABSENT else moves
+            two_sided = size.low < size.start < size.high
+            total += _log_density(moves if away > ABSENT else 0.0, rise, two_sided)
+    return total, bounded
+
+
+def _log_density(moves: float, rise: float, two_sided: bool) -> float:
+    """Of an exponent at which a cause moves the tip so far [m], and by `rise` more per exponent."""
+    density = np.mean(np.sqrt(2 / np.pi) / WIDTHS * np.exp(-0.5 * (moves / WIDTHS) ** 2))
+    return float(np.log(max(density * rise * (0.5 if two_sided else 1.0), np.finfo(float).tiny)))
