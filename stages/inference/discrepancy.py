@@ -33,6 +33,7 @@ KNOTS = 0.015  # [s] from spline to spline: motion up to 30 Hz
 MOST = 64  # splines at most: longer trials are told more coarsely
 SIZES = np.concatenate([[0.0], np.geomspace(5e-5, 0.1, 18)])  # [m] of s: each 1.57 times the last
 TYPICAL = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
+APART = 3  # frames from spline to spline, at least, where noise is told
 FREE = 0.2  # of all points: with fewer beside what splines tell, they do not tell the noise
 RANK = 1e-8  # of the largest eigenvalue: less is no direction of its own
 
@@ -111,7 +112,8 @@ class Discrepancy:
 def smoothed(trial: Case, residual: np.ndarray) -> tuple[np.ndarray, float]:
     """What residuals (n, 2) over sigma have beside smooth motion, and the noise over sigma that it tells, robustly; all
     of them where there are too few to tell."""
-    splines = _splines(trial)
+    frame = float(np.median(np.diff(trial.times))) if len(trial.times) > 1 else 0.0
+    splines = _splines(trial, max(KNOTS, APART * frame))
     gram = (splines.T @ splines).toarray()
     free = 1 - np.linalg.matrix_rank(gram) / len(residual)
     if free < FREE:
@@ -141,9 +143,10 @@ def _nodes(trial: Case, every: float) -> np.ndarray:
     return np.linspace(trial.times[0], trial.times[-1], min(int(np.ceil(span / every)) + 1, MOST))
 
 
-def _splines(trial: Case) -> csr_array:
-    """Products of cubic B-splines in time with smooth functions of place, at the measured points, (n, M)."""
-    nodes = _nodes(trial, KNOTS)
+def _splines(trial: Case, every: float = KNOTS) -> csr_array:
+    """Products of cubic B-splines in time, one every so many seconds, with smooth functions of place, at the measured
+    points, (n, M)."""
+    nodes = _nodes(trial, every)
     knots = np.concatenate([[nodes[0]] * 3, nodes, [nodes[-1]] * 3])
     time = BSpline.design_matrix(trial.times[trial.frame], knots, 3)
     along = _along(trial)

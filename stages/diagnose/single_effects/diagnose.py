@@ -40,6 +40,7 @@ from stringcast.stages.model.model import Model
 log = logging.getLogger(__name__)
 
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
+CHAOTIC = "it is so sensitive that no simulation tells it to the tolerance; it was set aside"
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
 WORSE = "# There is no extended model: the causes do not predict trials left out better. This is the base model.\n"
 
@@ -74,7 +75,9 @@ def diagnose(
     rest = [i for i, o in enumerate(good) if o.trial in held_out]
     rest = rest if len(rest) < len(good) else []
     kept = [i for i in range(len(good)) if i not in rest]
-    ready = prepared(model, [good[i] for i in kept], np.random.default_rng(seed), starts, progress)
+    ready = prepared(model, [good[i] for i in kept], criteria.tolerance, np.random.default_rng(seed), starts, progress)
+    rejected = {**rejected, **dict.fromkeys(ready.chaotic, CHAOTIC)}
+    kept = [i for i in kept if good[i].trial not in ready.chaotic]
     effects = candidates(ready.base.hypothesis.model, ready.data)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
     judgement = judged(found, effects, criteria, _coarse(ready, model), seed)

@@ -13,6 +13,7 @@ from stringcast.stages.diagnose.single_effects.search import (
     Found,
     Step,
     compared,
+    moved,
     refitted,
     removed,
 )
@@ -62,7 +63,7 @@ def judged(found: Found, effects: Sequence[type[Effect]], criteria: Criteria, co
     small = responses(data, fit, effects)
     end = tempered(data, fit, small)
     steps = [_beside(found, cause, effects, criteria, seed) for cause in fit.hypothesis.causes]
-    slots = tuple(_slot(data, step, small, len(effects)) for step in steps or found.path[-1:])
+    slots = tuple(_slot(data, step, small, len(effects), criteria.least_size) for step in steps or found.path[-1:])
     inclusion = _inclusion(slots)
     unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
     nothing = not fit.hypothesis.causes or removed(data, _base(found), fit) < criteria.least_share
@@ -107,14 +108,19 @@ def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], 
     return compared(found.prepared.data, less, effects, criteria, seed)
 
 
-def _slot(data: Data, step: Step, small: np.ndarray, count: int) -> Slot:
-    """Chances of what may be in one place of the sum, with all effects a little wrong. count: of candidates."""
+def _slot(data: Data, step: Step, small: np.ndarray, count: int, least_size: float) -> Slot:
+    """Chances of what may be in one place of the sum, with all effects a little wrong. count: of candidates.
+    least_size: [m] at the tip, below which an effect counts as none."""
     fits = {fit.hypothesis.names[-1]: fit for fit in step.tried if not fit.lost}
     odds = {"": np.log(NOTHING) + step.parent.evidence + tempered(data, step.parent, small).gain}
     each = np.log((1 - NOTHING) / count)
     odds |= {name: each + fit.evidence + tempered(data, fit, small).gain for name, fit in fits.items()}
     total = logsumexp(list(odds.values()))
-    return Slot({name: float(np.exp(value - total)) for name, value in odds.items()}, fits)
+    chances = {name: float(np.exp(value - total)) for name, value in odds.items()}
+    for name, fit in fits.items():
+        if moved(data, step.parent, fit).max() < least_size:
+            chances[""] += chances.pop(name)
+    return Slot(chances, fits)
 
 
 def _inclusion(slots: Sequence[Slot]) -> dict[str, float]:

@@ -30,6 +30,8 @@ STATED_WRONG = 1.3  # times the noise that the data's author states: then the da
 OUTLYING = 6.0  # noises from smooth motion: one point in 5e8 by chance
 PASSES = 3  # of looking for outliers: one may hide another
 AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that side; in turns
+ASTRAY = 0.05  # of the length at the tip: a base model that leaves more in a trial may have been taken along by it
+FEWEST = 2  # trials: what is found in one could not be checked on another
 MESH = 5.0  # of the log evidence: a mesh that much nearer is the model's own (strong, by Jeffreys' scale)
 ROUNDS, MOST = 6, 20  # of a fit that is to stand: it mostly takes three of five
 LEAST_GROWTH = 0.1  # of the largest: early frames are not exact either
@@ -42,7 +44,7 @@ class Prepared:
 
     data: with noise and numerical error. base: the base model at its best. raw: the trials before numerical error was
     taken off. outliers, resting: points left out. error: numerical error of the tip of each trial [m]. literal: the
-    mesh is a part of the model, and has no error.
+    mesh is a part of the model, and has no error. chaotic: names of trials that no simulation tells to the tolerance.
     """
 
     data: Data
@@ -52,6 +54,7 @@ class Prepared:
     resting: int
     error: np.ndarray
     literal: bool = False
+    chaotic: tuple[str, ...] = ()
 
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
@@ -76,9 +79,17 @@ class Prepared:
 
 
 def prepared(
-    model: Model, observations: Sequence[Observation], rng: np.random.Generator, starts: int, progress: Progress
+    model: Model,
+    observations: Sequence[Observation],
+    tolerance: float,
+    rng: np.random.Generator,
+    starts: int,
+    progress: Progress,
 ) -> Prepared:
-    """Data and base model. Raises DataError where a trial cannot be used."""
+    """Data and base model. tolerance: [m] at the tip, to which simulation must tell a trial.
+
+    Raises DataError where a trial cannot be used.
+    """
     stated = all("sigma" in o.points for o in observations)
     whole = [case(resolved(model), o) for o in observations]
     awake = tuple(_awake(t if stated else replace(t, sigma=np.full(len(t.s), GUESS))) for t in whole)
@@ -88,8 +99,11 @@ def prepared(
     data, error = corrected(trials, hypothesis, chi)
     sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
     base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
+    if data.tip_rms(base.residuals).max() > ASTRAY * likelihood.model.string.length:
+        base = _without_the_worst(data, base, rng, starts)
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in awake)
-    return _with_nearer_mesh(Prepared(data, base, trials, outliers, resting, error), model)
+    made = _without_chaotic(Prepared(data, base, trials, outliers, resting, error), tolerance)
+    return _with_nearer_mesh(made, model)
 
 
 def configured(prepared: Prepared, model: Model) -> Fit | None:
@@ -101,6 +115,19 @@ def configured(prepared: Prepared, model: Model) -> Fit | None:
     trials = tuple(replace(trial, model=own.model) for trial in prepared.raw)
     data = Data(trials, prepared.data.discrepancies)
     return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes, ROUNDS, MOST)
+
+
+def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
+    """Without trials so sensitive that what is in doubt of their numerical error is more than the tolerance: whatever
+    they leave says nothing of causes. All of them where two or more others are not left."""
+    good = [k for k, error in enumerate(prepared.error) if DOUBT * error < tolerance]
+    if len(good) == len(prepared.raw) or len(good) < FEWEST:
+        return prepared
+    base, raw = prepared.base, tuple(prepared.raw[k] for k in good)
+    names = tuple(trial.name for k, trial in enumerate(prepared.raw) if k not in good)
+    data, error = corrected(raw, base.hypothesis, base.chi)
+    base = fitted(data, base.hypothesis, base.chi[None], base.sizes[good], ROUNDS, MOST)
+    return replace(prepared, data=data, base=base, raw=raw, error=error, chaotic=names)
 
 
 def _with_nearer_mesh(prepared: Prepared, model: Model) -> Prepared:
@@ -141,6 +168,20 @@ def lacking(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> 
     nuisance = modes(trials, values) or [np.zeros((2 * len(t.s), 0)) for t in trials]
     growth = _growth(trials, hypothesis, chi)
     return Data(tuple(trials), tuple(Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True)))
+
+
+def _without_the_worst(data: Data, base: Fit, rng: np.random.Generator, starts: int) -> Fit:
+    """The base model's fit, or a better one, found without the trial that it is furthest from: one chaotic trial can
+    take all others along."""
+    worst = int(np.argmax(data.tip_rms(base.residuals)))
+    kept = data.only([k for k in range(len(data.trials)) if k != worst])
+    if not kept.trials:
+        return base
+    some = searched_again(
+        kept, fitted(kept, base.hypothesis, base.chi[None], np.delete(base.sizes, worst), 2, MOST), rng, starts
+    )
+    other = fitted(data, base.hypothesis, some.chi[None], base.sizes, ROUNDS, MOST)
+    return max(base, other, key=lambda each: each.evidence)
 
 
 def corrected(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> tuple[Data, np.ndarray]:

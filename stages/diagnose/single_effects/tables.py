@@ -58,9 +58,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement) -> pd.
     tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
     tried |= {joined_names(fit): fit for slot in judgement.slots for fit in slot.fits.values()}
     tried |= {joined_names(fit): fit for fit in by_cause}
-    chance = {
-        joined_names(slot.fits[n]): c for slot in judgement.slots for n, c in slot.chances.items() if n in slot.fits
-    }
+    chance = {joined_names(slot.fits[n]): slot.chances.get(n, 0.0) for slot in judgement.slots for n in slot.fits}
     rows = [
         {
             "causes": name,

@@ -1,0 +1,151 @@
+"""The diagnosis as a sum of single effects: its likelihood against dense algebra, and causes hidden in a few casts."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from scipy.stats import cauchy, multivariate_normal
+
+from stringcast.stages.diagnose.casts import Design
+from stringcast.stages.diagnose.single_effects import diagnose as module
+from stringcast.stages.diagnose.single_effects.search import Criteria, Step, enters
+from stringcast.stages.estimate.matching import Matching
+from stringcast.stages.inference.discrepancy import SIZES, TYPICAL, Discrepancy, _kernel_root, log_prior, smoothed
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
+from stringcast.stages.inference.forward import Case
+from stringcast.stages.model.hand import hand_motion_from_grasp
+from stringcast.stages.model.implicit import ImplicitLeapfrog
+from stringcast.stages.model.library import library, named
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.string import String
+from tests.diagnosis.performed import performed
+
+CRITERIA = Criteria(causes=3, coverage=0.95, alpha=0.01, tolerance=2e-3, least_size=5e-4, least_share=0.5)
+BASE = {
+    **{"axial_stiffness": 5e5, "axial_damping": 30.0, "bending_stiffness": 3.0, "bending_damping": 0.005},
+    **{"linear_drag": 0.3, "quadratic_drag": 0.2, "grasp_stiffness": 1.0, "grasp_damping": 0.005},
+}
+
+
+@pytest.fixture
+def trial(arm, camera):
+    """Four places of a string at rest in 25 frames: only times and places matter."""
+    model, times = Model(String(0.3), arm, camera), np.arange(25) / 100
+    frame, s = (a.ravel() for a in np.meshgrid(np.arange(25), 0.3 * np.array([0.25, 0.5, 0.75, 1.0]), indexing="ij"))
+    grasp = np.repeat([[0.1, 0.4, -np.pi / 2]], 25, axis=0)
+    points, sigma = np.zeros((len(s), 2)), np.full(len(s), 5e-4)
+    return Case("t", model, hand_motion_from_grasp(times, grasp), times, frame, s, points, sigma)
+
+
+@pytest.fixture
+def lacking(trial):
+    """What may be lacking in it, the beginning not known either; and the covariance of its residuals at each size."""
+    growth, rng = np.linspace(0.2, 1.0, 25), np.random.default_rng(0)
+    nuisance = rng.standard_normal((2 * len(trial.s), 3))
+    root = np.kron(_kernel_root(trial, growth), np.eye(2))
+    known = np.eye(len(root)) + nuisance @ nuisance.T
+    return Discrepancy.of(trial, growth, nuisance), [known + size**2 * root @ root.T for size in SIZES]
+
+
+def test_coefficients_are_as_likely_as_a_dense_covariance_says(lacking):
+    one, covariances = lacking
+    told = one.coefficients(np.eye(len(covariances[0])))  # the map itself
+    residual = np.random.default_rng(1).standard_normal((2, len(told)))
+    said = one.log_likelihoods(one.coefficients(residual))
+    for number in (0, 6, 12):
+        dense = told.T @ covariances[number] @ told
+        normal = multivariate_normal(np.zeros(len(dense)), dense)
+        expected = normal.logpdf(residual @ told) + len(dense) / 2 * np.log(2 * np.pi)
+        assert said[:, number] == pytest.approx(expected, rel=1e-6)
+
+
+def test_white_coefficients_are_white(lacking):
+    one, covariances = lacking
+    told = one.coefficients(np.eye(len(covariances[0])))
+    white = one.white(told, 8)
+    assert white.T @ covariances[8] @ white == pytest.approx(np.eye(white.shape[1]), abs=1e-6)
+
+
+def test_sizes_of_what_is_lacking_are_half_cauchy():
+    assert np.exp(log_prior()).sum() == pytest.approx(1.0)
+    edge = np.sqrt(SIZES[9] * SIZES[10])
+    assert np.exp(log_prior())[:10].sum() == pytest.approx(cauchy.cdf(edge / TYPICAL) * 2 - 1)
+
+
+def test_noise_is_told_beside_motion_however_large(trial):
+    rng, times = np.random.default_rng(2), np.arange(100) / 200
+    frame, s = (a.ravel() for a in np.meshgrid(np.arange(100), trial.s[:4], indexing="ij"))
+    trial = replace(trial, times=times, frame=frame, s=s)
+    swing = 40 * np.sin(12 * trial.times[trial.frame]) * trial.s / 0.3
+    beside, noise = smoothed(trial, swing[:, None] + 1.5 * rng.standard_normal((len(trial.s), 2)))
+    assert noise == pytest.approx(1.5, rel=0.1)
+    assert np.abs(beside).max() < 6
+
+
+def test_what_one_trial_says_alone_is_not_believed(trial):
+    growth, none = np.ones(25), np.zeros((2 * len(trial.s), 0))
+    data = Data((trial,) * 3, (Discrepancy.of(trial, growth, none),) * 3)
+    hypothesis = Hypothesis(trial.model)
+    still = tuple(np.zeros(2 * len(trial.s)) for _ in range(3))
+    moves = tuple(each + 10.0 for each in still)
+    parent = Fit(hypothesis, np.zeros(8), still, (), np.zeros(3, dtype=int), np.zeros(3), 0.0)
+    heavier = hypothesis.joined(library()["tip_mass"])
+
+    def fit(*by_trial):
+        return replace(parent, hypothesis=heavier, residuals=moves, by_trial=np.array(by_trial), evidence=sum(by_trial))
+
+    assert enters(data, Step(parent, (), [fit(20.0, 20.0, 20.0)]), CRITERIA)
+    assert not enters(data, Step(parent, (), [fit(623.0, -36.0, -75.0)]), CRITERIA)
+    assert not enters(data, Step(parent, (), [fit(100.0, 3.0, 1.0)]), CRITERIA)
+    small = replace(fit(20.0, 20.0, 20.0), residuals=tuple(each + 0.1 for each in still))
+    assert not enters(data, Step(parent, (), [small]), CRITERIA)
+
+
+def said_of(model, observations, monkeypatch):
+    """The diagnosis with a small library."""
+    few = ("tip_mass", "density_taper", "time_offset", "arm_lag", "wind", "resolution")
+    monkeypatch.setattr(module, "library", lambda: {e.name: e for e in named(few)})
+    design = Design(motions=2, shortest=0.4, longest=0.8, alpha=150.0, before=0.05, after=0.1)
+    matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
+    rest = {"starts": 2, "criteria": CRITERIA, "matching": matching, "design": design}
+    return module.diagnose(model, observations, {}, (), (), seed=0, **rest)
+
+
+def casts(arm, camera, effects, values):
+    """Three casts of half a second, of a string whose mesh is finer than that of the diagnosis."""
+    string = String(0.3, points=31, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4)
+    true, rng = Model(string, arm, camera).with_effects(*named(effects)), np.random.default_rng(3)
+    made, t = [], arm.tick * np.arange(90)
+    for number, (first, second) in enumerate([(0.5, 0.3), (-0.4, 0.5), (0.6, -0.4)]):
+        swing = np.sin(np.pi * np.clip(t / 0.3, 0, 1)) ** 2
+        angles = np.array([0.6, -0.5, 0.2]) + swing[:, None] * np.array([first, second, 0.4])
+        made.append(performed(f"t{number}", arm, true, {**BASE, **values}, angles, [8, 15, 23, 30], rng))
+    return Model(String(0.3), arm, camera), made
+
+
+def test_a_mass_that_is_hidden_at_the_tip_is_found_and_the_budget_adds_up(arm, camera, monkeypatch):
+    made = said_of(*casts(arm, camera, ["tip_mass"], {"tip_mass.ratio": 0.05}), monkeypatch)
+    said = json.loads(made.finding["diagnosis"].iloc[0])
+    assert (said["verdict"], [cause["effect"] for cause in said["causes"]]) == ("effect", ["tip_mass"])
+    mass = said["causes"][0]["parameters"]["tip_mass.ratio"]
+    assert mass["low"] < 0.05 < mass["high"]
+    assert mass["high"] - mass["low"] < 0.01
+    squares = sum(entry["tip_rms_m"] ** 2 for entry in said["budget"])
+    off = made.residuals.assign(off=lambda r: (r.x - r.base_x) ** 2 + (r.y - r.base_y) ** 2)
+    tip = off[off.s > off.s.max() - 1e-3].groupby("trial")["off"].mean().mean()
+    assert squares == pytest.approx(tip, rel=1e-6)
+    assert said["gain"]["tip_rms_m"]["extended"] < 0.6 * said["gain"]["tip_rms_m"]["base"]
+    known = yaml.safe_load(made.finding["extended"].iloc[0])
+    assert known["effects"] == ["tip_mass"]
+    assert known["known"]["tip_mass.ratio"]["low"] < 0.05 < known["known"]["tip_mass.ratio"]["high"]
+
+
+@pytest.mark.long
+def test_a_string_without_any_is_left_alone(arm, camera, monkeypatch):
+    model, observations = casts(arm, camera, [], {})
+    fine = replace(model, string=replace(model.string, points=31, tip_cell=0.5, grasp_cell=0.5))
+    made = said_of(fine, observations, monkeypatch)
+    assert made.verdict == "none"
+    assert json.loads(made.finding["diagnosis"].iloc[0])["unexplained"]["tip_rms_m"]["high"] < CRITERIA.tolerance
