@@ -6,6 +6,7 @@ import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from rich.text import Text
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
-from stringcast.pipeline.called import as_called
+from stringcast.data.store import write_text
+from stringcast.pipeline.called import as_called, called_as
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.inherited import with_inherited_settings
+from stringcast.pipeline.provenance import code
 from stringcast.pipeline.settings import UserError, build, composed, names_given
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.finding import full_stop
@@ -37,14 +40,21 @@ def main(arguments: Sequence[str]) -> int:
     """Look at a folder and say what was found; the exit status."""
     asked = parser().parse_args(arguments)
     console = Terminal()
+    if asked.report is not None and asked.report.suffix != ".html":
+        raise UserError(f"--report {asked.report}: it must end in .html. Change it.")
     try:
-        found = overview(measured(asked.folder, asked.settings))
+        there = measured(asked.folder, asked.settings)
+        found = overview(there)
+        if asked.report is not None:
+            write_text(asked.report, page(there, found))
     except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
         found = unreadable(asked.folder, str(error))
     if asked.json:
         print(json.dumps(found, indent=2))
     else:
         show(found, console)
+        if asked.report is not None and asked.report.exists():
+            console.print(str(asked.report), soft_wrap=True, markup=False, highlight=False)
     return USABLE if found["usable"] else NOT_USABLE
 
 
@@ -53,6 +63,7 @@ def parser() -> argparse.ArgumentParser:
     made = Arguments("python -m pipeline check", description=__doc__, allow_abbrev=False)
     made.add_argument("folder", type=Path, help="measured data, or a run's folder")
     made.add_argument("settings", nargs="*", default=[], help="as for a run, such as string.length=0.4 or arm=mine")
+    made.add_argument("--report", type=Path, help="a .html file to write: the same, with arm, string and clocks drawn")
     made.add_argument("--json", action="store_true", help="print all that was found as JSON")
     return made
 
@@ -64,6 +75,21 @@ def measured(folder: Path, overrides: Sequence[str]) -> Measured:
     arm = build(Arm, blocks["arm"], "arm", "conf/arm")
     camera = build(Camera, blocks["camera"], "camera", "conf/camera")
     return Measured(dataset.read(folder), arm, camera, float(blocks["string"]["length"]))
+
+
+def page(there: Measured, found: Mapping[str, Any]) -> str:
+    """What was found, as a page with pictures."""
+    check_page = import_module("stringcast.stages.report.pages.check").check_page  # which takes a second to load
+    ahead = [
+        (
+            "What does the simulation get wrong in these trials, and why?",
+            f"+experiment=diagnose trials={there.data.folder}",
+        )
+    ]
+    following = [(why, f"{called_as()} {words}") for why, words in ahead if found["usable"]]
+    origin = {"seed": "none", "code": code(), "files": dict(there.data.hashes)}
+    text: str = check_page(there, found, origin, following)
+    return text
 
 
 def unreadable(folder: Path, reason: str) -> dict[str, Any]:

@@ -499,6 +499,20 @@ def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(dirt
     assert {file.name for file in tmp_path.iterdir()} == before
 
 
+def test_a_page_shows_what_was_measured_and_found(dirty, called, undrawn, tmp_path):
+    scaled("points", ["x", "y"], 1e3)(dirty)
+    done = called("check", dirty.write(tmp_path), "--report", tmp_path / "page.html")
+    assert done.stdout.strip().endswith("page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "These trials cannot be used as they are" in page
+    assert "Multiply x and y by 0.001" in page
+    assert page.count("<img") == len(TRIALS)
+    assert "Trial t03: 129 frames of a string of 304 mm" in page
+    assert "://" not in page.replace("http://www.w3.org", "")  # it needs no network
+    refused = called("check", tmp_path, "--report", tmp_path / "page.pdf")
+    assert (refused.returncode, "must end in .html" in refused.stderr) == (2, True)
+
+
 def test_what_cannot_be_read_is_one_error(called, tmp_path):
     shutil.copytree(SAMPLE, tmp_path / "cut")
     file = tmp_path / "cut" / "points.parquet"

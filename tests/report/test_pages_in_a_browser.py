@@ -7,14 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Prediction
+from stringcast.pipeline.commands.check import measured
+from stringcast.stages.check.overview import overview
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.pages.alignment import alignment_page
 from stringcast.stages.report.pages.cast import cast_page
+from stringcast.stages.report.pages.check import check_page
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.pages.index import index_page
 from stringcast.stages.report.pages.paper import paper_page
@@ -29,6 +33,7 @@ from tests.report.test_sweep_page import swept
 
 pytestmark = pytest.mark.skipif(found() is None, reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium.")
 ORIGIN = {"seed": 7, "code": {"commit": "0123456789abcdef"}}
+MEASURED = measured(ROOT / "data" / "sample", [])
 PHONE = 360  # [px]
 READY = "document.documentElement.dataset.ready === 'yes' || !document.querySelector('.explore')"
 
@@ -79,6 +84,7 @@ def texts(arm, camera):
         "tables": tables_page(Facts("t", "So.", prediction, coarse, {}, ORIGIN)),
         "index": index_page(runs, "outputs", ORIGIN),
         "paper": paper_page(PaperRecord(tables, 3, {}, ORIGIN), {}),
+        "check": check_page(MEASURED, overview(MEASURED), ORIGIN, [("Diagnose", "pipeline +experiment=diagnose")]),
     }
 
 
@@ -113,7 +119,7 @@ def place(chromium, selector):
     return chromium.ask(f"(b => [b.x, b.y, b.width, b.height])({ask})")
 
 
-@pytest.mark.parametrize("name", ["cast", "diagnosis", "sweep", "alignment", "tables", "index", "paper"])
+@pytest.mark.parametrize("name", ["cast", "diagnosis", "sweep", "alignment", "tables", "index", "paper", "check"])
 def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(chromium, pages, name):
     page = opened(chromium, pages[name], width=PHONE, height=740, dark=True)
     assert page.ask("document.documentElement.scrollWidth") == PHONE, "it can be pushed sideways"

@@ -1,0 +1,87 @@
+"""The page of a check: what was measured, drawn trial by trial, and what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib import style
+
+from stringcast.stages.check.measured import Measured, Seen
+from stringcast.stages.report.charts.measured import trial_figure, trial_words
+from stringcast.stages.report.page import Card, Cell, Figure, Page, Part, Section, Table, Text, Tile, Tiles, number
+from stringcast.stages.report.theme import STYLE, vector
+from stringcast.stages.report.words import mm
+
+DRAWN = 10  # trials: 130 kB each, so that a page stays below 1.5 MB
+CAPTION = (
+    "Left: arm and string as they began, and fainter later; the string shall begin in the hand and hang from it. "
+    "Right, above: where hand and tip are. Below: how fast each is, on its own clock, and when it begins to move "
+    "(dotted): string and hand shall begin together."
+)
+
+
+def check_page(
+    measured: Measured, found: Mapping[str, Any], origin: Mapping[str, Any], following: Sequence[tuple[str, str]]
+) -> str:
+    """The page as text. found: as `check.overview` says it. following: what can be done next, and the command."""
+    usable = found["usable"]
+    errors = sum(finding["severity"] == "error" for finding in found["findings"])
+    heading = "These trials can be used" if usable else "These trials cannot be used as they are"
+    trials = list(measured.with_points())
+    sections: list[Part] = [
+        Tiles(
+            [
+                Tile(str(len(found["trials"])), "trials that can be read"),
+                Tile(mm(measured.length), "length of the string, from the grasp to the tip"),
+                Tile(str(len(found["findings"])), f"findings, {errors} of them errors"),
+            ]
+        ),
+        Section("What was found", [findings(found["findings"])]),
+        Section("Trial by trial", [Card("", [overview(found["trials"])])]),
+        Section("What was measured", [Text(CAPTION), *drawn(trials[:DRAWN])]),
+    ]
+    if len(trials) > DRAWN:
+        sections.append(Text(f"{len(trials) - DRAWN} more trials are not drawn."))
+    name = measured.data.folder.name
+    lead = f"Measured data in {found['folder']}: what is there, what looks wrong, and what to do."
+    tone = "good" if usable else "bad"
+    title = f"{name}: {heading.lower()}"
+    words = (title, f"stringcast check · {name}", heading, lead)
+    return str(Page(*words, sections, origin, {}, tone, marked=True, following=following))
+
+
+def drawn(trials: Sequence[Seen]) -> list[Part]:
+    """Trials as they were measured."""
+    with style.context(STYLE):
+        return [Figure(f"Trial {s.name}", vector(trial_figure(s), trial_words(s)), trial_words(s)) for s in trials]
+
+
+def findings(found: Sequence[Mapping[str, Any]]) -> Part:
+    """A row for each, the worst first."""
+    rows = [
+        [
+            one["severity"],
+            Cell(" ".join(filter(None, (one["file"], one["field"]))), "code"),
+            ", ".join(one["trials"]) or "all",
+            one["said"],
+            one["remedy"],
+        ]
+        for one in found
+    ]
+    columns = ("how sure", "where", "trials", "what is so", "what to do")
+    return Card("", [Table(columns, rows) if rows else Text("Nothing looks wrong.")])
+
+
+def overview(trials: Sequence[Mapping[str, Any]]) -> Table:
+    """A row for each trial that can be read."""
+    columns = ["trial", "seen [s]", "with arm [s]", "frames", "frames [1/s]", "arm [1/s]", "points a frame"]
+    columns += ["noise [mm]", "way of the hand [m]", "begins"]
+    rows = []
+    for one in trials:
+        noise = "" if one["noise"] is None else f"{1e3 * one['noise']:.2f}"
+        rates = ["" if one[name] is None else f"{one[name]:.0f}" for name in ("fps", "hand_rate")]
+        times = [f"{one[name]:.2f}" for name in ("duration", "common")]
+        numbers = [*times, one["frames"], *rates, f"{one['points']:.0f}", noise, f"{one['path']:.2f}"]
+        rows.append([one["trial"], *map(number, numbers), one["begins"]])
+    return Table(columns, rows)
