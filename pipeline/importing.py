@@ -16,6 +16,7 @@ from stringcast.data import disk
 from stringcast.data.about import FORMAT, NAME
 from stringcast.data.artifacts import ARM, GRASP, MASKS, POINTS, READINGS, Observation
 from stringcast.data.dataset import OVERLAP, with_trial
+from stringcast.data.images import Video
 from stringcast.data.importers.gathered import Gathered
 from stringcast.data.schema import DataError, Table
 from stringcast.data.store import content_hash, write_table
@@ -179,7 +180,8 @@ def _camera(what: Gathered, told: Told) -> dict[str, Any]:
     missing = [options[name] for name, value in said.items() if not value]
     if missing:
         raise DataError(f"of a film it must be known where it was taken from. Say {' '.join(missing)}, as it was.")
-    return said
+    height, width = Video(next(iter(what.films.values())))[0].shape
+    return {**said, "width": width, "height": height}
 
 
 def written(what: Brought, folder: Path, files: Sequence[Path], command: str) -> None:

@@ -55,7 +55,8 @@ def main(arguments: Sequence[str]) -> int:
     picture = drawn(measured, folder)
     found = check.overview(measured)
     check.show(found | {"folder": str(folder)}, console)
-    console.print(f"What was understood, drawn: {picture}", soft_wrap=True, markup=False)
+    if picture is not None:
+        console.print(f"What was understood, drawn: {picture}", soft_wrap=True, markup=False)
     if not found["usable"]:
         first = next((f for f in found["findings"] if f["severity"] == Severity.ERROR), None)
         remedy = f" {first['remedy']}." if first else ""
@@ -305,13 +306,14 @@ def _files(files: Sequence[Path]) -> str:
     return names[0] if len(names) == 1 else f"{begin.rstrip('0123456789')}* ({len(names)})"
 
 
-def drawn(measured: Measured, folder: Path) -> Path:
-    """A picture of the first trial with points, beside the folder; the path of it."""
+def drawn(measured: Measured, folder: Path) -> Path | None:
+    """The path of a picture beside the folder, of the first trial of which points were measured."""
     from stringcast.stages.report.charts.measured import trial_figure  # noqa: PLC0415
 
-    path = folder.with_name(f"{folder.name}.png")
     seen = next(measured.with_points(), None)
-    if seen is not None:
-        with whole(path) as aside:
-            trial_figure(seen).savefig(aside, format="png", dpi=110)
+    if seen is None:
+        return None
+    path = folder.with_name(f"{folder.name}.png")
+    with whole(path) as aside:
+        trial_figure(seen).savefig(aside, format="png", dpi=110)
     return path

@@ -3,9 +3,11 @@
 import re
 from math import pi
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from conftest import ROOT
 
 from stringcast.data import dataset
@@ -14,7 +16,7 @@ from stringcast.data.importers.files import recordings
 from stringcast.data.importers.gathered import Said, gathered
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.import_ import parser
-from stringcast.pipeline.importing import Told, brought
+from stringcast.pipeline.importing import Told, brought, written
 from stringcast.pipeline.settings import UserError
 
 SAMPLE = ROOT / "data" / "sample"
@@ -125,6 +127,31 @@ def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path)
     assert "one frame of reference" in done.stderr
     assert not (tmp_path / "mine").exists()
     assert (tmp_path / "mine.png").exists()  # on which it can be seen
+
+
+def test_on_a_terminal_it_asks_and_a_no_writes_nothing(sample, called, tmp_path, monkeypatch):
+    robots, trackers = logs(tmp_path, sample)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("builtins.input", lambda words: "n")
+    done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
+    assert (done.returncode, "Nothing was written" in done.stderr) == (2, True)
+    assert not (tmp_path / "mine").exists()
+
+
+def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp_path):
+    writer = cv2.VideoWriter(str(tmp_path / "film.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 30, (64, 48))
+    for _ in range(3):
+        writer.write(np.zeros((48, 64, 3), np.uint8))
+    writer.release()
+    robots, _ = logs(tmp_path, sample[:1])
+    told = Told(length=0.3, links=(0.25, 0.2, 0.135), fps=200.0, px_per_m=100.0, origin_px=(32.0, 24.0))
+    what = of(*robots, tmp_path / "film.mp4")
+    written(brought(what, told), tmp_path / "mine", robots, "")
+    assert (tmp_path / "mine" / "videos" / "t00.mp4").read_bytes() == (tmp_path / "film.mp4").read_bytes()
+    camera = yaml.safe_load((tmp_path / "mine" / "dataset.yaml").read_text())["camera"]
+    assert (camera["width"], camera["height"], camera["fps"]) == (64, 48, 200.0)
+    with pytest.raises(DataError, match=r"Say --fps 240 --px-per-m 340 --origin-px"):
+        brought(what, Told(length=0.3, links=(0.25, 0.2, 0.135)))
 
 
 def table(folder, name, **columns):
