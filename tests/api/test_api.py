@@ -85,16 +85,6 @@ def test_a_known_string_is_another_and_words_stand_above_it(motion, tmp_path):
     assert np.hypot(heavy["x"] - plain["x"], heavy["y"] - plain["y"]).max() > 5e-3
 
 
-def test_an_estimate_goes_on_as_a_known_string(motion):
-    made = sc.estimate(sc.read(SAMPLE), "estimate=random_search", "estimate.candidates=8", "memory=1")
-    assert len(made.parameters) == 8
-    assert 0 < made.rms < 1
-    assert "<table" in made._repr_html_()
-    assert made.string.parameters == pytest.approx(made.made.values())
-    string = sc.simulate(made.string, motion)
-    assert not np.allclose(string["x"], sc.simulate(None, motion, "string=any")["x"])
-
-
 def test_a_diagnosis_shows_what_it_says(tmp_path):
     """The diagnosis itself is asked elsewhere: here is one that was made, from the same table of contents."""
     from tests.report.test_diagnosis_page import diagnosed

@@ -1,0 +1,50 @@
+# %% [markdown]
+# # From measured casts to a string, a prediction and a motion
+# A notebook as a plain script: editors and Jupytext show its cells (`jupytext --to ipynb notebook.py`), and
+# `tests/api/test_notebook.py` runs it. All is in metres, seconds and radians.
+
+# %%
+from pathlib import Path
+
+import numpy as np
+
+import stringcast as sc
+
+# %% [markdown]
+# ## Trials
+# A folder in the format of `data/README.md`: a run of ours, what `import` wrote, or tables by `sc.trials(...)`.
+
+# %%
+SAMPLE = Path(sc.__file__).resolve().parents[2] / "data" / "sample"
+trials = sc.read(SAMPLE)
+print(trials.table)
+
+# %% [markdown]
+# ## The string that they show
+# Least squares on all trials, with 95 % intervals. Settings go along as words, as on the command line.
+
+# %%
+found = sc.estimate(trials, "string.points=12", "estimate.screening=32", "estimate.starts=4")
+print(found.sentence)
+print(found.parameters[["name", "value", "low", "high", "unit", "determined"]])
+print(f"{1e3 * found.rms:.1f} mm root mean square between measured and simulated points")
+
+# %% [markdown]
+# ## What it would do in a motion
+# Here: in one that is planned for a target with the string that was found.
+
+# %%
+motion = sc.generate(found.string, target=(0.5, 0.5))
+string = sc.simulate(found.string, motion)
+tip = string[string["s"] == string["s"].max()]
+nearest = float(np.hypot(tip["x"] - 0.5, tip["y"] - 0.5).min())
+print(f"a motion of {motion.duration:.2f} s brings the simulated tip within {1e3 * nearest:.0f} mm of the target")
+
+# %% [markdown]
+# ## Why the simulation disagrees
+# The residual above is more than the noise of these points (0.7 mm). The diagnosis says why; it takes a minute:
+#
+#     result = sc.diagnose(trials)
+#     result.sentence, result.causes, result.gain
+#     result.report("page.html")
+#     motion = sc.generate(result.extended, target=(0.5, 0.5))
