@@ -104,9 +104,9 @@ def percent(share: float) -> str:
     return "under 1 %" if share < 0.005 else "over 99 %" if 0.995 < share < 1 else f"{100 * share:.0f} %"
 
 
-def gain(value: float) -> str:
+def gain(value: float, unknown: str = UNKNOWN) -> str:
     """A log-likelihood, its thousands apart."""
-    return f"{value:,.0f}".replace(",", "\u202f").replace("-", "−") if np.isfinite(value) else UNKNOWN
+    return f"{value:,.0f}".replace(",", "\u202f").replace("-", "−") if np.isfinite(value) else unknown
 
 
 def quantity(row: Mapping[str, Any]) -> Markup:

@@ -5,6 +5,7 @@ import itertools
 import json
 import re
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -292,6 +293,19 @@ def test_what_data_say_cannot_become_code(worded):
     )
     assert not [a for _, a in page.elements if "onerror" in a]
     assert page.text.count(evil) >= 6
+
+
+def test_the_budget_is_shown_where_there_is_one(worded):
+    made = diagnosed("effect", ["tip_mass"])
+    document = json.loads(made.finding["diagnosis"].iloc[0])
+    document["budget"] = [{"source": "tip_mass", "tip_rms_m": 0.00207, "log_evidence": 1570.9}]
+    document["budget"] += [{"source": "noise", "tip_rms_m": 0.0009}]
+    document["unexplained"] |= {"tip_rms_m": {"value": 0.0, "low": 0.0, "high": 1.1e-4}, "tolerance_m": 0.002}
+    page = Page(worded(replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))))
+    assert "What nothing explains is 0.0 mm (0.0 mm to 0.1 mm, 95 %); up to 2.0 mm are tolerated." in page.text
+    for words in ("tip mass 2.07 mm 1 571", "noise 0.90 mm"):
+        assert words in re.sub(r"\s+", " ", page.text)
+    assert "Where the error comes from" not in Page(worded(diagnosed("effect", ["tip_mass"]))).text
 
 
 def test_an_effect_that_the_library_no_longer_has_is_still_named(worded):

@@ -77,8 +77,8 @@ def stage_page(facts: Facts) -> str:
 def diagnosis_page(record: DiagnosisRecord) -> str:
     """The page as text; the same record gives the same page."""
     with style.context(STYLE):
-        sections = [tiles(record), rejected(record), causes(record), wrong(record), trials(record), found(record)]
-        sections += [gained(record), left(record), string(record)]
+        sections = [tiles(record), rejected(record), causes(record), budget(record), wrong(record), trials(record)]
+        sections += [found(record), gained(record), left(record), string(record)]
     return str(
         Page(
             title=f"{record.name}: {headline(record.document)}",
@@ -181,6 +181,25 @@ def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> Card:
         parts.append(Figure("", cause(effect, values), caption))
     mark = Markup('{} <span class="badge {}">{}</span>')
     return Card(mark.format(plain(name), "good" if likely > LIKELY else "", percent(likely)), parts)
+
+
+# --- the budget
+def budget(record: DiagnosisRecord) -> Section | None:
+    """How far each source of error moves the tip, where the diagnosis says so."""
+    sources, left = record.document.get("budget"), record.document["unexplained"].get("tip_rms_m")
+    if not sources:
+        return None
+    lead = "How far each source moves the string's tip, root mean square over the trials."
+    if left:
+        low, most, high = (mm(left[end], 1) for end in ("low", "value", "high"))
+        tolerated = mm(record.document["unexplained"]["tolerance_m"], 1)
+        lead += f" What nothing explains is {most} ({low} to {high}, 95 %); up to {tolerated} are tolerated."
+    rows = [
+        (plain(one["source"]), number(mm(one["tip_rms_m"], 2)), number(gain(one.get("log_evidence", np.nan), "")))
+        for one in sources
+    ]
+    table = Table(("source", "at the tip", "evidence for it [log]"), rows)
+    return Section("Where the error comes from", [Text(lead), Card("", [table])])
 
 
 # --- what the simulation gets wrong -------------------------------------------------------------
