@@ -1,28 +1,34 @@
 """Laboratories that are not the model: which bench a seed means, and that what is absent is not there."""
 
+import sys
 from collections import Counter
 
 import numpy as np
 import pytest
 
-from stringcast.hardware.virtual.laboratory import bench, drawn
+from stringcast.data.schema import DataError
+from stringcast.hardware.virtual.laboratory import bench, drawn, laboratory
 from stringcast.hardware.virtual.laboratory.causes import CAUSES, NAMED
 from stringcast.hardware.virtual.laboratory.hand import Hand, driven, slid
 from stringcast.hardware.virtual.laboratory.rod import Rod
 from stringcast.hardware.virtual.laboratory.scene import FINE
 from stringcast.hardware.virtual.laboratory.sight import Sight, seen
-from stringcast.hardware.virtual.laboratory.version import LATEST, VERSIONS
+from stringcast.hardware.virtual.laboratory.version import VERSIONS
 from stringcast.stages.model.library import library
 
 T = np.arange(0, 1, 0.001)
 
 
 def test_every_cause_has_its_turn_and_the_library_knows_its_names():
-    version = VERSIONS[LATEST]
+    version = VERSIONS["nodal"][max(VERSIONS["nodal"])]
     assert {*version.single, *version.outside} == set(NAMED)
     assert len(NAMED) == len(CAUSES)
     assert set(version.single) == {c.name for c in CAUSES if c.library}
     assert len(version.outside) >= 12
+    for every in VERSIONS.values():
+        for one in every.values():
+            assert {*one.together} <= {*one.single} <= {*version.single}
+            assert {*one.outside} <= {*version.outside}
     assert {name for c in CAUSES for name in c.library} <= set(library())
     kinds = Counter(version.kind(seed) for seed in range(100))
     assert kinds == {"single": 40, "none": 20, "outside": 20, "pair": 10, "triple": 10}
@@ -58,6 +64,13 @@ def test_the_papers_parameters_are_the_rods():
     base = {"axial_stiffness": 6e5, "bending_stiffness": 5.0, "grasp_stiffness": 2.0, "linear_drag": 0.3}
     base |= {"axial_damping": 30.0, "bending_damping": 5e-3, "grasp_damping": 5e-3, "quadratic_drag": 0.2}
     assert Rod.of_points(0.3, **base).in_points() == pytest.approx(base)
+
+
+def test_a_laboratory_whose_package_is_missing_says_which(monkeypatch):
+    monkeypatch.setitem(sys.modules, "elastica", None)
+    monkeypatch.delitem(sys.modules, "stringcast.hardware.virtual.laboratory.elastica", raising=False)
+    with pytest.raises(DataError, match=r"laboratory=pyelastica needs elastica.*pip install pyelastica"):
+        laboratory.__wrapped__("pyelastica")
 
 
 @pytest.mark.long

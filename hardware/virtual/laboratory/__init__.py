@@ -5,29 +5,43 @@
 
 from __future__ import annotations
 
+import importlib
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.dataset import read
+from stringcast.data.schema import DataError
 from stringcast.hardware.virtual.laboratory.bench import LabBench, Truth
 from stringcast.hardware.virtual.laboratory.drawing import draw
-from stringcast.hardware.virtual.laboratory.nodal import Nodal
+from stringcast.hardware.virtual.laboratory.scene import Laboratory
 
-LABORATORIES = {"nodal": Nodal()}
+LABORATORIES = {"nodal": "nodal:Nodal", "pyelastica": "elastica:Elastica"}  # modules of this folder, classes
 
 
-def drawn(laboratory: str, seed: int, kind: str | None = None) -> LabBench:
+@cache
+def laboratory(name: str) -> Laboratory:
+    """The laboratory of that name. Raises DataError where it needs a package that is not here."""
+    module, kind = LABORATORIES[name].split(":")
+    try:
+        made: Laboratory = getattr(importlib.import_module(f"{__name__}.{module}"), kind)()
+    except ModuleNotFoundError as missing:
+        raise DataError(f"laboratory={name} needs {missing.name}, which is not installed: pip install {name}") from None
+    return made
+
+
+def drawn(name: str, seed: int, kind: str | None = None) -> LabBench:
     """The bench of a seed. kind: none, single, pair, triple or outside, if it is not to be the seed's own."""
-    return draw(laboratory, LABORATORIES[laboratory], seed, kind)
+    return draw(name, laboratory(name), seed, kind)
 
 
-def bench(laboratory: str, seed: int, kind: str | None = None) -> tuple[list[Observation], Truth]:
+def bench(name: str, seed: int, kind: str | None = None) -> tuple[list[Observation], Truth]:
     """Trials of the bench of a seed, t00, t01 and so on in this order, and what is so."""
-    made = drawn(laboratory, seed, kind)
+    made = drawn(name, seed, kind)
     with TemporaryDirectory() as folder:
         made.write(Path(folder))
         return list(read(Path(folder)).trials.values()), made.truth
 
 
-__all__ = ["LABORATORIES", "LabBench", "Truth", "bench", "drawn"]
+__all__ = ["LABORATORIES", "LabBench", "Truth", "bench", "drawn", "laboratory"]

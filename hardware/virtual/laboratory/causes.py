@@ -52,7 +52,8 @@ class Cause:
 
     draw: from chance, plain trials and the trial in which it acts to settings absent and full, or None where there are
     no such circumstances. comparable: parameters of the library that mean the same, from settings. once: it acts in one
-    trial only. ways: circumstances in which it is tried against an outside cause that it could pass for.
+    trial only. ways: circumstances in which it is tried against an outside cause that it could pass for. larger: how
+    many times larger than others it is hidden, where an effect of the library explains most of it.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Cause:
     comparable: Callable[[Mapping[str, float]], Values] = lambda so: {}
     once: bool = False
     ways: int = 1
+    larger: float = 1.0
 
     def hidden(self, rng: np.random.Generator, plain: Plain) -> Hidden | None:
         """In circumstances that fit the trials."""
@@ -304,7 +306,7 @@ CAUSES = (
     Cause("jump", (), during(sized("sight.jump", -0.05, 0.05), "sight.jump_when"), once=True),
     Cause("bump", (), during(pointing("sight.bump_x", "sight.bump_y", 0.05), "sight.bump_when"), once=True),
     Cause("shaken_camera", (), pointing("sight.shake_x", "sight.shake_y", 0.03, shake_frequency=(4.0, 15.0))),
-    Cause("askew_camera", (), pointing("sight.askew_x", "sight.askew_y", 0.25)),
+    Cause("askew_camera", (), pointing("sight.askew_x", "sight.askew_y", 0.25), larger=4.0),
     Cause("stretch", (), sized("sight.stretch", -0.1, 0.1)),
     Cause("misread", (), sized("sight.misread", -0.12)),
 )

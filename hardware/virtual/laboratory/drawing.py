@@ -21,6 +21,7 @@ from stringcast.hardware.virtual.laboratory.rod import Rod
 from stringcast.hardware.virtual.laboratory.scene import (
     CHECK,
     FINE,
+    LIKELY,
     ROUGH,
     Cast,
     Laboratory,
@@ -29,7 +30,6 @@ from stringcast.hardware.virtual.laboratory.scene import (
     unexplained,
 )
 from stringcast.hardware.virtual.laboratory.version import (
-    LATEST,
     NONE,
     OUTSIDE,
     PAIR,
@@ -57,7 +57,6 @@ LEFT = 4e-3  # [m] that the likeliest single effect of the library leaves of an 
 SPEEDS = (1.2, 4.0)  # of the hand [m/s]
 SLOWER = 0.85  # of the fastest cast that is tried, after one that is chaotic
 FAST = (5.0, 8.0)  # [m/s] of casts that are likely to be chaotic
-LIKELY = 5e-3  # [m] that the two roughest meshes may be apart where the two finest are likely to agree
 FEWEST, MOST, SPARE = 4, 6, 1  # trials
 KNOWN = 1 / 3  # of the noise: how well the tip of a good trial is known
 CHAOTIC_BENCHES = 0.2
@@ -70,9 +69,11 @@ class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
     """This string, these casts or this cause do not make the bench that is wanted."""
 
 
-def draw(name: str, laboratory: Laboratory, seed: int, kind: str | None = None, version: int = LATEST) -> LabBench:
-    """The bench of a seed in the laboratory of that name. kind: if it is not to be the seed's own."""
-    own = VERSIONS[version]
+def draw(name: str, laboratory: Laboratory, seed: int, kind: str | None = None, version: int | None = None) -> LabBench:
+    """The bench of a seed in the laboratory of that name. kind: if it is not to be the seed's own. version: the latest,
+    if none is given."""
+    version = version or max(VERSIONS[name])
+    own = VERSIONS[name][version]
     kind = kind or own.kind(seed)
     rng = np.random.default_rng([version, seed, zlib.crc32(f"{name} {kind}".encode())])
     while True:
@@ -85,10 +86,12 @@ def draw(name: str, laboratory: Laboratory, seed: int, kind: str | None = None, 
 def _drawn(name: str, laboratory: Laboratory, seed: int, kind: str, version: int, rng: np.random.Generator) -> LabBench:
     count = int(rng.integers(FEWEST, MOST + 1))
     scene, unfit = _scene(laboratory, rng, count + SPARE)
-    things = _hidden(kind, VERSIONS[version], seed, rng, scene.performing(scene.casts[:count]))
+    things = _hidden(kind, VERSIONS[name][version], seed, rng, scene.performing(scene.casts[:count]))
     values = [thing.at(_share(scene, thing, rng)) for thing in things]
     sizes = _sizes(scene, things, values)
-    left = _left(scene, things[0], values[0], VERSIONS[version], rng) if kind == OUTSIDE else min(sizes, default=0.0)
+    left = (
+        _left(scene, things[0], values[0], VERSIONS[name][version], rng) if kind == OUTSIDE else min(sizes, default=0.0)
+    )
     trials, redrawn = _performed(scene, things, values, count, rng)
     good = scene.performing([trial.cast for trial in trials])
     points = tuple(trial.points + scene.sigma * _noise(rng, trial.points.shape) for trial in trials)
@@ -117,8 +120,8 @@ def _scene(laboratory: Laboratory, rng: np.random.Generator, count: int) -> tupl
     slowest, fastest = SPEEDS
     for tried in range(8 * count):
         cast = random_cast(ARM, rng, scene.camera.fps, float(np.exp(rng.uniform(*np.log([slowest, fastest])))))
-        rough, check = (scene.measured(cast, {}, level) for level in (ROUGH, CHECK))
-        if _apart(rough, check) < LIKELY:
+        rough, finer = (scene.measured(cast, {}, level) for level in (ROUGH, LIKELY))
+        if _apart(rough, finer) < laboratory.likely:
             casts.append(cast)
         else:
             fastest = max(SLOWER * fastest, slowest)
@@ -191,7 +194,7 @@ def _field(scene: Scene, values: dict[str, float], only: int | None) -> np.ndarr
 
 def _share(scene: Scene, thing: Hidden, rng: np.random.Generator) -> float:
     """The share of a cause at which it moves the tip by a drawn amount beyond what the base explains."""
-    wanted = float(np.exp(rng.uniform(*np.log(SIZES))))
+    wanted = thing.cause.larger * float(np.exp(rng.uniform(*np.log(SIZES))))
     plain, slopes = _field(scene, {}, None), scene.slopes
     sizes = [0.0]
     for share in LADDER:

@@ -20,7 +20,8 @@ BASE = (
     *("linear_drag", "quadratic_drag", "grasp_stiffness", "grasp_damping"),
 )
 LITTLE = 0.01  # relative change of a base parameter, for slopes
-ROUGH, CHECK, FINE = range(3)  # meshes and steps: to seek sizes with; to state an error by; what is measured
+# meshes and steps: to seek sizes with; to choose trials with, beside it; to state an error by; what is measured
+ROUGH, LIKELY, CHECK, FINE = range(4)
 
 
 class Moved(Protocol):
@@ -31,10 +32,13 @@ class Moved(Protocol):
 
 
 class Laboratory(Protocol):
-    """Another way to simulate a rod."""
+    """Another way to simulate a rod. likely: how far apart ROUGH and LIKELY may have the tip in a trial that is chosen,
+    for it is likely to be known well enough [m]."""
+
+    likely: float
 
     def moved(self, rod: Rod, path: Path, level: int) -> Moved:
-        """The rod from rest, as the hand takes it along, as finely as ROUGH, CHECK or FINE say."""
+        """The rod from rest, as the hand takes it along, as finely as ROUGH, LIKELY, CHECK or FINE say."""
 
 
 @dataclass(frozen=True)

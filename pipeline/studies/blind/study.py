@@ -35,7 +35,7 @@ class Asked:
     benches: Annotated[int, Field(ge=1)]
     first: Annotated[int, Field(ge=0)]
     processes: Annotated[int, Field(ge=0)]
-    laboratory: Literal["own", "nodal"] = "own"
+    laboratory: Literal["own", "nodal", "pyelastica"] = "own"
     kind: Literal["none", "single", "pair", "triple", "outside"] | None = None
 
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from stringcast.hardware.virtual.laboratory.hand import Path
-from stringcast.hardware.virtual.laboratory.nodal.motion import Motion, moved
+from stringcast.hardware.virtual.laboratory.nodal.motion import moved
 from stringcast.hardware.virtual.laboratory.rod import Rod
-from stringcast.hardware.virtual.laboratory.scene import CHECK, FINE, ROUGH
+from stringcast.hardware.virtual.laboratory.scene import CHECK, FINE, LIKELY, ROUGH, Moved
 
-LEVELS = {ROUGH: (8, 1e-3), CHECK: (16, 4e-4), FINE: (24, 2.5e-4)}  # elements, step [s]
+LEVELS = {ROUGH: (8, 1e-3), LIKELY: (16, 4e-4), CHECK: (16, 4e-4), FINE: (24, 2.5e-4)}  # elements, step [s]
 
 
 class Nodal:
-    """See `elements`, `forces` and `stepping`."""
+    """See `elements` and `dynamics`."""
 
-    def moved(self, rod: Rod, path: Path, level: int) -> Motion:
+    likely = 5e-3
+
+    def moved(self, rod: Rod, path: Path, level: int) -> Moved:
         """As of `Laboratory`."""
         return moved(rod, path, *LEVELS[level])
