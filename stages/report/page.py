@@ -97,10 +97,9 @@ class Figure(Part):
 
 @dataclass(frozen=True)
 class Small(Part):
-    """Small pictures side by side, each below its words. kind: small, or strip for words below."""
+    """Small pictures side by side, each below its words."""
 
     pictures: Sequence[tuple[str, Picture]]
-    kind: str = "small"
 
 
 @dataclass(frozen=True)

@@ -14,18 +14,8 @@ from matplotlib.figure import Figure
 
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.report.records import (
-    Cast,
-    Record,
-)
-from stringcast.stages.report.theme import (
-    MM,
-    ON_FRAMES,
-    Picture,
-    data_uri,
-    raster,
-    webp,
-)
+from stringcast.stages.report.records import Cast, Record
+from stringcast.stages.report.theme import MM, ON_FRAMES, Picture, data_uri, raster, webp
 from stringcast.stages.report.words import mm, ms
 
 GRID = 0.1  # [m]

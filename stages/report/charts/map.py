@@ -13,13 +13,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullLocator
 
 from stringcast.stages.report.outcomes import Outcome, response
-from stringcast.stages.report.theme import (
-    LIGHT,
-    MM,
-    Picture,
-    powers,
-    vector,
-)
+from stringcast.stages.report.theme import LIGHT, MM, Picture, powers, vector
 from stringcast.stages.report.words import mean_with_interval, significant
 
 DECADES = 20  # a setting whose levels span more than this ratio has an axis in powers of ten

@@ -14,18 +14,8 @@ from matplotlib.ticker import NullLocator
 from stringcast.data.artifacts import Estimate
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.report.records import (
-    DiagnosisRecord,
-    Drawn,
-    PaperRecord,
-)
-from stringcast.stages.report.theme import (
-    LIGHT,
-    Picture,
-    framed,
-    powers,
-    vector,
-)
+from stringcast.stages.report.records import DiagnosisRecord, Drawn, PaperRecord
+from stringcast.stages.report.theme import LIGHT, Picture, framed, powers, vector
 from stringcast.stages.report.words import gain, plain, significant
 
 

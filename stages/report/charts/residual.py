@@ -11,20 +11,8 @@ from matplotlib.figure import Figure
 
 from stringcast.stages.report.charts.time import mark_movement, moving
 from stringcast.stages.report.page import Chart, Line
-from stringcast.stages.report.records import (
-    Cast,
-    DiagnosisRecord,
-    Record,
-    away,
-    rms,
-)
-from stringcast.stages.report.theme import (
-    LIGHT,
-    MM,
-    Picture,
-    framed,
-    vector,
-)
+from stringcast.stages.report.records import Cast, DiagnosisRecord, Record, away, rms
+from stringcast.stages.report.theme import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.words import gain, mm
 
 # --- the same colours for the same things

@@ -12,22 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from stringcast.stages.model.box import Box
-from stringcast.stages.report.records import (
-    LABELS,
-    Cast,
-    DiagnosisRecord,
-    Drawn,
-    PaperRecord,
-    Record,
-    away,
-)
-from stringcast.stages.report.theme import (
-    LIGHT,
-    MM,
-    Picture,
-    framed,
-    vector,
-)
+from stringcast.stages.report.records import LABELS, Cast, DiagnosisRecord, Drawn, PaperRecord, Record, away
+from stringcast.stages.report.theme import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.words import mm, ms, plain
 
 # --- a cast

@@ -12,21 +12,8 @@ from matplotlib.figure import Figure
 from stringcast.data.artifacts import JOINTS, Estimate
 from stringcast.stages.hit_test import LONGEST_GAP
 from stringcast.stages.report.page import Chart, Line
-from stringcast.stages.report.records import (
-    TRIALS,
-    Cast,
-    DiagnosisRecord,
-    Drawn,
-    PaperRecord,
-    Record,
-)
-from stringcast.stages.report.theme import (
-    LIGHT,
-    MM,
-    Picture,
-    framed,
-    vector,
-)
+from stringcast.stages.report.records import TRIALS, Cast, DiagnosisRecord, Drawn, PaperRecord, Record
+from stringcast.stages.report.theme import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.words import mm, rate, significant
 
 

@@ -11,19 +11,7 @@ from matplotlib import style
 from matplotlib.figure import Figure as Drawing
 
 from stringcast.data.alignment import Alignment
-from stringcast.stages.report.page import (
-    Card,
-    Cell,
-    Figure,
-    Grid,
-    Page,
-    Section,
-    Table,
-    Text,
-    Tile,
-    Tiles,
-    number,
-)
+from stringcast.stages.report.page import Card, Cell, Figure, Grid, Page, Section, Table, Text, Tile, Tiles, number
 from stringcast.stages.report.records import Facts
 from stringcast.stages.report.theme import LIGHT, MM, STYLE, Picture, vector
 from stringcast.stages.report.words import mm

@@ -235,10 +235,7 @@ def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Secti
     unstable = [name for name, line in (("before", cast.before), ("after", cast.after)) if not np.isfinite(line).all()]
     undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
     layers = [Layer(name, ON_FRAMES[name], shown=name != "measured") for name in ("before", "after", "measured")]
-    shared = [
-        Grid([_closest(record, cast), _animated(record, cast, part)]),
-        Grid(_over_time(record, cast)),
-    ]
+    shared = [Grid([_closest(record, cast), _animated(record, cast, part)]), Grid(_over_time(record, cast))]
     parts = [
         Text(_told(cast)),
         *(Text(undrawn.format(name), "missing") for name in unstable),

@@ -8,19 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.report.page import (
-    Card,
-    Details,
-    Page,
-    Part,
-    Section,
-    Table,
-    Text,
-    Tile,
-    Tiles,
-    link,
-    number,
-)
+from stringcast.stages.report.page import Card, Details, Page, Part, Section, Table, Text, Tile, Tiles, link, number
 from stringcast.stages.report.words import rate
 
 COLUMNS = ("run", "experiment", "date", "state", "outcome", "casts or trials", "best E", "seconds", "said")

@@ -14,18 +14,7 @@ from matplotlib.figure import Figure as Drawing
 from stringcast.stages.report.charts.parameters import table_4
 from stringcast.stages.report.charts.string import shapes, trajectories
 from stringcast.stages.report.charts.time import fig_14
-from stringcast.stages.report.page import (
-    Card,
-    Details,
-    Figure,
-    Grid,
-    Page,
-    Section,
-    Table,
-    Text,
-    joined,
-    number,
-)
+from stringcast.stages.report.page import Card, Details, Figure, Grid, Page, Section, Table, Text, joined, number
 from stringcast.stages.report.records import LABELS, Drawn, PaperRecord
 from stringcast.stages.report.theme import LIGHT, STYLE, Picture, vector
 from stringcast.stages.report.words import sentence, significant, symbol, unit
