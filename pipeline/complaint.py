@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 import re
 import signal
+import sys
 
 from hydra.core.global_hydra import GlobalHydra
 from rich.markup import escape
 
 from stringcast.pipeline.called import as_called
-from stringcast.pipeline.settings import composed, flat
+from stringcast.pipeline.settings import CONF, composed, flat
 from stringcast.pipeline.terminal import Terminal
 
 
@@ -28,11 +29,22 @@ def refusal(error: BaseException) -> str:
     """What Hydra says, with the nearest setting there is."""
     said = str(error).strip().splitlines()[0]
     key = re.match(r"Could not override '([^']+)'", said)
+    if re.match("no viable|mismatched|missing|extraneous|token recognition", said):
+        return (
+            f"{_unread(str(error))}: it cannot be read. Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
+        )
     if key is None:
         said = "\n".join(line for line in str(error).splitlines() if line.strip() and "provider" not in line)
         return said.removesuffix("Config search path:").strip()
     GlobalHydra.instance().clear()
-    names = list(flat(composed()))
+    groups = [word for word in sys.argv[1:] if (CONF / word.partition("=")[0].lstrip("+")).is_dir()]
+    names = list(flat(composed(groups)))
     near = difflib.get_close_matches(key[1], names, 1)
     remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
     return f"{key[1]} (command line): there is no such setting. {remedy}"
+
+
+def _unread(said: str) -> str:
+    """The word of the command line that Hydra could not read."""
+    found = re.search(r"at input '([^']*)'", said)
+    return next((word for word in sys.argv[1:] if found and found[1] in word), "The command line")

@@ -14,6 +14,11 @@ from stringcast.pipeline.settings import CONF, UserError
 
 CALL = ["python", "-m", "pipeline"]  # as which it is called is put in where it is printed
 FLAGS = ("-m", "--multirun", "-v", "-h", "--help")
+OF_HYDRA = (
+    *("--hydra-help", "--version", "--cfg", "-c", "--resolve", "--package", "-p", "--run", "-r", "--info", "-i"),
+    *("--shell-completion", "-sc", "--config-path", "-cp", "--config-name", "-cn", "--config-dir", "-cd"),
+    "--experimental-rerun",
+)
 OF_TASKS = ("test", "bench", "setup")
 BEST = ["+experiment=stringB", "method=robust"]  # what tasks.py runs
 FROM_TRIALS = ("estimate", "diagnose", "decide")  # experiments that look at stored trials
@@ -64,7 +69,12 @@ def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str,
     if setting := _named_as_option(word):
         value = value or next(iter(following), "")
         yield f"{word}: {_what(setting)} has no dashes before it.", [_setting(setting, value)]
-    elif word in FLAGS or word.startswith(("-", "~")):  # ~ takes a setting out
+    elif word.startswith("-") and word.partition("=")[0] not in (*FLAGS, *OF_HYDRA):
+        yield (
+            f"{word}: there is no such option. A setting has no dashes: name=value. All: python -m pipeline --help",
+            [word],
+        )
+    elif word.startswith(("-", "~")):  # ~ takes a setting out
         return
     elif name == "experiment" and given:
         yield f"{word}: an experiment is added to the settings.", [f"+experiment={value}"]

@@ -26,5 +26,7 @@ def _read(path: Path) -> list[Recording]:
     for reader in READERS:
         if reader.reads(path):
             return reader.read(path)
+    if path.is_dir():
+        raise DataError(f"{path}: this is a folder, and no dataset of LeRobot. Name its files: {path}/*.csv")
     known = ", ".join((*tables.ENDINGS, ".h5", ".mcap", *VIDEOS))
     raise DataError(f"{path}: no such file is read. Export it as one of {known}.")

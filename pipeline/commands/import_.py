@@ -25,6 +25,7 @@ from stringcast.data.store import whole
 from stringcast.pipeline.called import called_as
 from stringcast.pipeline.commands import Arguments, check
 from stringcast.pipeline.importing import Brought, Told, brought, written
+from stringcast.pipeline.mistakes import FARTHEST
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.finding import Severity
@@ -94,7 +95,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--turn", type=float, default=0.0, help="to be added to the hand's direction [degrees]")
     made.add_argument("--moving", action="store_true", help="the string swings already when trials begin")
     made.add_argument("--px-per-m", type=float, help="pixels of a metre, where places are in pixels")
-    made.add_argument("--origin-px", type=pair, help="the world's origin in the picture [px]: 251.5,387.5")
+    made.add_argument("--origin-px", type=pixels, help="the world's origin in the picture [px]: 251.5,387.5")
     made.add_argument("--yes", action="store_true", help="ask nothing: take what seems most likely, and say so")
     return made
 
@@ -104,6 +105,8 @@ def metres(text: str) -> float:
     match = re.fullmatch(r"(-?[\d.]+(?:e-?\d+)?)\s*([a-z]*)", text.strip().lower())
     if not match or match[2] not in ("", *LENGTHS):
         raise argparse.ArgumentTypeError(f"{text!r} is no length. Write metres, or a unit: 0.3, 300mm, 30cm")
+    if not match[2] and abs(float(match[1])) >= FARTHEST:
+        raise argparse.ArgumentTypeError(f"{text} would be metres. Write {text}mm, if these are millimetres")
     return float(match[1]) * LENGTHS.get(match[2], 1.0)
 
 
@@ -112,6 +115,14 @@ def several(text: str) -> tuple[float, ...]:
     *rest, last = text.split(",")
     unit = re.sub(r"[^a-z]", "", last.strip().lower())
     return tuple(metres(part if re.search("[a-z]", part) else part + unit) for part in (*rest, last))
+
+
+def pixels(text: str) -> tuple[float, float]:
+    """Such as 251.5,387.5 [px]."""
+    match = re.fullmatch(r"\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)\s*", text)
+    if not match:
+        raise argparse.ArgumentTypeError(f"{text!r} are not two numbers. Write such as 251.5,387.5")
+    return float(match[1]), float(match[2])
 
 
 def pair(text: str) -> tuple[float, float]:

@@ -271,6 +271,8 @@ def test_what_is_missing_is_named_with_the_option_that_says_it(tmp_path, kind):
     [
         (["a.csv", "--length", "thirty"], "'thirty' is no length"),
         (["a.csv", "--base", "1,2,3"], "are not two numbers"),
+        (["a.csv", "--links", "250,200,135"], "250 would be metres. Write 250mm"),
+        (["a.csv", "--origin-px", "250"], "Write such as 251.5,387.5"),
         ([], "import: it needs: files. Try: python -m pipeline import --help"),
     ],
 )

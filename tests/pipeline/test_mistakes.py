@@ -58,6 +58,8 @@ def test_what_nothing_is_like_says_what_there_is():
         refuse_mistakes(["xyzzy"])
     with pytest.raises(UserError, match=r"\+nosuch=x: there is no setting 'nosuch'. All of them: .* --help"):
         refuse_mistakes(["+nosuch=x"])  # which Hydra would take
+    with pytest.raises(UserError, match="-x: there is no such option"):
+        refuse_mistakes(["-x"])
     with pytest.raises(UserError, match=r"python3 tasks.py test"):
         refuse_mistakes(["test"])
     with pytest.raises(UserError, match="specimen=7: there is no such option; there are A, B, C, D, long"):
