@@ -157,7 +157,9 @@ def hits(record: PaperRecord, pictures: Mapping[str, Picture]) -> Section | Text
     within = record.of("rates", record.conditions[0])["within"]
     columns = ["experiment", *(f"within {n}" for n, _ in enumerate(within, 1)), "median", "paper"]
     rows = [_rates(record, condition) for condition in record.conditions]
-    return Section("How often it hits", [Figure("", pictures["hit_rates"], about), Card("", [Table(columns, rows)])])
+    return Section(
+        "How often it hits", [Card("", [Figure("", pictures["hit_rates"], about)]), Card("", [Table(columns, rows)])]
+    )
 
 
 def _rates(record: PaperRecord, condition: str) -> list[Any]:
