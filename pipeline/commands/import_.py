@@ -18,7 +18,8 @@ from rich.text import Text
 
 from stringcast.data.importers.columns import LENGTHS
 from stringcast.data.importers.files import recordings
-from stringcast.data.importers.gathered import Gathered, Said, Taken, gathered
+from stringcast.data.importers.gathered import Gathered, gathered
+from stringcast.data.importers.reader import Said, Taken
 from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 from stringcast.data.store import whole

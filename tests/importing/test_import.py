@@ -13,7 +13,8 @@ from conftest import ROOT
 from stringcast.data import dataset
 from stringcast.data.importers.columns import Meaning, meaning
 from stringcast.data.importers.files import recordings
-from stringcast.data.importers.gathered import Said, gathered
+from stringcast.data.importers.gathered import gathered
+from stringcast.data.importers.reader import Said
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.import_ import parser
 from stringcast.pipeline.importing import Told, brought, written

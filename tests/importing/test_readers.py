@@ -11,7 +11,8 @@ import pytest
 
 from stringcast.data.importers import deeplabcut_h5
 from stringcast.data.importers.files import recordings
-from stringcast.data.importers.gathered import Said, gathered
+from stringcast.data.importers.gathered import gathered
+from stringcast.data.importers.reader import Said
 from stringcast.data.schema import DataError
 
 FRAMES = 5
