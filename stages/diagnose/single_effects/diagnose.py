@@ -80,7 +80,7 @@ def diagnose(
     kept = [i for i in kept if good[i].trial not in ready.chaotic]
     effects = candidates(ready.base.hypothesis.model, ready.data)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
-    judgement = judged(found, effects, criteria, _coarse(ready, model), seed)
+    judgement = judged(found, effects, criteria, _too_few_points(ready, model, criteria), seed)
     if rest and not judgement.causes and _shown(found, [good[i] for i in rest], criteria):
         log.info("the trials set aside show what the others do not: they are looked at as well")
         again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
@@ -135,10 +135,14 @@ def candidates(base: Model, data: Data) -> list[type[Effect]]:
     ]
 
 
-def _coarse(ready: Prepared, model: Model) -> float:
-    """Log Bayes factor by which the configured mesh is worse than one that does not matter."""
+def _too_few_points(ready: Prepared, model: Model, criteria: Criteria) -> bool:
+    """Whether the configured mesh is worse than one that does not matter, and has the tip elsewhere."""
     own = None if ready.literal else configured(ready, model)
-    return 0.0 if own is None else ready.base.evidence - own.evidence
+    if own is None or ready.base.evidence - own.evidence < criteria.enough:
+        return False
+    pairs = zip(ready.raw, own.residuals, ready.data.trials, ready.base.residuals, strict=True)
+    apart = [each - base * np.repeat(t.sigma / raw.sigma, 2) for raw, each, t, base in pairs]
+    return bool(replace(ready.data, trials=ready.raw).tip_rms(apart).max() > criteria.least_size)
 
 
 def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria) -> bool:

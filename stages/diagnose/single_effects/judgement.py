@@ -56,9 +56,10 @@ class Judgement:
     sentence: str = ""
 
 
-def judged(found: Found, effects: Sequence[type[Effect]], criteria: Criteria, coarse: float, seed: int) -> Judgement:
-    """The verdict on the causes that entered. coarse: log Bayes factor by which the configured mesh is worse than one
-    that does not matter."""
+def judged(
+    found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
+) -> Judgement:
+    """The verdict on the causes that entered. too_few_points: the configured mesh alone puts the tip elsewhere."""
     data, fit = found.prepared.data, found.fit
     small = responses(data, fit, effects)
     end = tempered(data, fit, small)
@@ -72,7 +73,7 @@ def judged(found: Found, effects: Sequence[type[Effect]], criteria: Criteria, co
         return Judgement("insufficient", (), (), inclusion, unknown, slots, end, said)
     if nothing:
         verdict = "unknown" if unknown > 0.5 else "none"
-        if verdict == "none" and coarse > criteria.enough:
+        if verdict == "none" and too_few_points:
             return Judgement("effect", (RESOLUTION,), (), {**inclusion, RESOLUTION: 1.0}, unknown, slots, end)
         return Judgement(verdict, (), (), inclusion, unknown, slots, end)
     groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
