@@ -14,6 +14,8 @@ import numpy as np
 from stringcast.hardware.virtual.laboratory.rod import Rod
 
 Values = dict[str, float]
+THICK = 0.04  # [m], radius of the thickest peg
+PLACES = 50  # that are tried for one
 CLEAR = 0.012  # [m] that a plane keeps from the hand and from the string at rest
 
 
@@ -176,14 +178,15 @@ def _plane(rng: np.random.Generator, plain: Plain, trial: int) -> Ends | None:
 
 def _peg(rng: np.random.Generator, plain: Plain, trial: int) -> Ends | None:
     """A round peg, ever thicker, where the string comes by, well away from the hand and the string's beginning."""
-    ends = passed(sized("rod.peg_radius", 0.05), "rod.peg_x", "rod.peg_y")(rng, plain, trial)
-    assert ends is not None
-    centre = np.array([ends[0]["rod.peg_x"], ends[0]["rod.peg_y"]])
-    kept = [*(points[0] for points in plain.strings), *plain.hands]
-    if min(float(np.linalg.norm(points - centre, axis=-1).min()) for points in kept) < 0.05 + CLEAR:
-        return None
-    same = {"rod.peg": float(np.exp(rng.uniform(*np.log([3e4, 3e5]))))}
-    return ends[0] | same, ends[1] | same
+    kept = np.concatenate([plain.strings[trial][0], plain.hands[trial]])
+    hard = {"rod.peg": float(np.exp(rng.uniform(*np.log([3e4, 3e5]))))}
+    for _ in range(PLACES):
+        ends = passed(sized("rod.peg_radius", THICK), "rod.peg_x", "rod.peg_y")(rng, plain, trial)
+        assert ends is not None
+        centre = np.array([ends[0]["rod.peg_x"], ends[0]["rod.peg_y"]])
+        if np.linalg.norm(kept - centre, axis=-1).min() > THICK + CLEAR:
+            return ends[0] | hard, ends[1] | hard
+    return None
 
 
 def _thread(rng: np.random.Generator, plain: Plain, trial: int) -> Ends:
@@ -281,7 +284,7 @@ CAUSES = (
     Cause("letting_go", (), during(sized("rod.grasp_loss", 60.0), "rod.grasp_loss_from")),
     Cause("pull", (), passed(sized("rod.pull", -300.0, 300.0, pull_reach=(0.05, 0.12)), "rod.pull_x", "rod.pull_y")),
     Cause("eddy", (), passed(sized("rod.eddy", -25.0, 25.0, eddy_core=(0.08, 0.2)), "rod.eddy_x", "rod.eddy_y")),
-    Cause("peg", (), _peg),
+    Cause("peg", (), _peg, once=True),
     Cause("thread", (), _thread, once=True),
     Cause(
         "gust",
