@@ -102,7 +102,7 @@ class Seen:
         """How often it must be, to tell how a limp string of this length swings [1/s]."""
         return SAMPLES * SECOND / (2 * np.pi) * float(np.sqrt(GRAVITY / self.length))
 
-    @property
+    @cached_property
     def scarce(self) -> bool:
         """Whether it was seen so seldom that how it moves cannot be told: a hand so slow that the string only hangs
         from it needs few frames."""
