@@ -44,7 +44,7 @@ class Discrepancy:
 
     splines: (n, B) at the measured points. turn: (M, B) from sums over points, of residuals over sigma times splines,
     to coefficients; unturn: (B, M) back to splines. variance: (M,) of the discrepancy for s = 1 m. nuisance: U in
-    coefficients, (2 M, m).
+    coefficients, (2 M, m); modes: as it is, (2 n, m).
     """
 
     splines: csr_array
@@ -52,6 +52,7 @@ class Discrepancy:
     unturn: np.ndarray
     variance: np.ndarray
     nuisance: np.ndarray
+    modes: np.ndarray
 
     @classmethod
     def of(cls, trial: Case, growth: np.ndarray, nuisance: np.ndarray) -> Discrepancy:
@@ -62,7 +63,7 @@ class Discrepancy:
         told = (vectors[:, kept] / np.sqrt(values[kept])).T  # orthonormal coefficients of what splines tell
         smooth = told @ (splines.T @ _kernel_root(trial, growth))
         variance, turn = eigh(smooth @ smooth.T)
-        made = cls(splines, turn.T @ told, told.T @ turn, np.maximum(variance, 0.0), np.zeros((0, 0)))
+        made = cls(splines, turn.T @ told, told.T @ turn, np.maximum(variance, 0.0), np.zeros((0, 0)), nuisance)
         return replace(made, nuisance=made.coefficients(nuisance.T).T)
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
@@ -84,12 +85,18 @@ class Discrepancy:
     def mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """The discrepancy over sigma (2 n,) that coefficients (2 M,) leave most likely."""
         variance = np.repeat(SIZES[size] ** 2 * self.variance, 2)
-        root = self.nuisance / self._deviation(size)[:, None]
-        known = coefficients - self.nuisance @ np.linalg.solve(
-            np.eye(root.shape[1]) + root.T @ root, root.T @ (coefficients / self._deviation(size))
-        )
+        known = coefficients - self.nuisance @ self._amplitudes(coefficients, size)
         told = (known * variance / (1.0 + variance)).reshape(-1, 2)
         return np.asarray((self.splines @ (self.unturn @ told)).ravel())
+
+    def beginning(self, coefficients: np.ndarray, size: int) -> np.ndarray:
+        """What another beginning most likely explains of coefficients (2 M,), over sigma, (2 n,)."""
+        return np.asarray(self.modes @ self._amplitudes(coefficients, size))
+
+    def _amplitudes(self, coefficients: np.ndarray, size: int) -> np.ndarray:
+        deviation = self._deviation(size)
+        root = self.nuisance / deviation[:, None]
+        return np.asarray(np.linalg.solve(np.eye(root.shape[1]) + root.T @ root, root.T @ (coefficients / deviation)))
 
     def draws(self, coefficients: np.ndarray, size: int, count: int, rng: np.random.Generator) -> np.ndarray:
         """Discrepancies over sigma (count, 2 n) as likely as coefficients (2 M,) leave them."""

@@ -103,6 +103,12 @@ class Data:
         told = zip(self.discrepancies, self.coefficients(residuals), sizes, strict=True)
         return [d.white(each, size) for d, each, size in told]
 
+    def begun(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
+        """Residuals (2 n,) of each trial without what another beginning explains. sizes: (K,) of SIZES."""
+        told = zip(self.discrepancies, self.coefficients([each[None] for each in residuals]), sizes, strict=True)
+        explained = [d.beginning(each[0], int(size)) for d, each, size in told]
+        return [each - part for each, part in zip(residuals, explained, strict=True)]
+
     def only(self, chosen: Sequence[int]) -> Data:
         """Some of the trials."""
         return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen))

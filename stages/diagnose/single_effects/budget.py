@@ -48,7 +48,7 @@ def budgeted(found: Found, rng: np.random.Generator) -> Budget:
     names, full = found.fit.hypothesis.names, fits[-1]
     lost = [full.evidence - refitted(data, full, full.hypothesis.without(c)).evidence for c in full.hypothesis.causes]
     shares = -np.diff(squares)
-    entries = [Entry(n, float(np.sqrt(s)), e) for n, s, e in zip(names, shares, lost, strict=True)]
+    entries = [Entry(n, float(np.sqrt(max(s, 0.0))), e) for n, s, e in zip(names, shares, lost, strict=True)]
     rest = [("numerical error", numerical), ("noise", noise), ("unexplained", left - numerical - noise)]
     entries += [Entry(name, float(np.sqrt(max(square, 0.0)))) for name, square in rest]
     low, high = _unexplained(data, full, rng)
@@ -72,7 +72,7 @@ def _one_after_another(found: Found) -> list[Fit]:
 
 def _tip_square(data: Data, fit: Fit) -> float:
     """Mean square of the residual at the tip, over trials [m2]."""
-    return float(np.mean(data.tip_rms(fit.residuals) ** 2))
+    return float(np.mean(data.tip_rms(data.begun(fit.residuals, fit.sizes)) ** 2))
 
 
 def _known(raw: Sequence[Case], data: Data) -> tuple[float, float]:

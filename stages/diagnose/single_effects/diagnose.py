@@ -23,7 +23,7 @@ from stringcast.stages.diagnose.single_effects import tables
 from stringcast.stages.diagnose.single_effects.budget import budgeted
 from stringcast.stages.diagnose.single_effects.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.single_effects.document import document, left_over, sentence, settings, without_nan
-from stringcast.stages.diagnose.single_effects.judgement import RESOLUTION, Judgement, judged
+from stringcast.stages.diagnose.single_effects.judgement import RESOLUTION, Judgement, judged, likelier
 from stringcast.stages.diagnose.single_effects.predictions import better, held_out_table, predicted
 from stringcast.stages.diagnose.single_effects.prepared import Prepared, configured, prepared
 from stringcast.stages.diagnose.single_effects.search import Criteria, Found, searched, unexplained
@@ -80,7 +80,10 @@ def diagnose(
     kept = [i for i in kept if good[i].trial not in ready.chaotic]
     effects = candidates(ready.base.hypothesis.model, ready.data)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
-    judgement = judged(found, effects, criteria, _too_few_points(ready, model, criteria), seed)
+    few = _too_few_points(ready, model, criteria)
+    judgement = judged(found, effects, criteria, few, seed)
+    if (better_found := likelier(found, judgement)) is not found:
+        found, judgement = better_found, judged(better_found, effects, criteria, few, seed)
     if rest and not judgement.causes and _shown(found, [good[i] for i in rest], criteria):
         log.info("the trials set aside show what the others do not: they are looked at as well")
         again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)

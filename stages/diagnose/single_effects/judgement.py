@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -18,7 +18,7 @@ from stringcast.stages.diagnose.single_effects.search import (
     removed,
 )
 from stringcast.stages.diagnose.single_effects.small_effects import Tempered, responses, tempered
-from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.inference.evidence import Data, Fit, evaluated
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"
@@ -81,6 +81,15 @@ def judged(
     return Judgement("ambiguous" if groups else "effect", causes, groups, inclusion, unknown, slots, end)
 
 
+def likelier(found: Found, judgement: Judgement) -> Found:
+    """With the cause that, every effect a little wrong, is the likeliest in its place, where another had entered."""
+    for slot in judgement.slots if found.fit.hypothesis.causes else ():
+        name = max(slot.chances, key=lambda each: slot.chances[each])
+        if name and name not in found.fit.hypothesis.names:
+            return replace(found, fit=slot.fits[name])
+    return found
+
+
 def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:
     """Probability that in some trial more is lacking at the tip than is tolerated, root mean square."""
     told = data.coefficients([each[None] for each in fit.residuals])
@@ -103,10 +112,14 @@ def _base(found: Found) -> Fit:
 
 def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:
     """What else could be in the place of a cause, the others staying."""
-    if len(found.fit.hypothesis.causes) == 1 and found.path[0].best is not None:
-        return found.path[0]
-    less = refitted(found.prepared.data, found.fit, found.fit.hypothesis.without(cause))
-    return compared(found.prepared.data, less, effects, criteria, seed)
+    first = found.path[0]
+    if first.best is not None and first.best.hypothesis.names == found.fit.hypothesis.names:
+        return first
+    data, less = found.prepared.data, found.fit.hypothesis.without(cause)
+    step = compared(data, refitted(data, found.fit, less), effects, criteria, seed)
+    itself = less.joined(cause)
+    named = evaluated(data, itself, itself.carried(found.fit.named))
+    return replace(step, tried=[named, *(fit for fit in step.tried if fit.hypothesis.names[-1] != cause.name)])
 
 
 def _slot(data: Data, step: Step, small: np.ndarray, count: int, least_size: float) -> Slot:

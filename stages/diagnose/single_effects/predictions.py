@@ -10,7 +10,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import HELD_OUT, Observation
 from stringcast.stages.estimate.matching import Matching, targets
-from stringcast.stages.inference.discrepancy import marginal
+from stringcast.stages.inference.discrepancy import likeliest, marginal
 from stringcast.stages.inference.evidence import TIP, Data, Fit, fitted
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.parameter import values_of
@@ -46,8 +46,9 @@ def _again(data: Data, fit: Fit) -> Fit:
 def _predicted(data: Data, fit: Fit, number: int) -> Prediction:
     own = data.only([number])
     residuals = own.residuals(fit.hypothesis.model, fit.chi[None])
-    said = marginal(own.log_likelihoods(residuals))[0, 0]
-    return Prediction(fit, residuals[0][0], float(said))
+    told = own.log_likelihoods(residuals)[:, 0]
+    (residual,) = own.begun([residuals[0][0]], likeliest(told))
+    return Prediction(fit, residual, float(marginal(told)[0]))
 
 
 def held_out_table(
@@ -67,8 +68,8 @@ def held_out_table(
         for name, one in (("base", plain), ("extended", more)):
             row |= _rms(trial, one.residual, name)
             row[f"E_{name}"] = _rate(one.fit, trial, observations[number], matching)
-        own = data.only([number]).residuals(known.hypothesis.model, known.chi[None])
-        rows.append(row | {"rms_known": _rms(trial, own[0][0], "known")["rms_known"]})
+        own = _predicted(data, known, number).residual
+        rows.append(row | {"rms_known": _rms(trial, own, "known")["rms_known"]})
     return HELD_OUT.check(pd.DataFrame(rows)) if rows else HELD_OUT.empty()
 
 

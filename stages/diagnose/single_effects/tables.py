@@ -28,7 +28,8 @@ def joined_names(fit: Fit) -> str:
 def residuals(data: Data, base: Fit, extended: Fit) -> pd.DataFrame:
     """Table RESIDUALS."""
     frames = []
-    for trial, plain, more in zip(data.trials, base.residuals, extended.residuals, strict=True):
+    plain_and_more = (data.begun(fit.residuals, fit.sizes) for fit in (base, extended))
+    for trial, plain, more in zip(data.trials, *plain_and_more, strict=True):
         off = trial.sigma[:, None] * plain.reshape(-1, 2)
         first, then = trial.points + off, trial.points + trial.sigma[:, None] * more.reshape(-1, 2)
         along = _tangents(trial.frame, trial.s, first)

@@ -478,7 +478,8 @@ def _next(record: DiagnosisRecord) -> Part | None:
 def string(record: DiagnosisRecord) -> Section | None:
     """The string's parameters, fitted without and with the causes."""
     base, known = record.document["base"]["parameters"], record.extension.get("known", {})
-    rows = [_parameter(p, base[p.name], known.get(p.name)) for p in record.model.parameters if p.name in base]
+    value = {name: each["value"] if isinstance(each, Mapping) else each for name, each in known.items()}
+    rows = [_parameter(p, base[p.name], value.get(p.name)) for p in record.model.parameters if p.name in base]
     if not rows:
         return None
     lead = "Each model is fitted to all trials. What differs is what the base model bends to make up for its mistakes."
