@@ -230,7 +230,9 @@ def test_a_column_of_the_wrong_kind_is_named_and_nothing_written(tmp_path, colum
 
 def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match=r"file/p: cannot be written \(.*\)\. Choose another folder"):
+    with pytest.raises(
+        DataError, match=r"file/p: cannot be written \(.*\)\. Look at the disk, or choose another folder"
+    ):
         store.save(points(1.0), tmp_path / "file" / "p", {})
     with pytest.raises(DataError, match="cannot be written"):
         store.save(points(1.0), Path("/proc/nowhere/p"), {})
