@@ -41,16 +41,24 @@ def waits() -> list[Row]:
     return [*questions(), *run(), *one(), *among_neighbours()]
 
 
+WATCH = """
+import os, subprocess, sys
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+_, status, usage = os.wait4(process.pid, 0)
+print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3)
+"""  # in a process of its own: a child's peak begins with what its parent holds when it starts it
+
+
 def spent(*arguments: str) -> tuple[float, float]:
     """Processor time [s] and peak memory [MB] of the pipeline on one thread. Raises where it does not end with 0."""
     command = [sys.executable, "-m", "pipeline", *arguments]
-    around, nowhere = os.environ | dict.fromkeys(POOLS, "1"), subprocess.DEVNULL
-    process = subprocess.Popen(command, cwd=ROOT, env=around, stdout=nowhere, stderr=nowhere)
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, command)
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3
+    around = os.environ | dict.fromkeys(POOLS, "1")
+    watched = [sys.executable, "-c", WATCH, *command]
+    told = subprocess.run(watched, cwd=ROOT, env=around, check=True, capture_output=True, text=True).stdout
+    status, seconds, megabytes = map(float, told.split())
+    if status:
+        raise subprocess.CalledProcessError(int(status), command)
+    return seconds, megabytes
 
 
 def questions() -> list[Row]:
