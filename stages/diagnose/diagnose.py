@@ -20,7 +20,7 @@ from stringcast.stages.common import Progress, part
 from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.casts import Design
 from stringcast.stages.diagnose.choose import chosen, levelled, noisiness
-from stringcast.stages.diagnose.describe import document, sentence, without_nan
+from stringcast.stages.diagnose.describe import document, sentence
 from stringcast.stages.diagnose.differing import differing
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import Fit, fitted
@@ -30,9 +30,12 @@ from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
 from stringcast.stages.diagnose.leads import astray, beginnings, follow
 from stringcast.stages.diagnose.missing import Missing, missing, unexplained
 from stringcast.stages.diagnose.noise import FAR, mismatch
-from stringcast.stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared, usable
+from stringcast.stages.diagnose.prepare import Ground, cleaned_anew, literal, prepared
 from stringcast.stages.diagnose.resolve import DOUBTFUL
-from stringcast.stages.diagnose.separate import Proposal, separated
+from stringcast.stages.diagnose.separate import separated
+from stringcast.stages.diagnose.single_effects.design import Proposal
+from stringcast.stages.diagnose.single_effects.document import without_nan
+from stringcast.stages.diagnose.single_effects.prepared import usable
 from stringcast.stages.diagnose.verdict import RESOLUTION, Judgement, judged
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.untouched import untouched

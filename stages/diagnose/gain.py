@@ -15,14 +15,10 @@ from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import fitted
 from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
 from stringcast.stages.diagnose.prepare import Ground
-from stringcast.stages.estimate.matching import Matching, targets
-from stringcast.stages.inference.forward import Case
+from stringcast.stages.diagnose.single_effects.document import wider
+from stringcast.stages.diagnose.single_effects.predictions import distances, rate
+from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import values_of
-from stringcast.stages.model.state import State
-from stringcast.stages.model.string import String
-
-FRAMES = 20  # of a trial, from which E is counted
 
 
 @dataclass(frozen=True)
@@ -82,42 +78,12 @@ def held_out_table(
         row = {"trial": case.name, "noise_floor": float(np.sqrt(2 * np.mean(own**2)))}
         row["log_likelihood_difference"] = float(np.sum(off[0] ** 2) - np.sum(off[1] ** 2)) / 2 / chance
         for name, residual, one in zip(("base", "extended"), off, (base, extended), strict=True):
-            row |= _measures(case, residual, name)
+            row |= distances(case, residual, name)
             begin = one.evidence.cases[number].initial
-            row[f"E_{name}"] = _rate(one.finest, one.chi[place], begin, observations[number], matching)
-        row["rms_known"] = _measures(case, extended.residual(extended.known, number), "known")["rms_known"]
+            row[f"E_{name}"] = rate(one.finest, one.chi[place], begin, observations[number], matching)
+        row["rms_known"] = distances(case, extended.residual(extended.known, number), "known")["rms_known"]
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
-
-
-def _measures(case: Case, residual: np.ndarray, name: str) -> dict[str, float]:
-    """Root mean squares of a trial's residual over sigma, of all of it and of the tip [m]."""
-    off = np.linalg.norm(residual.reshape(-1, 2), axis=1) * case.sigma
-    tip = case.s > case.s.max() - 1e-3
-    parts = {"rms": off, "tip_rms": off[tip]}
-    return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
-
-
-def _rate(model: Model, chi: np.ndarray, begin: State | None, observation: Observation, matching: Matching) -> float:
-    """E of a trial that begins in a state, or at rest."""
-    goal = targets(model, [thinned(observation)], matching)[0]
-    goal = replace(goal, case=replace(goal.case, initial=begin))
-    return float(np.mean(goal.per_frame(values_of(model.parameters, chi[None]))[0]))
-
-
-def thinned(observation: Observation) -> Observation:
-    """With some FRAMES frames, which are too far apart to tell how it begins: that is not asked of them."""
-    points = observation.read
-    times = np.unique(points["t"])
-    kept = times[:: max(len(times) // FRAMES, 1)]
-    return replace(observation, points=points[points["t"].isin(kept)], moving=False)
-
-
-def _wider(configured: String, string: String) -> dict[str, dict[str, float]]:
-    """Ranges that the data asked to be wider than they are configured."""
-    known = {p.name: p for p in configured.parameters}
-    wider = {name: p for name, p in string.ranges.items() if (p.low, p.high) != (known[name].low, known[name].high)}
-    return {name: {"low": p.low, "high": p.high} for name, p in wider.items()}
 
 
 def extended_settings(model: Model, hypotheses: Hypotheses, causes: Causes) -> dict[str, object]:
@@ -127,7 +93,7 @@ def extended_settings(model: Model, hypotheses: Hypotheses, causes: Causes) -> d
     segments, fine = hypotheses.evidence.segments[-1], hypotheses.tried[causes].theory.model.string
     kind = type(fine.integrator)
     string: dict[str, object] = {"points": segments + 1, "tip_cell": fine.tip_cell, "grasp_cell": fine.grasp_cell}
-    string |= {"largest_step": fine.largest_step, "ranges": _wider(model.string, fine)}
+    string |= {"largest_step": fine.largest_step, "ranges": wider(model.string, fine)}
     integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")}
     known: dict[str, object] = {name: float(f"{value:.8g}") for name, value in fit.values.items()}
     for name, (low, high) in model.measured.items():

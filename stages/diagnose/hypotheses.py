@@ -19,7 +19,8 @@ from stringcast.stages.diagnose.ranges import ranged, widened, with_ranges
 from stringcast.stages.diagnose.resolve import refined
 from stringcast.stages.diagnose.screen import Probe, screened, spread
 from stringcast.stages.diagnose.sharpen import Sharp, sharpened
-from stringcast.stages.diagnose.theory import Theory, candidates, joined
+from stringcast.stages.diagnose.single_effects.proposals import candidates
+from stringcast.stages.diagnose.theory import Theory, joined
 from stringcast.stages.model.effect import Effect, placed
 from stringcast.stages.model.model import Model
 
@@ -139,7 +140,7 @@ class Hypotheses:
     def probed(self, context: Causes) -> dict[str, list[Probe]]:
         """What every effect of the library but the context's would do beside it, to first order."""
         if context not in self.probes:
-            known = candidates(self.base, self.library, self.evidence)
+            known = candidates(self.base, self.library, self.evidence.cases)
             effects = [effect for effect in known if effect.name not in context]
             self.probes[context] = screened(self.evidence, self.tried[context], effects, self.seed)
         return self.probes[context]

@@ -9,17 +9,17 @@ from functools import cached_property
 import numpy as np
 
 from stringcast.data.artifacts import Observation
-from stringcast.data.dataset import FRAMES_NEEDED
-from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.beginning import begun, doubted_beginnings, move_at_first
 from stringcast.stages.diagnose.evidence import Evidence
 from stringcast.stages.diagnose.fit import Fit, fitted, ranked
-from stringcast.stages.diagnose.noise import cleaned, estimated, scattered, tracks
+from stringcast.stages.diagnose.noise import cleaned, estimated, scattered
 from stringcast.stages.diagnose.ranges import widened, with_ranges
 from stringcast.stages.diagnose.resolve import SEGMENTS, refined
 from stringcast.stages.diagnose.search import searched
-from stringcast.stages.diagnose.theory import Theory, candidates, whole
+from stringcast.stages.diagnose.single_effects.prepared import awake
+from stringcast.stages.diagnose.single_effects.proposals import candidates
+from stringcast.stages.diagnose.theory import Theory, whole
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.implicit import ImplicitLeapfrog
@@ -33,8 +33,6 @@ UNTOLD = 0.2  # noises by which longer steps may move a point
 STEPS = 20
 TAKEN_BACK = 0.02  # share of the points: so many more that are no outliers are another ground
 SETTLINGS = 2  # of the states in which trials begin moving
-STILL = 0.01  # of the string's length: a string that has come to rest stays so near to where it ends
-RESTING = 0.2  # [s] of rest that are kept
 
 
 @dataclass(frozen=True)
@@ -98,18 +96,6 @@ class Ground:
         return fitted(self.undoubted, [self.base.theory], [self.base.chi], STEPS)[0].mean_square
 
 
-def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
-    """The trials that can be made ready, and why the others cannot, by name."""
-    good, faults = [], {}
-    for observation in observations:
-        try:
-            case(model, observation)
-            good.append(observation)
-        except DataError as error:
-            faults[observation.trial] = str(error).removeprefix(f"trial {observation.trial}: ")
-    return good, faults
-
-
 def prepared(
     model: Model,
     observations: Sequence[Observation],
@@ -135,7 +121,7 @@ def prepared(
     named = [theory.named(fit.chi) for fit in found]
     configured = widened(plain, [_best(plain, plain_theory(model), named)])[0]
     doubted = refined(evidence, theory, best.chi)
-    base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence), evidence), named)
+    base = _best(doubted, whole(theory.model, candidates(theory.model, library, evidence.cases), evidence), named)
     undoubted = replace(evidence, segments=doubted.segments)
     return Ground(theory.model, doubted, undoubted, base, configured, raw, outliers, resting)
 
@@ -146,7 +132,7 @@ def literal(ground: Ground, library: Mapping[str, type[Effect]], points: int) ->
     nearest = _of_points(ground, points)
     model, segments = nearest.theory.model, (points - 1,)
     evidence, outliers = ground.raw.divided(segments).cleaned(nearest)
-    theory = whole(model, candidates(model, library, evidence), evidence)
+    theory = whole(model, candidates(model, library, evidence.cases), evidence)
     base = _best(evidence, theory, [nearest.theory.named(nearest.chi)])
     known = base if points == ground.configured.theory.model.string.points else _as_configured(ground, evidence)
     return replace(
@@ -210,23 +196,6 @@ def eased(evidence: Evidence, theory: Theory, chi: np.ndarray) -> Theory:
         if np.abs(evidence.residuals(model, chi[None]) - exact).max() < UNTOLD:
             return replace(theory, model=model)
     return theory
-
-
-def awake(ready: Case) -> Case:
-    """Without its end, in which the string hangs still: what a few frames say, a thousand must not say anew.
-
-    Their errors are the same, and would count as many.
-    """
-    away = np.zeros(len(ready.times))
-    late = ready.times[ready.frame] > ready.times[-1] - RESTING
-    for track in tracks(ready):
-        if late[track].any():
-            end = np.median(ready.points[track[late[track]]], axis=0)
-            np.maximum.at(away, ready.frame[track], np.linalg.norm(ready.points[track] - end, axis=1))
-    moving = np.flatnonzero(away > STILL * ready.model.string.length)
-    last = ready.times[moving[-1]] if moving.size else ready.times[0]
-    last = max(last + RESTING, ready.times[:FRAMES_NEEDED][-1])
-    return ready.until((last - ready.times[0]) / max(float(np.ptp(ready.times)), 1e-9))
 
 
 def _known(ready: Case, told: bool) -> Case:

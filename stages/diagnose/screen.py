@@ -15,6 +15,7 @@ import numpy as np
 from stringcast.data.later import Later
 from stringcast.stages.diagnose.evidence import LOST, Evidence
 from stringcast.stages.diagnose.fit import PRIOR, Fit
+from stringcast.stages.diagnose.single_effects.places import varied_parameters, way_of
 from stringcast.stages.diagnose.theory import Theory, joined
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.effect import Effect, components, placed
@@ -91,12 +92,8 @@ def about(chi: np.ndarray, where: Sequence[int], reach: float, rng: np.random.Ge
 
 
 def varied(theory: Theory, effect: type[Effect]) -> list[int]:
-    """Places of an effect's size, its first parameter, of other components of that, and of what says where or when.
-
-    Others that start at an end of their range are sizes too (of friction, say), and stay absent.
-    """
-    chosen = [p for p in effect.parameters if p in components(effect) or p.low < p.start < p.high]
-    return theory.places(effect, chosen)
+    """Places of the parameters with which an effect is tried."""
+    return theory.places(effect, varied_parameters(effect))
 
 
 @dataclass(frozen=True)
@@ -205,14 +202,7 @@ def followed(evidence: Evidence, fit: Fit) -> dict[str, np.ndarray]:
 def _followed(evidence: Evidence, model: Model, case: Case, values: np.ndarray) -> dict[str, np.ndarray]:
     coarse = model.divided(evidence.segments[0])
     points = coarse.true(case.motion, values, case.times, case.initial).points[0]
-    velocity = np.gradient(points, case.times, axis=0) if len(case.times) > 1 else np.zeros_like(points)
-    tangent = np.gradient(points, axis=1)
-    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    s, t = np.meshgrid(coarse.string.arc_lengths(), case.times)
-    axes = {"x": points, "vx": velocity, "ux": velocity, "tx": tangent}
-    known = {name: array[..., 0] for name, array in axes.items()}
-    known |= {name.replace("x", "y"): array[..., 1] for name, array in axes.items()} | {"s": s, "t": t}
-    return {name: array[:, 1:].ravel() for name, array in known.items()}
+    return way_of(points, coarse.string.arc_lengths(), case.times)
 
 
 def touching(trial: _Trial, path: Mapping[str, np.ndarray], seed: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
+from stringcast.data.artifacts import FORETOLD
 from stringcast.stages.diagnose.casts import Design, imagined, possible, standing_for
 from stringcast.stages.diagnose.choose import noisiness
 from stringcast.stages.diagnose.evidence import LOST, Evidence
@@ -25,6 +25,7 @@ from stringcast.stages.diagnose.fit import Fit, fitted
 from stringcast.stages.diagnose.foretell import DECIDED, Outlook, Prospect, Rehearsal, again
 from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses, carried
 from stringcast.stages.diagnose.resolve import SEGMENTS, finer
+from stringcast.stages.diagnose.single_effects.design import Proposal, without_motion
 from stringcast.stages.diagnose.verdict import Judgement
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import commands_of, control_points_of
@@ -41,17 +42,6 @@ STEPS = 8  # of these fits
 BEST = 3  # of these, of which chance is drawn
 DRAWS = 100
 TELLS = 1.0  # log odds that a motion must be expected to give, or it tells nothing
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """next_experiment: as in diagnosis.json, None where nothing is left to be decided. The motion's tables, and where
-    each theory has the string in it; all empty where no motion would help."""
-
-    next_experiment: Mapping[str, Any] | None
-    commands: pd.DataFrame
-    control_points: pd.DataFrame
-    foretold: pd.DataFrame
 
 
 @dataclass(frozen=True)
@@ -158,11 +148,6 @@ def separated(
     if not len(curves.duration):
         return without_motion(None)
     return proposed(rivals, hypotheses.floor, curves, obstacles, design, rng)
-
-
-def without_motion(next_experiment: Mapping[str, Any] | None) -> Proposal:
-    """Words alone."""
-    return Proposal(next_experiment, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
 
 
 def proposed(

@@ -14,6 +14,7 @@ from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
 from stringcast.stages.diagnose.noise import parts, systematic
 from stringcast.stages.diagnose.reach import reach
 from stringcast.stages.diagnose.screen import Probe
+from stringcast.stages.diagnose.single_effects.tables import tangents
 from stringcast.stages.diagnose.verdict import Judgement
 from stringcast.stages.model.effect import Effect, ModelChange, placed
 
@@ -33,7 +34,7 @@ def residuals(hypotheses: Hypotheses, causes: Causes) -> pd.DataFrame:
     floors = parts(hypotheses.evidence, hypotheses.floor.sigma)
     for case, plain, more, own in zip(hypotheses.evidence.cases, *both, floors, strict=True):
         first, then = (case.points + case.sigma[:, None] * off for off in (plain, more))
-        along = _tangents(case.frame, case.s, first)
+        along = tangents(case.frame, case.s, first)
         off = case.points - first
         table = {"trial": case.name, "t": case.times[case.frame], "s": case.s}
         table |= dict(zip(("x", "y"), case.points.T, strict=True)) | {"sigma": own[:, 0], "doubt": case.sigma}
@@ -42,17 +43,6 @@ def residuals(hypotheses: Hypotheses, causes: Causes) -> pd.DataFrame:
         table["base_normal"] = off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]
         frames.append(pd.DataFrame(table))
     return RESIDUALS.check(pd.concat(frames, ignore_index=True))
-
-
-def _tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Unit vectors along the string at its points (N, 2), from their neighbours in the same frame."""
-    along = np.zeros_like(points)
-    for number in np.unique(frame):
-        own = np.flatnonzero(frame == number)
-        if len(own) > 1 and np.ptp(s[own]) > 0:
-            along[own] = np.gradient(points[own], s[own] + 1e-12 * np.arange(len(own)), axis=0)
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    return np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0])
 
 
 def theories(hypotheses: Hypotheses, judgement: Judgement) -> pd.DataFrame:

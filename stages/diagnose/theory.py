@@ -14,8 +14,7 @@ from typing import cast
 import numpy as np
 
 from stringcast.stages.diagnose.evidence import Evidence
-from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, StringEffect, placed
-from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.effect import CameraEffect, Effect, StringEffect, placed
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter, values_of
 from stringcast.stages.model.stability import load
@@ -121,21 +120,6 @@ class Theory:
     def names(self) -> tuple[str, ...]:
         """Names of the causes."""
         return tuple(cause.name for cause in self.causes)
-
-
-def candidates(base: Model, library: Mapping[str, type[Effect]], evidence: Evidence) -> list[type[Effect]]:
-    """Effects with parameters that are not in the base model and not told; of those on joints, only where there are
-    joints; of those of a lens, only where it was not measured."""
-    grasp_only = any(isinstance(case.motion, HandMotion) for case in evidence.cases)
-    return [
-        e
-        for e in library.values()
-        if e not in base.effects
-        and not e.told
-        and not issubclass(e, ModelChange)
-        and not (base.camera.lens and issubclass(e, CameraEffect) and e.of_lens)
-        and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())
-    ]
 
 
 def whole(base: Model, effects: Sequence[type[Effect]], evidence: Evidence) -> Theory:

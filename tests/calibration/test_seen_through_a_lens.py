@@ -8,7 +8,7 @@ from conftest import specimen, swing
 
 from stringcast.data.artifacts import Film
 from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
-from stringcast.stages.diagnose.theory import candidates
+from stringcast.stages.diagnose.single_effects.proposals import candidates
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import footage_of
@@ -60,11 +60,6 @@ def test_the_string_is_read_where_it_is_and_with_the_lens_ignored_elsewhere(tria
 def test_a_lens_that_was_measured_is_not_guessed(arm):
     string = specimen("B").string()
     names = {
-        camera: {e.name for e in candidates(Model(string, arm, camera), library(), _Nothing())}
-        for camera in (PLAIN, BENT)
+        camera: {e.name for e in candidates(Model(string, arm, camera), library(), ())} for camera in (PLAIN, BENT)
     }
     assert names[PLAIN] - names[BENT] == {"lens_distortion"}
-
-
-class _Nothing:
-    cases = ()

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from stringcast.stages.diagnose.chance import by_chance
 from stringcast.stages.diagnose.evidence import Evidence
-from stringcast.stages.diagnose.prepare import RESTING, awake
+from stringcast.stages.diagnose.single_effects.prepared import RESTING, awake
 from stringcast.stages.inference.forward import Case
 
 FRAMES, ALONG = 2000, 5

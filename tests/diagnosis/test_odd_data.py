@@ -13,11 +13,11 @@ from performed import said_of
 from stringcast.data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.diagnose import choose
-from stringcast.stages.diagnose.describe import gain, without_nan
 from stringcast.stages.diagnose.diagnose import coarse
-from stringcast.stages.diagnose.gain import FRAMES, _rate, _wider, thinned
 from stringcast.stages.diagnose.missing import _ridge
-from stringcast.stages.diagnose.prepare import usable
+from stringcast.stages.diagnose.single_effects.document import gain, wider, without_nan
+from stringcast.stages.diagnose.single_effects.predictions import FRAMES, rate, thinned
+from stringcast.stages.diagnose.single_effects.prepared import usable
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.inference.forward import case
@@ -67,10 +67,10 @@ def test_the_matching_rate_is_that_of_the_state_in_which_the_trial_begins(model,
     """Some twenty frames of a trial are too far apart to tell it from."""
     ready, chi = case(model, begun), np.array([float(p.chi(np.asarray(TRUTH[p.name]))) for p in model.parameters])
     assert FRAMES <= thinned(begun).points["t"].nunique() < 2 * FRAMES
-    right = _rate(model, chi, ready.initial, begun, FINE)
+    right = rate(model, chi, ready.initial, begun, FINE)
     elsewhere = replace(ready.initial, angle=ready.initial.angle + 0.5)
     assert right > 0.8  # measured: 0.825, and 0.25 elsewhere
-    assert _rate(model, chi, elsewhere, begun, FINE) < right - 0.3
+    assert rate(model, chi, elsewhere, begun, FINE) < right - 0.3
 
 
 def rows(**other):
@@ -133,9 +133,9 @@ def test_frames_that_are_missing_have_no_force():
 
 def test_wider_ranges_are_told_to_the_other_stages(model):
     wide = replace(model.string.parameters[2], high=1e9)
-    wider = replace(model.string, ranges={**model.string.ranges, wide.name: wide})
-    assert _wider(model.string, wider) == {wide.name: {"low": wide.low, "high": 1e9}}
-    assert _wider(model.string, model.string) == {}
+    other = replace(model.string, ranges={**model.string.ranges, wide.name: wide})
+    assert wider(model.string, other) == {wide.name: {"low": wide.low, "high": 1e9}}
+    assert wider(model.string, model.string) == {}
 
 
 def test_too_few_points_to_read_positions_from_are_refused(model, begun):

@@ -21,7 +21,8 @@ from stringcast.stages.diagnose.prepare import LONGER, STEP, UNTOLD, Ground, Raw
 from stringcast.stages.diagnose.ranges import pressed
 from stringcast.stages.diagnose.resolve import SEGMENTS, refined
 from stringcast.stages.diagnose.screen import followed, screened
-from stringcast.stages.diagnose.theory import Theory, candidates, joined, whole
+from stringcast.stages.diagnose.single_effects.proposals import candidates
+from stringcast.stages.diagnose.theory import Theory, joined, whole
 from stringcast.stages.diagnose.verdict import judged, weighed
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.inference.forward import Case
@@ -67,7 +68,7 @@ def measured(arm, model, hidden=None, trials=3, noise=SIGMA, seconds=0.5):
 
 def base(model, evidence):
     """The base model fitted from the truth, with the library at hand."""
-    theory = whole(model, candidates(model, library(), evidence), evidence)
+    theory = whole(model, candidates(model, library(), evidence.cases), evidence)
     return fitted(evidence, [theory], [theory.at(TRUTH)], 15)[0]
 
 
@@ -128,7 +129,7 @@ def test_a_fit_says_what_is_simulated_where_it_ends(arm, model, most):
 def test_a_fit_that_stopped_short_is_levelled_with_one_of_more_causes(arm, model):
     """Else what it missed would count as explained by a cause: measured, 20 against 1."""
     evidence = measured(arm, model)
-    theory = whole(model, candidates(model, library(), evidence), evidence)
+    theory = whole(model, candidates(model, library(), evidence.cases), evidence)
     short = fitted(evidence, [theory], [theory.at({**TRUTH, "bending_stiffness": 12.0})], 0)[0]
     more = joined(theory, library()["tip_mass"])
     hypotheses = Hypotheses(evidence, evidence, evidence, model, library(), 0)
@@ -205,7 +206,7 @@ def test_points_that_are_far_out_are_left_out_and_no_others(arm, model):
 def test_screening_puts_the_cause_first_and_a_fit_gets_its_size(arm, model):
     evidence = measured(arm, model, {"rest_curvature.curvature": 3.0})
     fit = base(model, evidence)
-    effects = candidates(model, library(), evidence)
+    effects = candidates(model, library(), evidence.cases)
     probes = screened(evidence, fit, effects, 0)
     assert max(probes, key=lambda name: probes[name][0].gain) == "rest_curvature"
     best = probes["rest_curvature"][0]
@@ -232,7 +233,7 @@ def test_a_size_that_could_be_nothing_is_no_cause_but_a_plane_may_be_as_hard_as_
     """Of planes the size says nothing: four of seven that were missed gained 1,500 and more of the log-likelihood."""
     evidence = measured(arm, model, trials=1)
     effect = library()[cause.partition(".")[0]]
-    theory = joined(whole(model, candidates(model, library(), evidence), evidence), effect)
+    theory = joined(whole(model, candidates(model, library(), evidence.cases), evidence), effect)
     chi, place = theory.at(TRUTH), theory.model.names.index(cause)
     chi[place] = 0.3
     residual = evidence.residuals(theory.model, chi[None])[0]
@@ -247,7 +248,7 @@ def test_a_size_that_could_be_nothing_is_no_cause_but_a_plane_may_be_as_hard_as_
 def test_a_plane_that_would_rather_be_softer_is_none(arm, model, stiffness, believed):
     """Of a cable with a set curvature, a plane of 2500 1/s2, the softest that there may be, explained the rest."""
     evidence = measured(arm, model, trials=1)
-    theory = joined(whole(model, candidates(model, library(), evidence), evidence), library()["contact"])
+    theory = joined(whole(model, candidates(model, library(), evidence.cases), evidence), library()["contact"])
     fit = fitted(evidence, [theory], [theory.at({**TRUTH, "contact.stiffness": stiffness, "contact.height": -0.9})], 0)[
         0
     ]
@@ -344,10 +345,10 @@ def test_on_other_points_all_is_asked_again_but_for_what_leads_said(arm, model, 
 def test_grasp_poses_leave_out_what_acts_on_joints(arm, model):
     evidence = measured(arm, model)
     posed = replace(evidence, cases=tuple(replace(c, motion=c.motion.grasp(arm)) for c in evidence.cases))
-    names = {effect.name for effect in candidates(model, library(), posed)}
+    names = {effect.name for effect in candidates(model, library(), posed.cases)}
     assert "joint_gain" not in names
     assert "arm_lag" in names
-    assert "joint_gain" in {effect.name for effect in candidates(model, library(), evidence)}
+    assert "joint_gain" in {effect.name for effect in candidates(model, library(), evidence.cases)}
 
 
 def test_mass_points_that_are_enough_gain_over_those_that_are_configured(arm, model):

@@ -47,7 +47,9 @@ class Proposal:
     foretold: pd.DataFrame
 
 
-NOTHING = Proposal(None, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
+def without_motion(next_experiment: Mapping[str, Any] | None) -> Proposal:
+    """Words alone."""
+    return Proposal(next_experiment, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
 
 
 @dataclass(frozen=True)
@@ -95,22 +97,22 @@ def designed(rivals: Rivals, obstacles: Sequence[Box], design: Design, rng: np.r
     """The motion to perform next, and what it will do; nothing where one hypothesis stands alone or the arm is
     unknown."""
     if len(rivals.fits) < 2 or not all(isinstance(t.motion, JointMotion) for t in rivals.data.trials):
-        return NOTHING
+        return without_motion(None)
     likeliest = next(iter(rivals.fits.values()))
     curves = possible(likeliest.hypothesis.base, obstacles, design, rng)
     if not len(curves.duration):
-        return NOTHING
+        return without_motion(None)
     like = max(rivals.data.trials, key=lambda trial: len(trial.s))
     cases = [_imagined(likeliest.hypothesis, curves, i, like, design) for i in range(len(curves.duration))]
     few = _promising(rivals, cases, obstacles)
     tried = {i: rivals.odds(corrected([cases[i]], likeliest.hypothesis, likeliest.chi)[0]) for i in few}
     best = max(few, key=lambda i: _least(tried[i][0]), default=None)
     if best is None:
-        return NOTHING
+        return without_motion(None)
     odds, near = tried[best]
     text = _document(rivals, odds, len(cases))
     if _least(odds) < 1:
-        return Proposal(text, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
+        return without_motion(text)
     curve = curves.only(np.array([best]))
     arm = likeliest.hypothesis.model.arm
     return Proposal(text, commands_of(arm, curve), control_points_of(curve), _foretold(cases[best], near))

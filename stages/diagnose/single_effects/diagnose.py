@@ -25,15 +25,14 @@ from stringcast.stages.diagnose.single_effects.design import Proposal, Rivals, d
 from stringcast.stages.diagnose.single_effects.document import document, left_over, sentence, settings, without_nan
 from stringcast.stages.diagnose.single_effects.judgement import RESOLUTION, Judgement, judged, likelier
 from stringcast.stages.diagnose.single_effects.predictions import better, held_out_table, predicted
-from stringcast.stages.diagnose.single_effects.prepared import Prepared, configured, prepared
+from stringcast.stages.diagnose.single_effects.prepared import Prepared, configured, prepared, usable
+from stringcast.stages.diagnose.single_effects.proposals import candidates
 from stringcast.stages.diagnose.single_effects.search import Criteria, Found, searched, unexplained
 from stringcast.stages.diagnose.single_effects.small_effects import Tempered, responses, tempered
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.inference.evidence import Data, Fit, evaluated
-from stringcast.stages.inference.forward import case
+from stringcast.stages.inference.evidence import Fit, evaluated
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange
-from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
 
@@ -67,7 +66,7 @@ def diagnose(
     between look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises DataError where no
     trial can be used.
     """
-    good, faults = _usable(model, observations)
+    good, faults = usable(model, observations)
     rejected = {**rejected, **faults}
     if not good:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
@@ -78,7 +77,7 @@ def diagnose(
     ready = prepared(model, [good[i] for i in kept], criteria.tolerance, np.random.default_rng(seed), starts, progress)
     rejected = {**rejected, **dict.fromkeys(ready.chaotic, CHAOTIC)}
     kept = [i for i in kept if good[i].trial not in ready.chaotic]
-    effects = candidates(ready.base.hypothesis.model, ready.data)
+    effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
     few = _too_few_points(ready, model, criteria)
     judgement = judged(found, effects, criteria, few, seed)
@@ -109,33 +108,6 @@ class Given:
     criteria: Criteria
     matching: Matching
     effects: Sequence[type[Effect]]
-
-
-def _usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
-    """The trials that can be made ready, and why the others cannot, by name."""
-    good, faults = [], {}
-    for observation in observations:
-        try:
-            case(model, observation)
-            good.append(observation)
-        except DataError as error:
-            faults[observation.trial] = str(error).removeprefix(f"trial {observation.trial}: ")
-    return good, faults
-
-
-def candidates(base: Model, data: Data) -> list[type[Effect]]:
-    """Effects with parameters that are not in the base model and not told; of those on joints, only where there are
-    joints; of those of a lens, only where it was not measured."""
-    grasp_only = any(isinstance(trial.motion, HandMotion) for trial in data.trials)
-    return [
-        e
-        for e in library().values()
-        if e not in base.effects
-        and not e.told
-        and not issubclass(e, ModelChange)
-        and not (base.camera.lens and issubclass(e, CameraEffect) and e.of_lens)
-        and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())
-    ]
 
 
 def _too_few_points(ready: Prepared, model: Model, criteria: Criteria) -> bool:

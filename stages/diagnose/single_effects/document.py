@@ -39,7 +39,7 @@ def document(
     return {
         "format": FORMAT,
         "verdict": judgement.verdict,
-        "causes": [_cause(causes[causes["effect"] == name]) for name in listed],
+        "causes": [cause_entry(causes[causes["effect"] == name]) for name in listed],
         "alternatives": alternatives + [{"effect": n, "probability": p} for n, p in rest.items() if n not in listed],
         "indistinguishable": [list(group) for group in judgement.groups],
         "base": {"parameters": base.values},
@@ -66,7 +66,8 @@ def _entry(entry: Any) -> dict[str, Any]:
     return row | ({"log_evidence": entry.log_evidence} if np.isfinite(entry.log_evidence) else {})
 
 
-def _cause(rows: pd.DataFrame) -> dict[str, Any]:
+def cause_entry(rows: pd.DataFrame) -> dict[str, Any]:
+    """A cause as it stands in diagnosis.json. rows: of table CAUSES."""
     first = rows.iloc[0]
     parameters = {
         row.parameter: {"value": row.value, "low": row.low, "high": row.high, "unit": row.unit}
@@ -139,18 +140,25 @@ def _where(data: Data, fit: Fit) -> str:
 
 def sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
     """The verdict in one or two sentences."""
-    said = causes.drop_duplicates("effect").set_index("effect")["sentence"]
-    stated = {name: f"{said[name]} (probability {judgement.inclusion[name]:.2f})" for name in judgement.causes}
-    alike = set().union(*judgement.groups)
-    sure = [words for name, words in stated.items() if name not in alike]
-    doubtful = [_either([stated[name] for name in group], group) for group in judgement.groups]
-    named = [f"What the simulation lacks: {_and(sure)}."] if sure else []
     fixed = {
         "none": ["The simulation agrees with what was measured, within noise and tolerance: there is nothing to name."],
         "unknown": ["The simulation disagrees with what was measured, and nothing in the library explains it."],
         "insufficient": ["This data cannot answer."],
-    }  # fmt: skip
-    return " ".join(fixed.get(judgement.verdict, [*named, *doubtful]))
+    }
+    stated = causes_in_words(judgement.causes, judgement.groups, judgement.inclusion, causes)
+    return " ".join(fixed.get(judgement.verdict, stated))
+
+
+def causes_in_words(
+    names: Sequence[str], groups: Sequence[Sequence[str]], probability: Mapping[str, float], causes: pd.DataFrame
+) -> list[str]:
+    """Sentences that state the causes of these names, look-alikes together. causes: table CAUSES."""
+    said = causes.drop_duplicates("effect").set_index("effect")["sentence"]
+    stated = {name: f"{said[name]} (probability {probability[name]:.2f})" for name in names}
+    alike = {name for group in groups for name in group}
+    sure = [words for name, words in stated.items() if name not in alike]
+    doubtful = [_either([stated[name] for name in group], group) for group in groups]
+    return [*([f"What the simulation lacks: {_and(sure)}."] if sure else []), *doubtful]
 
 
 def _either(stated: Sequence[str], group: Sequence[str]) -> str:
@@ -170,7 +178,7 @@ def settings(model: Model, fit: Fit, intervals: Mapping[str, tuple[float, float]
     kind = type(string.integrator)
     integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")}
     told: dict[str, object] = {"points": string.points, "tip_cell": string.tip_cell, "grasp_cell": string.grasp_cell}
-    told |= {"largest_step": string.largest_step, "ranges": _wider(model.string, string), "integrator": integrator}
+    told |= {"largest_step": string.largest_step, "ranges": wider(model.string, string), "integrator": integrator}
     known: dict[str, object] = {name: float(f"{value:.8g}") for name, value in values.items()}
     for name, (low, high) in {**intervals, **model.measured}.items():
         known[name] = {"value": float(np.clip(values[name], low, high)), "low": low, "high": high}
@@ -179,8 +187,8 @@ def settings(model: Model, fit: Fit, intervals: Mapping[str, tuple[float, float]
     return {"effects": effects, "string": told, "known": known}
 
 
-def _wider(configured: String, string: String) -> dict[str, dict[str, float]]:
+def wider(configured: String, string: String) -> dict[str, dict[str, float]]:
     """Ranges that the data asked to be wider than they are configured."""
     known = {p.name: p for p in configured.parameters}
-    wider = {n: p for n, p in string.ranges.items() if (p.low, p.high) != (known[n].low, known[n].high)}
-    return {name: {"low": p.low, "high": p.high} for name, p in wider.items()}
+    changed = {n: p for n, p in string.ranges.items() if (p.low, p.high) != (known[n].low, known[n].high)}
+    return {name: {"low": p.low, "high": p.high} for name, p in changed.items()}

@@ -15,7 +15,7 @@ from scipy.stats import qmc
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.effect import Effect, StringEffect, components
-from stringcast.stages.model.parameter import values_of
+from stringcast.stages.model.parameter import Parameter, values_of
 from stringcast.stages.model.stability import load
 
 DRAWS = 10  # places of which it is asked, as a power of two
@@ -71,11 +71,18 @@ class Places:
         return np.concatenate(parts)
 
 
+def varied_parameters(effect: type[Effect]) -> list[Parameter]:
+    """An effect's size, other components of that, and what says where or when: those with which it is tried.
+
+    Others that start at an end of their range are sizes too (of friction, say), and stay absent.
+    """
+    return [p for p in effect.parameters if p in components(effect) or p.low < p.start < p.high]
+
+
 def touching(data: Data, parent: Fit, hypothesis: Hypothesis, seed: int) -> Places:
     """Of the last cause of a hypothesis, on the way of its parent's string."""
     effect = hypothesis.causes[-1]
-    varied = [p for p in effect.parameters if p in components(effect) or p.low < p.start < p.high]
-    own = hypothesis.places(effect, varied)
+    own = hypothesis.places(effect, varied_parameters(effect))
     values = values_of(parent.hypothesis.parameters, parent.chi[None])
     string = _thinned([_way(trial, parent, values) for trial in data.trials], STRING)
     poses = [parent.hypothesis.model.hand(trial.motion, values).pose[0] for trial in data.trials]
@@ -87,13 +94,19 @@ def _way(trial: Case, parent: Fit, values: np.ndarray) -> dict[str, np.ndarray]:
     """Of the fitted string through a trial: arguments of laws, (M,) each."""
     model = parent.hypothesis.model
     points = model.true(trial.motion, values, trial.times, trial.initial).points[0]
-    velocity = np.gradient(points, trial.times, axis=0) if len(trial.times) > 1 else np.zeros_like(points)
+    return way_of(points, model.string.arc_lengths(), trial.times)
+
+
+def way_of(points: np.ndarray, s: np.ndarray, times: np.ndarray) -> dict[str, np.ndarray]:
+    """Arguments of laws, (M,) each, where a string's points (F, n, 2) [m] are but that in the hand. s: (n,) arc lengths
+    [m]; times: (F,) [s]."""
+    velocity = np.gradient(points, times, axis=0) if len(times) > 1 else np.zeros_like(points)
     tangent = np.gradient(points, axis=1)
     tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
-    s, t = np.meshgrid(model.string.arc_lengths(), trial.times)
+    along, moment = np.meshgrid(s, times)
     axes = {"x": points, "vx": velocity, "ux": velocity, "tx": tangent}
     known = {name: array[..., 0] for name, array in axes.items()}
-    known |= {name.replace("x", "y"): array[..., 1] for name, array in axes.items()} | {"s": s, "t": t}
+    known |= {name.replace("x", "y"): array[..., 1] for name, array in axes.items()} | {"s": along, "t": moment}
     return {name: array[:, 1:].ravel() for name, array in known.items()}
 
 

@@ -13,7 +13,9 @@ from stringcast.stages.estimate.matching import Matching, targets
 from stringcast.stages.inference.discrepancy import likeliest, marginal
 from stringcast.stages.inference.evidence import TIP, Data, Fit, fitted
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
+from stringcast.stages.model.state import State
 
 FRAMES = 20  # of a trial, from which E is counted
 TURNS, STEPS = 3, 8  # of a fit without one trial, from that with all
@@ -66,10 +68,12 @@ def held_out_table(
         row: dict[str, object] = {"trial": trial.name, "log_likelihood_difference": rise}
         row["noise_floor"] = float(np.sqrt(2 * np.mean(trial.sigma**2)))
         for name, one in (("base", plain), ("extended", more)):
-            row |= _rms(trial, one.residual, name)
-            row[f"E_{name}"] = _rate(one.fit, trial, observations[number], matching)
+            row |= distances(trial, one.residual, name)
+            row[f"E_{name}"] = rate(
+                one.fit.hypothesis.model, one.fit.chi, trial.initial, observations[number], matching
+            )
         own = _predicted(data, known, number).residual
-        rows.append(row | {"rms_known": _rms(trial, own, "known")["rms_known"]})
+        rows.append(row | {"rms_known": distances(trial, own, "known")["rms_known"]})
     return HELD_OUT.check(pd.DataFrame(rows)) if rows else HELD_OUT.empty()
 
 
@@ -80,18 +84,18 @@ def better(base: Sequence[Prediction], extended: Sequence[Prediction]) -> bool:
     return squares[1] < squares[0] and said[1] > said[0]
 
 
-def _rms(trial: Case, residual: np.ndarray, name: str) -> dict[str, float]:
+def distances(trial: Case, residual: np.ndarray, name: str) -> dict[str, float]:
     """Root mean squares of a trial's residual over sigma, of all of it and of the tip [m]."""
     off = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
     parts = {"rms": off, "tip_rms": off[trial.s > trial.s.max() - TIP]}
     return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
 
 
-def _rate(fit: Fit, trial: Case, observation: Observation, matching: Matching) -> float:
-    """Matching rate E of a trial, Eq. 5."""
-    goal = targets(fit.hypothesis.model, [thinned(observation)], matching)[0]
-    goal = replace(goal, case=replace(goal.case, initial=trial.initial))
-    return float(np.mean(goal.per_frame(values_of(fit.hypothesis.parameters, fit.chi[None]))[0]))
+def rate(model: Model, chi: np.ndarray, begin: State | None, observation: Observation, matching: Matching) -> float:
+    """Matching rate E (Eq. 5) of a trial that begins in a state, or at rest."""
+    goal = targets(model, [thinned(observation)], matching)[0]
+    goal = replace(goal, case=replace(goal.case, initial=begin))
+    return float(np.mean(goal.per_frame(values_of(model.parameters, chi[None]))[0]))
 
 
 def thinned(observation: Observation) -> Observation:

@@ -9,6 +9,7 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.dataset import FRAMES_NEEDED
+from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress, tracked
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
@@ -72,7 +73,7 @@ class Prepared:
         """Data of further trials, with the noise of these."""
         base, sigma = self.base, float(np.median(np.concatenate([trial.sigma for trial in self.raw])))
         model = base.hypothesis.model
-        told = [replace(t, sigma=np.full(len(t.s), sigma)) for t in (_awake(case(model, o)) for o in observations)]
+        told = [replace(t, sigma=np.full(len(t.s), sigma)) for t in (awake(case(model, o)) for o in observations)]
         plain = lacking(told, base.hypothesis, base.chi).residuals(model, base.chi[None])
         kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(told, plain, strict=True)]
         return self.of(kept, base)[0]
@@ -92,8 +93,8 @@ def prepared(
     """
     stated = all("sigma" in o.points for o in observations)
     whole = [case(resolved(model), o) for o in observations]
-    awake = tuple(_awake(t if stated else replace(t, sigma=np.full(len(t.s), GUESS))) for t in whole)
-    likelihood, chi = _base(Likelihood(resolved(model), awake), rng, starts, progress)
+    moving = tuple(awake(t if stated else replace(t, sigma=np.full(len(t.s), GUESS))) for t in whole)
+    likelihood, chi = _base(Likelihood(resolved(model), moving), rng, starts, progress)
     trials, outliers = _cleaned(likelihood, chi, stated)
     hypothesis = Hypothesis(likelihood.model)
     data, error = corrected(trials, hypothesis, chi)
@@ -101,9 +102,21 @@ def prepared(
     base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
     if data.tip_rms(base.residuals).max() > ASTRAY * likelihood.model.string.length:
         base = _without_the_worst(data, base, rng, starts)
-    resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in awake)
+    resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
     made = _without_chaotic(Prepared(data, base, trials, outliers, resting, error), tolerance)
     return _with_nearer_mesh(made, model)
+
+
+def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
+    """The trials that can be made ready, and why the others cannot, by name."""
+    good, faults = [], {}
+    for observation in observations:
+        try:
+            case(model, observation)
+            good.append(observation)
+        except DataError as error:
+            faults[observation.trial] = str(error).removeprefix(f"trial {observation.trial}: ")
+    return good, faults
 
 
 def configured(prepared: Prepared, model: Model) -> Fit | None:
@@ -296,7 +309,7 @@ def _growth(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> 
     return found
 
 
-def _awake(trial: Case) -> Case:
+def awake(trial: Case) -> Case:
     """Without its end, in which the string hangs still: what a few frames say, a thousand must not say anew."""
     away = np.zeros(len(trial.times))
     late = trial.times[trial.frame] > trial.times[-1] - RESTING

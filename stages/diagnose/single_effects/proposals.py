@@ -7,18 +7,21 @@ named: of 26 causes that proved right they were 0.02 to 1.1 times what a fit the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import qmc
 
-from stringcast.stages.diagnose.single_effects.places import touching
+from stringcast.stages.diagnose.single_effects.places import touching, varied_parameters
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import marginal
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.solver import LOST
-from stringcast.stages.model.effect import Effect, components, placed
+from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, components, placed
+from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.model import Model
 
 SHARES = (0.2, 0.03)  # of the way from absent to the end of the range
 LARGEST = 2.0  # times a probe's size that it may be taken at, where it is still about linear
@@ -42,6 +45,21 @@ class Proposal:
     def effect(self) -> type[Effect]:
         """The cause."""
         return self.hypothesis.causes[-1]
+
+
+def candidates(base: Model, library: Mapping[str, type[Effect]], trials: Sequence[Case]) -> list[type[Effect]]:
+    """Effects with parameters that are not in the base model and not told; of those on joints, only where there are
+    joints; of those of a lens, only where it was not measured."""
+    grasp_only = any(isinstance(trial.motion, HandMotion) for trial in trials)
+    return [
+        e
+        for e in library.values()
+        if e not in base.effects
+        and not e.told
+        and not issubclass(e, ModelChange)
+        and not (base.camera.lens and issubclass(e, CameraEffect) and e.of_lens)
+        and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())
+    ]
 
 
 def proposals(data: Data, parent: Fit, effects: Sequence[type[Effect]], seed: int) -> list[Proposal]:
@@ -99,13 +117,8 @@ def _anywhere(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | No
 
 
 def _probes(hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray, seed: int) -> np.ndarray:
-    """Exponents (C, P) at which an effect is tried.
-
-    Varied are its size, other components of that, and what says where or when; other sizes (of friction, say) stay
-    absent.
-    """
-    varied = [p for p in effect.parameters if p in components(effect) or p.low < p.start < p.high]
-    own, size = hypothesis.places(effect, varied), hypothesis.places(effect, components(effect))
+    """Exponents (C, P) at which an effect is tried."""
+    own, size = hypothesis.places(effect, varied_parameters(effect)), hypothesis.places(effect, components(effect))
     ends = np.array([[0.0], [1.0]])
     if len(own) > 1:
         ends = qmc.Sobol(len(own), seed=seed).random_base2(len(own) + 1)

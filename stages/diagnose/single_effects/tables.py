@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
-from stringcast.stages.diagnose.single_effects.judgement import RESOLUTION, Judgement
+from stringcast.stages.diagnose.single_effects.judgement import Judgement
 from stringcast.stages.diagnose.single_effects.search import Criteria, Found, moved, removed, unexplained
 from stringcast.stages.diagnose.single_effects.small_effects import Tempered
 from stringcast.stages.inference.evidence import Data, Fit
@@ -32,7 +32,7 @@ def residuals(data: Data, base: Fit, extended: Fit) -> pd.DataFrame:
     for trial, plain, more in zip(data.trials, *plain_and_more, strict=True):
         off = trial.sigma[:, None] * plain.reshape(-1, 2)
         first, then = trial.points + off, trial.points + trial.sigma[:, None] * more.reshape(-1, 2)
-        along = _tangents(trial.frame, trial.s, first)
+        along = tangents(trial.frame, trial.s, first)
         table = {"trial": trial.name, "t": trial.times[trial.frame], "s": trial.s, "sigma": trial.sigma}
         table |= dict(zip(("x", "y"), trial.points.T, strict=True)) | {"doubt": trial.sigma}
         table |= dict(zip(("base_x", "base_y", "extended_x", "extended_y"), (*first.T, *then.T), strict=True))
@@ -42,7 +42,7 @@ def residuals(data: Data, base: Fit, extended: Fit) -> pd.DataFrame:
     return RESIDUALS.check(pd.concat(frames, ignore_index=True))
 
 
-def _tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray:
+def tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Unit vectors along the string at its points (N, 2), from their neighbours in the same frame."""
     along = np.zeros_like(points)
     for number in np.unique(frame):
@@ -169,8 +169,3 @@ def missing(data: Data, fit: Fit, criteria: Criteria) -> pd.DataFrame:
         mean_of_each = table.groupby([moment, place]).mean().reset_index(drop=True)
         frames.append(mean_of_each.assign(kind="displacement of the string", trial=trial.name))
     return MISSING.check(pd.concat(frames, ignore_index=True)[[c.name for c in MISSING.columns]])
-
-
-def named(judgement: Judgement) -> bool:
-    """Whether too few mass points are all that is wrong."""
-    return judgement.causes == (RESOLUTION,)
