@@ -28,7 +28,7 @@ def document(
     """diagnosis.json. base: the base model's fit from which the gain is counted."""
     used = [case.name for case in hypotheses.evidence.cases]
     listed = [*judgement.causes]
-    others = sorted(set(judgement.probability) - set(listed), key=lambda name: -judgement.probability[name])
+    others = sorted(set(judgement.probability) - set(listed), key=lambda name: (-judgement.probability[name], name))
     return {
         "format": FORMAT,
         "verdict": judgement.verdict,

@@ -33,7 +33,7 @@ def document(
 ) -> dict[str, Any]:
     """diagnosis.json."""
     used, listed = [trial.name for trial in prepared.data.trials], [*judgement.causes]
-    others = sorted(set(judgement.inclusion) - set(listed), key=lambda name: -judgement.inclusion[name])
+    others = sorted(set(judgement.inclusion) - set(listed), key=lambda name: (-judgement.inclusion[name], name))
     rest = {"none": _none(judgement), "unknown": judgement.unknown}
     alternatives = [{"effect": name, "probability": judgement.inclusion[name]} for name in others]
     return {
