@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -75,8 +76,8 @@ class Discrepancy:
 
     def white(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""
-        deviation = self._deviation(size)
-        return LowRank.of(self.nuisance / deviation[:, None])(coefficients / deviation)
+        deviation, rank = self._whitening[size]
+        return rank(coefficients / deviation)
 
     def log_likelihoods(self, coefficients: np.ndarray) -> np.ndarray:
         """Of coefficients (C, 2 M) at all SIZES, (C, S)."""
@@ -94,7 +95,7 @@ class Discrepancy:
         return np.asarray(self.modes @ self._amplitudes(coefficients, size))
 
     def _amplitudes(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        deviation = self._deviation(size)
+        deviation, _ = self._whitening[size]
         root = self.nuisance / deviation[:, None]
         return np.asarray(np.linalg.solve(np.eye(root.shape[1]) + root.T @ root, root.T @ (coefficients / deviation)))
 
@@ -106,12 +107,14 @@ class Discrepancy:
         off = (self.splines @ (self.unturn @ told)).reshape(-1, count, 2).transpose(1, 0, 2).reshape(count, -1)
         return np.asarray(self.mean(coefficients, size) + off)
 
-    def _deviation(self, size: int) -> np.ndarray:
-        return np.repeat(np.sqrt(1.0 + SIZES[size] ** 2 * self.variance), 2)
+    @cached_property
+    def _whitening(self) -> list[tuple[np.ndarray, LowRank]]:
+        """Deviations (2 M,) of coefficients without nuisance, and what whitens them then, at each of SIZES."""
+        deviations = [np.repeat(np.sqrt(1.0 + size**2 * self.variance), 2) for size in SIZES]
+        return [(each, LowRank.of(self.nuisance / each[:, None])) for each in deviations]
 
     def _log_likelihood(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        deviation = self._deviation(size)
-        rank = LowRank.of(self.nuisance / deviation[:, None])
+        deviation, rank = self._whitening[size]
         square = np.sum(rank(coefficients / deviation) ** 2, axis=1)
         return np.asarray(-0.5 * square - np.log(deviation).sum() + np.log1p(-rank.taken).sum())
 

@@ -98,10 +98,11 @@ class Data:
         told = zip(self.discrepancies, self.coefficients(residuals), strict=True)
         return np.stack([d.log_likelihoods(each) for d, each in told])
 
-    def white(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
-        """Coefficients (C, 2 M) of each trial, white if its discrepancy has its number of SIZES. sizes: (K,)."""
+    def white(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> np.ndarray:
+        """Coefficients of each trial's residuals (C, 2 n), side by side, (C, N): white if its discrepancy has its
+        number of SIZES. sizes: (K,)."""
         told = zip(self.discrepancies, self.coefficients(residuals), sizes, strict=True)
-        return [d.white(each, size) for d, each, size in told]
+        return np.concatenate([d.white(each, size) for d, each, size in told], axis=1)
 
     def begun(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
         """Residuals (2 n,) of each trial without what another beginning explains. sizes: (K,) of SIZES."""
@@ -140,9 +141,9 @@ class Problem:
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """As of `solver.Problem`."""
         raw = self.data.residuals(self.hypothesis.model, chi)
-        white = self.data.white(raw, self.sizes)
-        lost = [(each == LOST).any(axis=1) for each in raw]
-        return np.concatenate([np.where(gone[:, None], LOST, w) for gone, w in zip(lost, white, strict=True)], axis=1)
+        lost = np.stack([(each == LOST).any(axis=1) for each in raw], axis=1)
+        widths = [2 * len(d.variance) for d in self.data.discrepancies]
+        return np.where(np.repeat(lost, widths, axis=1), LOST, self.data.white(raw, self.sizes))
 
 
 @dataclass(frozen=True)
@@ -203,12 +204,26 @@ def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
     told = data.log_likelihoods([each[None] for each in raw])[:, 0]
     sizes, by_trial = likeliest(told), marginal(told)
     slopes = _slopes(data, hypothesis, chi, raw, sizes)
-    white = np.concatenate(data.white(slopes, sizes), axis=1)
+    white = data.white(slopes, sizes)
     prior, bounded = _prior(data, hypothesis, chi, raw, slopes)
     normal = white @ white.T + np.diag(bounded)
     occam = 0.5 * (len(chi) * np.log(2 * np.pi) - np.linalg.slogdet(normal)[1])
     evidence = float(by_trial.sum() + prior + occam)
     return Fit(hypothesis, chi, tuple(raw), tuple(slopes), sizes, by_trial, evidence)
+
+
+def lacked(data: Data, fit: Fit) -> list[np.ndarray]:
+    """What a fit most likely lacks in each trial, over sigma, (2 n,)."""
+    told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
+    return [d.mean(each[0], int(size)) for d, each, size in told]
+
+
+def tip_draws(data: Data, fit: Fit, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Root mean squares at the tip of each trial of what a fit may lack, as likely as the data leave it [m], (K,
+    count)."""
+    told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
+    drawn = [d.draws(each[0], int(size), count, rng) for d, each, size in told]
+    return np.array([[data.only([k]).tip_rms([draw])[0] for draw in own] for k, own in enumerate(drawn)])
 
 
 def _slopes(
@@ -221,7 +236,7 @@ def _slopes(
         beside = data.residuals(hypothesis.model, chi + np.diag(offset))
         pairs = list(zip(beside, raw, strict=True))
         slopes = [np.where((b == LOST) | (r == LOST), 0.0, b - r) / offset[:, None] for b, r in pairs]
-        width = solver.suited(np.concatenate(data.white(slopes, sizes), axis=1)[None], np.ones(1))[0]
+        width = solver.suited(data.white(slopes, sizes)[None], np.ones(1))[0]
     return slopes
 
 

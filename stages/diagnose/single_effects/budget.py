@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 
 from stringcast.stages.diagnose.single_effects.search import Found, refitted
-from stringcast.stages.inference.evidence import TIP, Data, Fit, Hypothesis
+from stringcast.stages.inference.evidence import TIP, Data, Fit, Hypothesis, tip_draws
 from stringcast.stages.inference.forward import Case
 
 DRAWS = 400  # of what is lacking, from which its interval is told
@@ -27,19 +26,18 @@ class Entry:
 
 @dataclass(frozen=True)
 class Budget:
-    """entries: whose squares add up to the square of the base model's misfit at the tip. base: that [m]. unexplained:
+    """entries: whose squares add up to the square of the base model's misfit at the tip. unexplained:
     value and 95 % interval of what is left [m]. by_cause: the fits with the first causes, none first."""
 
     entries: tuple[Entry, ...]
-    base: float
     unexplained: tuple[float, float, float]
     by_cause: tuple[Fit, ...]
 
 
-def budgeted(found: Found, rng: np.random.Generator) -> Budget:
+def budgeted(found: Found, base: Fit, rng: np.random.Generator) -> Budget:
     """Causes share in the order in which they entered. What is left of the misfit beside noise and numerical error, as
-    these are known, is unexplained."""
-    data, fits = found.prepared.data, _one_after_another(found)
+    these are known, is unexplained. base: the base model's fit to the same data."""
+    data, fits = found.prepared.data, _one_after_another(found, base)
     squares = np.minimum.accumulate([_tip_square(data, fit) for fit in fits])
     noise, numerical = _known(found.prepared.raw, data)
     left = float(squares[-1])
@@ -54,20 +52,17 @@ def budgeted(found: Found, rng: np.random.Generator) -> Budget:
     low, high = _unexplained(data, full, rng)
     value = entries[-1].tip_rms
     ends = (value, min(low, value), max(high, value))
-    return Budget(tuple(entries), float(np.sqrt(squares[0])), ends, tuple(fits))
+    return Budget(tuple(entries), ends, tuple(fits))
 
 
-def _one_after_another(found: Found) -> list[Fit]:
+def _one_after_another(found: Found, base: Fit) -> list[Fit]:
     """The fits with no cause, with the first, and so on, to the same data."""
     data, full = found.prepared.data, found.fit
-    hypotheses = [
-        Hypothesis(full.hypothesis.base, full.hypothesis.causes[:k]) for k in range(len(full.hypothesis.causes))
-    ]
-    if not hypotheses:
+    if not full.hypothesis.causes:
         return [full]
-    first = refitted(data, found.prepared.base, hypotheses[0])
-    between = reduce(lambda fits, h: [*fits, refitted(data, full, h)], hypotheses[1:], [first])
-    return [*between, full]
+    some = [full.hypothesis.causes[:k] for k in range(1, len(full.hypothesis.causes))]
+    between = [refitted(data, full, Hypothesis(full.hypothesis.base, causes)) for causes in some]
+    return [base, *between, full]
 
 
 def _tip_square(data: Data, fit: Fit) -> float:
@@ -87,10 +82,6 @@ def _known(raw: Sequence[Case], data: Data) -> tuple[float, float]:
 
 def _unexplained(data: Data, fit: Fit, rng: np.random.Generator) -> tuple[float, float]:
     """95 % interval of what is lacking at the tip, root mean square over trials [m]."""
-    squares = np.zeros(DRAWS)
-    told = data.coefficients([each[None] for each in fit.residuals])
-    for k, each in enumerate(told):
-        drawn = data.discrepancies[k].draws(each[0], int(fit.sizes[k]), DRAWS, rng)
-        squares += np.array([data.only([k]).tip_rms([draw])[0] ** 2 for draw in drawn])
-    low, high = np.quantile(np.sqrt(squares / len(told)), [0.025, 0.975])
+    squares = tip_draws(data, fit, DRAWS, rng) ** 2
+    low, high = np.quantile(np.sqrt(squares.mean(axis=0)), [0.025, 0.975])
     return float(low), float(high)

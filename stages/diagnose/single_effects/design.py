@@ -24,11 +24,11 @@ from stringcast.stages.diagnose.casts import Design, imagined, possible, standin
 from stringcast.stages.diagnose.single_effects.prepared import corrected
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import commands_of, control_points_of
+from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
 from stringcast.stages.inference.forward import Case
-from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.parameter import values_of
@@ -67,16 +67,16 @@ class Rivals:
         size = int(np.median(next(iter(self.fits.values())).sizes))
         shown, slopes = {}, {}
         for name, fit in self.fits.items():
-            offset = np.where(fit.chi > 0.5, -STEP, STEP)
+            offset = np.where(fit.chi > 0.5, -solver.FIRST, solver.FIRST)
             many = trial.residuals(fit.hypothesis.model, np.concatenate([fit.chi[None], fit.chi + np.diag(offset)]))[0]
-            if (many == LOST).any():
+            if (many == solver.LOST).any():
                 return np.zeros((len(self.fits), len(self.fits))), {}
             shown[name], slopes[name] = many[0], (many[1:] - many[0]) / offset[:, None]
         names, one = list(self.fits), np.array([size])
         odds, near = np.full((len(names), len(names)), np.inf), {names[0]: shown[names[0]]}
         for a, b in ((a, b) for a in range(len(names)) for b in range(len(names)) if a != b):
             apart = shown[names[b]] - shown[names[a]]
-            d, j = (trial.white([each], one)[0] for each in (apart[None], slopes[names[b]]))
+            d, j = (trial.white([each], one) for each in (apart[None], slopes[names[b]]))
             step = -np.linalg.solve(self._known(names[b]) + j @ j.T, j @ d[0])
             odds[a, b] = 0.5 * float(d[0] @ (d[0] + step @ j))
             if a == 0:
@@ -86,11 +86,8 @@ class Rivals:
     def _known(self, name: str) -> np.ndarray:
         """What the trials made tell of a rival's parameters, (P, P)."""
         fit = self.fits[name]
-        white = np.concatenate(self.data.white(fit.slopes, fit.sizes), axis=1)
+        white = self.data.white(fit.slopes, fit.sizes)
         return np.asarray(white @ white.T + PRIOR * np.eye(len(fit.chi)))
-
-
-STEP = 1e-4  # of exponents, for the slopes
 
 
 def designed(rivals: Rivals, obstacles: Sequence[Box], design: Design, rng: np.random.Generator) -> Proposal:

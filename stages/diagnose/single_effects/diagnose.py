@@ -25,14 +25,13 @@ from stringcast.stages.diagnose.single_effects.design import Proposal, Rivals, d
 from stringcast.stages.diagnose.single_effects.document import document, left_over, sentence, settings, without_nan
 from stringcast.stages.diagnose.single_effects.judgement import RESOLUTION, Judgement, judged, likelier
 from stringcast.stages.diagnose.single_effects.predictions import better, held_out_table, predicted
-from stringcast.stages.diagnose.single_effects.prepared import Prepared, configured, prepared, usable
+from stringcast.stages.diagnose.single_effects.prepared import Prepared, prepared, usable
 from stringcast.stages.diagnose.single_effects.proposals import candidates
 from stringcast.stages.diagnose.single_effects.search import Criteria, Found, searched, unexplained
-from stringcast.stages.diagnose.single_effects.small_effects import Tempered, responses, tempered
+from stringcast.stages.diagnose.single_effects.small_effects import Tempered, tempered
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.evidence import Fit, evaluated
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
 
@@ -79,7 +78,7 @@ def diagnose(
     kept = [i for i in kept if good[i].trial not in ready.chaotic]
     effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
-    few = _too_few_points(ready, model, criteria)
+    few = _too_few_points(ready, criteria)
     judgement = judged(found, effects, criteria, few, seed)
     if (better_found := likelier(found, judgement)) is not found:
         found, judgement = better_found, judged(better_found, effects, criteria, few, seed)
@@ -90,7 +89,7 @@ def diagnose(
     if len(kept) == 1 and judgement.verdict == "unknown":
         judgement = replace(judgement, verdict="insufficient", sentence=ALONE)
     log.info("verdict: %s", judgement.verdict)
-    given = Given(model, good, rejected, kept, rest, criteria, matching, effects)
+    given = Given(model, good, rejected, kept, rest, criteria, matching)
     made = written(given, found, judgement, _proposal(found, judgement, criteria, obstacles, design, seed), seed)
     progress(1.0)
     return made
@@ -107,12 +106,11 @@ class Given:
     rest: Sequence[int]
     criteria: Criteria
     matching: Matching
-    effects: Sequence[type[Effect]]
 
 
-def _too_few_points(ready: Prepared, model: Model, criteria: Criteria) -> bool:
+def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
     """Whether the configured mesh is worse than one that does not matter, and has the tip elsewhere."""
-    own = None if ready.literal else configured(ready, model)
+    own = ready.configured
     if own is None or ready.base.evidence - own.evidence < criteria.enough:
         return False
     pairs = zip(ready.raw, own.residuals, ready.data.trials, ready.base.residuals, strict=True)
@@ -139,9 +137,8 @@ def _proposal(
 def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal, seed: int) -> Diagnosis:
     """The artifact."""
     data, z = found.prepared.data, float(norm.ppf(0.5 + given.criteria.coverage / 2))
-    budget = budgeted(found, np.random.default_rng([seed, len(data.trials)]))
-    base = budget.by_cause[0]
-    end = _tempered(given, found, judgement)
+    budget = budgeted(found, judgement.base, np.random.default_rng([seed, len(data.trials)]))
+    base, end = judgement.base, _tempered(found, judgement)
     named = tables.causes(found, judgement, library(), end, z)
     gains, predicts = _gained(given, found, base)
     left = left_over(data, found.fit, base, judgement, budget, given.criteria)
@@ -166,12 +163,10 @@ def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal
     )
 
 
-def _tempered(given: Given, found: Found, judgement: Judgement) -> dict[str, Tempered]:
+def _tempered(found: Found, judgement: Judgement) -> dict[str, Tempered]:
     """Of the fit with each cause that is named."""
-    data = found.prepared.data
-    small = responses(data, found.fit, given.effects)
     fits = {n: tables.fit_with(found, judgement, n) for n in judgement.causes if n != RESOLUTION}
-    return {name: tempered(data, fit, small) for name, fit in fits.items()}
+    return {name: tempered(found.prepared.data, fit, judgement.small) for name, fit in fits.items()}
 
 
 def _gained(given: Given, found: Found, base: Fit) -> tuple[pd.DataFrame, bool]:
@@ -180,7 +175,8 @@ def _gained(given: Given, found: Found, base: Fit) -> tuple[pd.DataFrame, bool]:
         return HELD_OUT.empty(), False
     seen = [given.observations[i] for i in given.rest or given.kept]
     data = found.prepared.others(seen) if given.rest else found.prepared.data
-    plain, more = (predicted(data, fit, bool(given.rest)) for fit in (base, found.fit))
+    more = predicted(data, found.fit, unseen=True) if given.rest else found.predictions
+    plain = more if base is found.fit else predicted(data, base, unseen=bool(given.rest))
     return held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more)
 
 

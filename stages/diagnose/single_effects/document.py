@@ -12,7 +12,7 @@ from stringcast.stages.diagnose.single_effects.budget import Budget
 from stringcast.stages.diagnose.single_effects.judgement import Judgement
 from stringcast.stages.diagnose.single_effects.prepared import Prepared
 from stringcast.stages.diagnose.single_effects.search import Criteria, unexplained
-from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.inference.evidence import Data, Fit, lacked
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
@@ -129,8 +129,7 @@ def _where(data: Data, fit: Fit) -> str:
     sizes = unexplained(data, fit)
     k = int(np.argmax(sizes))
     trial = data.trials[k]
-    told = data.discrepancies[k].coefficients(fit.residuals[k][None])[0]
-    off = np.linalg.norm(data.discrepancies[k].mean(told, int(fit.sizes[k])).reshape(-1, 2), axis=1) * trial.sigma
+    off = np.linalg.norm(lacked(data, fit)[k].reshape(-1, 2), axis=1) * trial.sigma
     worst, share = int(np.argmax(off)), sizes[k] ** 2 / np.sum(sizes**2)
     return (
         f"most in trial {trial.name} ({100 * share:.0f} % of it), {MM * off[worst]:.1f} mm at "

@@ -18,7 +18,7 @@ from stringcast.stages.diagnose.single_effects.search import (
     removed,
 )
 from stringcast.stages.diagnose.single_effects.small_effects import Tempered, responses, tempered
-from stringcast.stages.inference.evidence import Data, Fit, evaluated
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, tip_draws
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"
@@ -44,7 +44,8 @@ class Slot:
 class Judgement:
     """verdict: as in diagnosis.json. causes: named, as they entered, and those that cannot be told from them. groups:
     of effects that cannot be told apart. inclusion: probability that each effect is at work. unknown: probability that
-    more is left at the tip than is tolerated. tempered: of the final fit."""
+    more is left at the tip than is tolerated. base: the base model's fit to the same data. small: what other effects
+    do, (E, N), as of `responses`. tempered: of the final fit."""
 
     verdict: str
     causes: tuple[str, ...]
@@ -52,6 +53,8 @@ class Judgement:
     inclusion: Mapping[str, float]
     unknown: float
     slots: tuple[Slot, ...]
+    base: Fit
+    small: np.ndarray
     tempered: Tempered
     sentence: str = ""
 
@@ -67,18 +70,18 @@ def judged(
     slots = tuple(_slot(data, step, small, len(effects), criteria.least_size) for step in steps or found.path[-1:])
     inclusion = _inclusion(slots)
     unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
-    nothing = not fit.hypothesis.causes or removed(data, _base(found), fit) < criteria.least_share
+    base = refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base)) if fit.hypothesis.causes else fit
+    unnamed = Judgement("unknown" if unknown > 0.5 else "none", (), (), inclusion, unknown, slots, base, small, end)
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
-        return Judgement("insufficient", (), (), inclusion, unknown, slots, end, said)
-    if nothing:
-        verdict = "unknown" if unknown > 0.5 else "none"
-        if verdict == "none" and too_few_points:
-            return Judgement("effect", (RESOLUTION,), (), {**inclusion, RESOLUTION: 1.0}, unknown, slots, end)
-        return Judgement(verdict, (), (), inclusion, unknown, slots, end)
+        return replace(unnamed, verdict="insufficient", sentence=said)
+    if not fit.hypothesis.causes or removed(data, base, fit) < criteria.least_share:
+        if unnamed.verdict == "none" and too_few_points:
+            return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion={**inclusion, RESOLUTION: 1.0})
+        return unnamed
     groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
     causes = tuple(dict.fromkeys(name for slot in slots for name in _group(slot, criteria)))
-    return Judgement("ambiguous" if groups else "effect", causes, groups, inclusion, unknown, slots, end)
+    return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
 
 
 def likelier(found: Found, judgement: Judgement) -> Found:
@@ -92,22 +95,7 @@ def likelier(found: Found, judgement: Judgement) -> Found:
 
 def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:
     """Probability that in some trial more is lacking at the tip than is tolerated, root mean square."""
-    told = data.coefficients([each[None] for each in fit.residuals])
-    worst = np.zeros(DRAWS)
-    for k, (one, each) in enumerate(zip(data.discrepancies, told, strict=True)):
-        drawn = one.draws(each[0], int(fit.sizes[k]), DRAWS, rng)
-        tip = [data.only([k]).tip_rms([draw])[0] for draw in drawn]
-        worst = np.maximum(worst, tip)
-    return float(np.mean(worst > criteria.tolerance))
-
-
-def _base(found: Found) -> Fit:
-    """The base model at its best on the data as they are judged."""
-    fit = found.fit
-    hypothesis = fit.hypothesis
-    for cause in hypothesis.causes:
-        hypothesis = hypothesis.without(cause)
-    return refitted(found.prepared.data, found.prepared.base, hypothesis)
+    return float(np.mean(tip_draws(data, fit, DRAWS, rng).max(axis=0) > criteria.tolerance))
 
 
 def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:

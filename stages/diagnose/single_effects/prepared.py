@@ -19,12 +19,12 @@ from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import modes
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.search import CONVERGE, refined, screened, searched, with_noise
+from stringcast.stages.model.accuracy import extrapolated
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import chi_of, values_of
 
 SEGMENTS, STEP = 20, 1e-3  # [s]: 1 mm of error at the tip in a plain cast (conf/string/swift.yaml), which is corrected
-RICHARDSON = 4 / 3  # of what half the segment and step change, at second order: how far the limit is
 DOUBT = 0.25  # of that correction: what a second one changes, of second order again
 GUESS = 1e-3  # [m] of noise before anything is known
 STATED_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
@@ -46,6 +46,7 @@ class Prepared:
     data: with noise and numerical error. base: the base model at its best. raw: the trials before numerical error was
     taken off. outliers, resting: points left out. error: numerical error of the tip of each trial [m]. literal: the
     mesh is a part of the model, and has no error. chaotic: names of trials that no simulation tells to the tolerance.
+    configured: the base model with the mesh as it is configured, at its best; None where that is the finer one.
     """
 
     data: Data
@@ -56,6 +57,7 @@ class Prepared:
     error: np.ndarray
     literal: bool = False
     chaotic: tuple[str, ...] = ()
+    configured: Fit | None = None
 
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
@@ -119,7 +121,7 @@ def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Obse
     return good, faults
 
 
-def configured(prepared: Prepared, model: Model) -> Fit | None:
+def _configured(prepared: Prepared, model: Model) -> Fit | None:
     """The base model with the mesh as it is configured, at its best; None where that is the finer one."""
     string, fine = model.string, prepared.base.hypothesis.model.string
     if string.points > fine.points and string.tip_cell == fine.tip_cell:
@@ -138,22 +140,19 @@ def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
         return prepared
     base, raw = prepared.base, tuple(prepared.raw[k] for k in good)
     names = tuple(trial.name for k, trial in enumerate(prepared.raw) if k not in good)
-    data, error = corrected(raw, base.hypothesis, base.chi)
-    base = fitted(data, base.hypothesis, base.chi[None], base.sizes[good], ROUNDS, MOST)
-    return replace(prepared, data=data, base=base, raw=raw, error=error, chaotic=names)
+    kept = replace(prepared, raw=raw, chaotic=names).at(base)
+    return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes[good], ROUNDS, MOST))
 
 
 def _with_nearer_mesh(prepared: Prepared, model: Model) -> Prepared:
     """With the configured mesh as a part of the model, if the data are nearer to that: they come from a simulation of
     such a chain."""
-    own = configured(prepared, model)
+    own = _configured(prepared, model)
     if own is None or own.evidence < prepared.base.evidence + MESH:
-        return prepared
-    literal = replace(prepared, literal=True)
-    data, error = literal.of(literal.raw, own)
-    base = fitted(data, own.hypothesis, own.chi[None], own.sizes, ROUNDS, MOST)
+        return replace(prepared, configured=own)
     raw = tuple(replace(trial, model=own.hypothesis.model) for trial in prepared.raw)
-    return replace(literal, data=data, error=error, base=base, raw=raw)
+    literal = replace(prepared, literal=True, raw=raw).at(own)
+    return replace(literal, base=fitted(literal.data, own.hypothesis, own.chi[None], own.sizes, ROUNDS, MOST))
 
 
 def resolved(model: Model) -> Model:
@@ -284,7 +283,7 @@ def _numerical_error(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.nda
     here = [trial.at_measured(points)[0] for trial, points in pairs]
     pairs = zip(fine, seen_together(finer, fine, values), strict=True)
     there = [trial.at_measured(points)[0] for trial, points in pairs]
-    return [RICHARDSON * np.nan_to_num(b - a) for a, b in zip(here, there, strict=True)]
+    return [np.nan_to_num(extrapolated(a, b) - a) for a, b in zip(here, there, strict=True)]
 
 
 def _doubted(trial: Case, shift: np.ndarray) -> np.ndarray:

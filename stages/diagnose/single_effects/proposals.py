@@ -74,8 +74,8 @@ class _Linear:
 
     def __init__(self, data: Data, parent: Fit) -> None:
         self.data, self.parent = data, parent
-        self.slopes = np.concatenate(data.white(parent.slopes, parent.sizes), axis=1)
-        self.residual = np.concatenate(data.white([r[None] for r in parent.residuals], parent.sizes), axis=1)[0]
+        self.slopes = data.white(parent.slopes, parent.sizes)
+        self.residual = data.white([r[None] for r in parent.residuals], parent.sizes)[0]
         self.covariance = np.linalg.inv(self.slopes @ self.slopes.T + PRIOR * np.eye(len(parent.chi)))
 
     def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
@@ -87,7 +87,7 @@ class _Linear:
 
     def steps(self, responses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """What the fitted parameters do about responses, (C, P), and what is left of these, white, (C, N)."""
-        white = np.concatenate(self.data.white(responses, self.parent.sizes), axis=1)
+        white = self.data.white(responses, self.parent.sizes)
         step = -(white @ self.slopes.T) @ self.covariance
         return step, white + step @ self.slopes
 

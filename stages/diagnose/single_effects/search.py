@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.single_effects.predictions import predicted
+from stringcast.stages.diagnose.single_effects.predictions import Prediction, predicted
 from stringcast.stages.diagnose.single_effects.prepared import MOST, ROUNDS, Prepared, searched_again
 from stringcast.stages.diagnose.single_effects.proposals import Proposal, proposals
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
 from stringcast.stages.model.effect import Effect, placed
 
 log = logging.getLogger(__name__)
@@ -77,7 +78,12 @@ class Found:
 
     prepared: Prepared
     fit: Fit
-    path: Sequence[Step] = field(default_factory=tuple)
+    path: Sequence[Step] = ()
+
+    @cached_property
+    def predictions(self) -> list[Prediction]:
+        """Each trial by the fit to the others."""
+        return predicted(self.prepared.data, self.fit)
 
 
 def searched(
@@ -107,16 +113,14 @@ def pruned(found: Found) -> Found:
     data, fit = found.prepared.data, found.fit
     if len(data.trials) < 2:
         return found
-    with_all = predicted(data, fit)
     for cause in reversed(fit.hypothesis.causes):
-        less = refitted(data, fit, fit.hypothesis.without(cause))
-        without = predicted(data, less)
-        gains = np.array([a.log_likelihood - b.log_likelihood for a, b in zip(with_all, without, strict=True)])
-        once = placed(cause) and int((moved(data, less, fit) > TOUCHES).sum()) == 1
-        if not once and gains.sum() - gains.max() <= 0:
+        less = replace(found, fit=refitted(data, found.fit, found.fit.hypothesis.without(cause)))
+        pairs = zip(found.predictions, less.predictions, strict=True)
+        gains = np.array([a.log_likelihood - b.log_likelihood for a, b in pairs])
+        if not _touches_once(cause, moved(data, less.fit, found.fit)) and gains.sum() - gains.max() <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
-            fit, with_all = less, without
-    return replace(found, fit=fit)
+            found = less
+    return found
 
 
 def compared(data: Data, parent: Fit, effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:
@@ -142,17 +146,20 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
     assert best is not None
     gain, by_trial = best.evidence - step.parent.evidence, best.by_trial - step.parent.by_trial
     acts = moved(data, step.parent, best)
-    once = placed(best.hypothesis.causes[-1]) and int((acts > TOUCHES).sum()) == 1
+    once = _touches_once(best.hypothesis.causes[-1], acts)
     enough = removed(data, step.parent, best) if once else gain - by_trial.max()
     wanted = criteria.least_share if once else criteria.enough
     return bool(gain > criteria.enough and enough > wanted and acts.max() > criteria.least_size and not best.lost)
 
 
+def _touches_once(cause: type[Effect], acts: np.ndarray) -> bool:
+    """Whether a cause depends on place and acts in one trial alone. acts: how far it moves each tip [m], (K,)."""
+    return placed(cause) and int((acts > TOUCHES).sum()) == 1
+
+
 def unexplained(data: Data, fit: Fit) -> np.ndarray:
     """Root mean square at the tip of what a fit most likely lacks in each trial [m], (K,)."""
-    told = data.coefficients([each[None] for each in fit.residuals])
-    pairs = zip(data.discrepancies, told, fit.sizes, strict=True)
-    return data.tip_rms([d.mean(each[0], size) for d, each, size in pairs])
+    return data.tip_rms(lacked(data, fit))
 
 
 def removed(data: Data, parent: Fit, fit: Fit) -> float:

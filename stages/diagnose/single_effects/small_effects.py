@@ -56,16 +56,17 @@ def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarr
 
 def _scaled(data: Data, fit: Fit, moved: Sequence[np.ndarray]) -> np.ndarray:
     """Displacements (C, 2 n) of each trial, white, (C, N), as if they moved the tip by 1 m."""
-    white = np.concatenate(data.white(moved, fit.sizes), axis=1)
-    sizes = [np.sqrt(np.mean(data.tip_rms([each[c] for each in moved]) ** 2)) for c in range(len(white))]
+    white = data.white(moved, fit.sizes)
+    sizes = np.array([np.sqrt(np.mean(data.tip_rms([each[c] for each in moved]) ** 2)) for c in range(len(white))])
     lost = np.any([np.abs(each).max(axis=1) > LOST / 2 for each in moved], axis=0)
-    return white[~lost & (np.array(sizes) > 0)] / np.array(sizes)[~lost & (np.array(sizes) > 0), None]
+    seen = ~lost & (sizes > 0)
+    return white[seen] / sizes[seen, None]
 
 
 def tempered(data: Data, fit: Fit, small: np.ndarray) -> Tempered:
     """A fit with what small effects (E, N), white, leave of it."""
-    slopes = np.concatenate(data.white(fit.slopes, fit.sizes), axis=1)
-    residual = np.concatenate(data.white([r[None] for r in fit.residuals], fit.sizes), axis=1)[0]
+    slopes = data.white(fit.slopes, fit.sizes)
+    residual = data.white([r[None] for r in fit.residuals], fit.sizes)[0]
     both, own = np.concatenate([slopes, small]), len(slopes)
     products, along = both @ both.T, both @ residual
     said = [_at(products, along, own, size) for size in SMALL]
@@ -84,6 +85,5 @@ def _at(products: np.ndarray, along: np.ndarray, own: int, size: float) -> tuple
     prior = np.concatenate([np.full(own, PRIOR), np.ones(len(along) - own)])
     normal = products * np.outer(scale, scale) + np.diag(prior)
     step = -np.linalg.solve(normal, scale * along)
-    step[:own] = step[:own]
     gain = -0.5 * float(step @ (scale * along)) - 0.5 * np.linalg.slogdet(normal)[1]
     return gain, step[:own], np.linalg.inv(normal)[:own, :own]

@@ -12,7 +12,7 @@ from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCRE
 from stringcast.stages.diagnose.single_effects.judgement import Judgement
 from stringcast.stages.diagnose.single_effects.search import Criteria, Found, moved, removed, unexplained
 from stringcast.stages.diagnose.single_effects.small_effects import Tempered
-from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.inference.evidence import Data, Fit, lacked
 from stringcast.stages.model.effect import Effect, ModelChange
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
@@ -157,12 +157,11 @@ def interval(fit: Fit, place: int, tempered: Tempered, z: float) -> tuple[float,
 
 def missing(data: Data, fit: Fit, criteria: Criteria) -> pd.DataFrame:
     """Table MISSING: how the string is displaced beyond what the fit says, where that is more than is tolerated."""
-    told, frames = data.coefficients([each[None] for each in fit.residuals]), []
+    frames = []
     if unexplained(data, fit).max() < criteria.tolerance:
         return MISSING.empty()
-    for k, (trial, each) in enumerate(zip(data.trials, told, strict=True)):
-        mean = data.discrepancies[k].mean(each[0], int(fit.sizes[k])).reshape(-1, 2) * trial.sigma[:, None]
-        x, y = -mean.T
+    for trial, each in zip(data.trials, lacked(data, fit), strict=True):
+        x, y = -(each.reshape(-1, 2) * trial.sigma[:, None]).T
         table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, "x": x, "y": y})
         place = np.ceil(trial.s / trial.s.max() * ARROWS).clip(1, ARROWS)
         moment = np.floor((table["t"] - trial.times[0]) / EVERY)
