@@ -26,12 +26,16 @@ MODES: Mapping[tuple[str, ...], Mapping[str, Any]] = {  # what `steps` was, befo
 }
 
 
+# What decided in diagnoses that had no settings for it: they went by other rules, and are made again by those of today.
+CRITERIA = {"causes": 3, "coverage": 0.95, "alpha": 0.01, "tolerance": 2e-3, "least_size": 5e-4, "least_share": 0.5}
 FLOAT64 = {"_target_": "stages.model.precision.Double"}  # which is all there is now
 
 
 def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a run by their names of today: `mode` instead of `steps`, and nothing of float64."""
+    """Settings of a run by their names of today: `mode` instead of `steps`, nothing of float64, `diagnose.criteria`."""
     now, steps, string = dict(settings), settings.get("steps"), settings.get("string")
+    if isinstance(settings.get("diagnose"), Mapping):
+        now["diagnose"] = {"criteria": CRITERIA} | dict(settings["diagnose"])
     if isinstance(string, Mapping) and string.get("precision") == FLOAT64:
         now["string"] = {name: value for name, value in string.items() if name != "precision"}
     mode = next((dict(mode) for names, mode in MODES.items() if [*names] == steps), None)

@@ -49,6 +49,7 @@ MOVED = {  # what settings of stored runs still call by an old name
     "pipeline.paper.finish.finish": "pipeline.studies.paper.finish.finish",
     "stages.align.align": "stages.align.align.align",
     "stages.calibrate.calibrate": "stages.calibrate.calibrate.calibrate",
+    "stages.diagnose.single_effects.diagnose.diagnose": "stages.diagnose.diagnose.diagnose",
     "stages.excite.excite": "stages.align.excitation.excite.excite",
     "stages.execute.execute": "stages.execute.execute.execute",
     "stages.extract.extract": "stages.extract.extract.extract",

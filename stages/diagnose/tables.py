@@ -2,144 +2,169 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import CAUSES, LIKENESS, RESIDUALS, SCREENING, THEORIES
-from stringcast.stages.diagnose.beginning import simulated
-from stringcast.stages.diagnose.compare import moved
-from stringcast.stages.diagnose.hypotheses import Causes, Hypotheses
-from stringcast.stages.diagnose.noise import parts, systematic
-from stringcast.stages.diagnose.reach import reach
-from stringcast.stages.diagnose.screen import Probe
-from stringcast.stages.diagnose.single_effects.tables import tangents
-from stringcast.stages.diagnose.verdict import Judgement
-from stringcast.stages.model.effect import Effect, ModelChange, placed
+from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
+from stringcast.stages.diagnose.judgement import Judgement
+from stringcast.stages.diagnose.single_effects import Criteria, Found, moved, removed, unexplained
+from stringcast.stages.diagnose.small_effects import Tempered
+from stringcast.stages.inference.evidence import Data, Fit, lacked
+from stringcast.stages.model.effect import Effect, ModelChange
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
+EVERY = 0.02  # [s] from one arrow of what is missing to the next
+ARROWS = 4  # along the string
 
 
-def joined_names(causes: Causes) -> str:
+def joined_names(fit: Fit) -> str:
     """As it stands in tables."""
-    return " + ".join(sorted(causes))
+    return " + ".join(sorted(fit.hypothesis.names))
 
 
-def residuals(hypotheses: Hypotheses, causes: Causes) -> pd.DataFrame:
+def residuals(data: Data, base: Fit, extended: Fit) -> pd.DataFrame:
     """Table RESIDUALS."""
-    base, extended = hypotheses.tried[frozenset()], hypotheses.tried[causes]
     frames = []
-    both = (parts(hypotheses.evidence, simulated(hypotheses.evidence, fit)) for fit in (base, extended))
-    floors = parts(hypotheses.evidence, hypotheses.floor.sigma)
-    for case, plain, more, own in zip(hypotheses.evidence.cases, *both, floors, strict=True):
-        first, then = (case.points + case.sigma[:, None] * off for off in (plain, more))
-        along = tangents(case.frame, case.s, first)
-        off = case.points - first
-        table = {"trial": case.name, "t": case.times[case.frame], "s": case.s}
-        table |= dict(zip(("x", "y"), case.points.T, strict=True)) | {"sigma": own[:, 0], "doubt": case.sigma}
+    plain_and_more = (data.begun(fit.residuals, fit.sizes) for fit in (base, extended))
+    for trial, plain, more in zip(data.trials, *plain_and_more, strict=True):
+        off = trial.sigma[:, None] * plain.reshape(-1, 2)
+        first, then = trial.points + off, trial.points + trial.sigma[:, None] * more.reshape(-1, 2)
+        along = tangents(trial.frame, trial.s, first)
+        table = {"trial": trial.name, "t": trial.times[trial.frame], "s": trial.s, "sigma": trial.sigma}
+        table |= dict(zip(("x", "y"), trial.points.T, strict=True)) | {"doubt": trial.sigma}
         table |= dict(zip(("base_x", "base_y", "extended_x", "extended_y"), (*first.T, *then.T), strict=True))
-        table["base_tangential"] = np.sum(off * along, axis=1)
-        table["base_normal"] = off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]
+        table["base_tangential"] = -np.sum(off * along, axis=1)
+        table["base_normal"] = -(off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1])
         frames.append(pd.DataFrame(table))
     return RESIDUALS.check(pd.concat(frames, ignore_index=True))
 
 
-def theories(hypotheses: Hypotheses, judgement: Judgement) -> pd.DataFrame:
-    """Table THEORIES, those that fit best first."""
-    base = hypotheses.tried[frozenset()]
-    before = max(systematic(hypotheses.evidence, base.residual), 1e-12)
+def tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Unit vectors along the string at its points (N, 2), from their neighbours in the same frame."""
+    along = np.zeros_like(points)
+    for number in np.unique(frame):
+        own = np.flatnonzero(frame == number)
+        if len(own) > 1 and np.ptp(s[own]) > 0:
+            along[own] = np.gradient(points[own], s[own] + 1e-12 * np.arange(len(own)), axis=0)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0])
+
+
+def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement) -> pd.DataFrame:
+    """Table THEORIES: all that were fitted, those with most evidence first."""
+    data, base = found.prepared.data, by_cause[0]
+    tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
+    tried |= {joined_names(fit): fit for slot in judgement.slots for fit in slot.fits.values()}
+    tried |= {joined_names(fit): fit for fit in by_cause}
+    chance = {joined_names(slot.fits[n]): slot.chances.get(n, 0.0) for slot in judgement.slots for n in slot.fits}
     rows = [
         {
-            "causes": joined_names(key),
-            "parameters": len(fit.theory.free),
-            "mean_square": fit.mean_square,
-            "fit_gain": base.cost - fit.cost,
-            "held_out_gain": _held_gain(hypotheses, key),
-            "by_chance": hypotheses.chance_gains.get(key, float("nan")),
-            "moved": moved(hypotheses.evidence, base, fit).max() if key else 0.0,
-            "unexplained": systematic(hypotheses.evidence, fit.residual) / before,
-            "probability": judgement.chances.get(key, 0.0),
+            "causes": name,
+            "parameters": len(fit.chi),
+            "mean_square": float(np.mean(np.concatenate(fit.residuals) ** 2)),
+            "fit_gain": fit.evidence - base.evidence,
+            "held_out_gain": _jackknife(fit, base),
+            "by_chance": float("nan"),
+            "moved": float(moved(data, base, fit).max()),
+            "unexplained": 1 - removed(data, base, fit),
+            "probability": chance.get(name, 0.0),
         }
-        for key, fit in hypotheses.tried.items()
+        for name, fit in tried.items()
     ]
     return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
 
 
-def _held_gain(hypotheses: Hypotheses, key: Causes) -> float:
-    if key not in hypotheses.predictions or frozenset() not in hypotheses.predictions:
+def _jackknife(fit: Fit, base: Fit) -> float:
+    """What is left of the evidence over the base model without the trial that says most."""
+    if fit is base or len(fit.by_trial) != len(base.by_trial):
         return float("nan")
-    return float((hypotheses.predictions[frozenset()].costs - hypotheses.predictions[key].costs).sum())
+    return float(fit.evidence - base.evidence - (fit.by_trial - base.by_trial).max())
 
 
-def screening(hypotheses: Hypotheses) -> pd.DataFrame:
+def screening(found: Found) -> pd.DataFrame:
     """Table SCREENING."""
     rows = [
-        {"context": joined_names(context), "effect": name, "predicted_gain": some[0].gain}
-        for context, probes in hypotheses.probes.items()
-        for name, some in probes.items()
+        {"context": joined_names(step.parent), "effect": p.effect.name, "predicted_gain": p.gain}
+        for step in found.path
+        for p in step.proposals
     ]
     return SCREENING.check(pd.DataFrame(rows)) if rows else SCREENING.empty()
 
 
-def likeness(hypotheses: Hypotheses) -> pd.DataFrame:
-    """Table LIKENESS: of the most promising effects of the first screening."""
-    probes: dict[str, list[Probe]] = next(iter(hypotheses.probes.values()), {})
-    best = sorted((some[0] for some in probes.values()), key=lambda probe: -probe.gain)[:ALIKE]
+def likeness(found: Found) -> pd.DataFrame:
+    """Table LIKENESS: of the most promising effects of the first choice."""
+    best = found.path[0].proposals[:ALIKE] if found.path else []
     rows = [
-        {"effect": a.effect.name, "other": b.effect.name, "cosine": abs(float(a.direction @ b.direction))}
-        for i, a in enumerate(best)
-        for b in best[:i]
+        {"effect": a.effect.name, "other": b.effect.name, "cosine": _cosine(a.direction, b.direction)}
+        for b, a in combinations(best, 2)
     ]
     return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
 
 
+def _cosine(a: np.ndarray, b: np.ndarray) -> float:
+    return abs(float(a @ b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), np.finfo(float).tiny)
+
+
 def causes(
-    hypotheses: Hypotheses, chosen: Causes, judgement: Judgement, library: Mapping[str, type[Effect]]
+    found: Found, judgement: Judgement, library: Mapping[str, type[Effect]], tempered: Mapping[str, Tempered], z: float
 ) -> pd.DataFrame:
-    """Table CAUSES: those named, each with its parameters as fitted among the chosen or in place of its look-alike."""
-    rows = []
+    """Table CAUSES: those named, each as fitted among the others or in place of its look-alike. tempered: of the fit
+    with each. z: half width of the intervals in deviations."""
+    rows: list[dict[str, object]] = []
     for name in judgement.causes:
-        effect = library[name]
-        common = {"effect": name, "probability": judgement.probability.get(name, 0.0)}
+        effect, common = library[name], {"effect": name, "probability": judgement.inclusion.get(name, 0.0)}
         if issubclass(effect, ModelChange):
             nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
             rows.append(common | {"sentence": effect.words({}), "parameter": "", "at_least": False, **nothing})
             continue
-        key = _with(chosen, judgement, name)
-        fit = hypotheses.sharp(key).fit
-        common["sentence"] = effect.words(fit.theory.of(effect, fit.chi))
-        rows += [common | row for row in _parameters(hypotheses, key, effect)]
+        fit = fit_with(found, judgement, name)
+        common["sentence"] = effect.words(fit.of(effect))
+        rows += [common | row for row in _parameters(fit, effect, tempered[name], z)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
 
-def _with(chosen: Causes, judgement: Judgement, name: str) -> Causes:
-    """The likeliest set with this cause, of those as large as the chosen."""
-    if name in chosen:
-        return chosen
-    return max((key for key in judgement.chances if name in key), key=lambda key: judgement.chances[key])
+def fit_with(found: Found, judgement: Judgement, name: str) -> Fit:
+    """The fit in which a cause that is named stands."""
+    if name in found.fit.hypothesis.names:
+        return found.fit
+    fits = [slot.fits[name] for slot in judgement.slots if name in slot.fits]
+    return max(fits, key=lambda fit: fit.evidence)
 
 
-def _parameters(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) -> list[dict[str, object]]:
-    fit, between = hypotheses.sharp(causes).fit, _between(hypotheses, causes, effect)
-    rows = []
-    for parameter in effect.parameters:
-        place = fit.theory.model.names.index(effect.qualified(parameter))
-        ends = parameter.value(np.array(between[effect.qualified(parameter)]))
-        if parameter.at_least:
-            ends[1] = parameter.high
-        row = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning, "unit": parameter.unit}
-        found = {"value": float(parameter.value(fit.chi[place])), "low": ends[0], "high": ends[1]}
-        rows.append(row | found | {"at_least": parameter.at_least})
+def _parameters(fit: Fit, effect: type[Effect], tempered: Tempered, z: float) -> list[dict[str, object]]:
+    rows: list[dict[str, object]] = []
+    for parameter, place in zip(effect.parameters, fit.hypothesis.places(effect, effect.parameters), strict=True):
+        low, high = interval(fit, place, tempered, z)
+        high = parameter.high if parameter.at_least else high
+        row: dict[str, object] = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning}
+        value = float(parameter.value(fit.chi[place]))
+        rows.append(
+            row | {"unit": parameter.unit, "value": value, "low": low, "high": high, "at_least": parameter.at_least}
+        )
     return rows
 
 
-def _between(hypotheses: Hypotheses, causes: Causes, effect: type[Effect]) -> dict[str, tuple[float, float]]:
-    """Exponents between which each parameter of an effect is, by qualified name."""
-    sharp = hypotheses.sharp(causes)
-    low, high = sharp.interval(hypotheses.evidence)
-    ends = {sharp.fit.theory.model.names[p]: (low[k], high[k]) for k, p in enumerate(sharp.fit.theory.free)}
-    if not placed(effect):
-        return ends
-    far = reach(hypotheses, hypotheses.tried[causes], effect)
-    return {name: (min(ends[name][0], near), max(ends[name][1], off)) for name, (near, off) in far.items()}
+def interval(fit: Fit, place: int, tempered: Tempered, z: float) -> tuple[float, float]:
+    """Ends of a parameter's interval, which holds its value."""
+    chi, parameter = fit.chi[place], fit.hypothesis.parameters[place]
+    ends = tempered.centre[place] + z * np.array([-1.0, 1.0]) * tempered.deviation[place]
+    low, high = parameter.value(np.clip([min(ends[0], chi), max(ends[1], chi)], 0.0, 1.0))
+    return float(low), float(high)
+
+
+def missing(data: Data, fit: Fit, criteria: Criteria) -> pd.DataFrame:
+    """Table MISSING: how the string is displaced beyond what the fit says, where that is more than is tolerated."""
+    frames = []
+    if unexplained(data, fit).max() < criteria.tolerance:
+        return MISSING.empty()
+    for trial, each in zip(data.trials, lacked(data, fit), strict=True):
+        x, y = -(each.reshape(-1, 2) * trial.sigma[:, None]).T
+        table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, "x": x, "y": y})
+        place = np.ceil(trial.s / trial.s.max() * ARROWS).clip(1, ARROWS)
+        moment = np.floor((table["t"] - trial.times[0]) / EVERY)
+        mean_of_each = table.groupby([moment, place]).mean().reset_index(drop=True)
+        frames.append(mean_of_each.assign(kind="displacement of the string", trial=trial.name))
+    return MISSING.check(pd.concat(frames, ignore_index=True)[[c.name for c in MISSING.columns]])

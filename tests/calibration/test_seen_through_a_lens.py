@@ -8,7 +8,7 @@ from conftest import specimen, swing
 
 from stringcast.data.artifacts import Film
 from stringcast.hardware.virtual.bench import Bench, VirtualArm, VirtualCamera
-from stringcast.stages.diagnose.single_effects.proposals import candidates
+from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import footage_of

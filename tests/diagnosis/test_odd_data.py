@@ -2,22 +2,16 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from conftest import TRUTH, ordinary
-from performed import said_of
 
 from stringcast.data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
-from stringcast.data.schema import DataError
-from stringcast.stages.diagnose import choose
-from stringcast.stages.diagnose.diagnose import coarse
-from stringcast.stages.diagnose.missing import _ridge
-from stringcast.stages.diagnose.single_effects.document import gain, wider, without_nan
-from stringcast.stages.diagnose.single_effects.predictions import FRAMES, rate, thinned
-from stringcast.stages.diagnose.single_effects.prepared import usable
+from stringcast.stages.diagnose.document import gain, wider, without_nan
+from stringcast.stages.diagnose.predictions import FRAMES, rate, thinned
+from stringcast.stages.diagnose.prepared import usable
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.inference.forward import case
@@ -101,44 +95,8 @@ def test_the_gain_is_json_that_everybody_can_read():
     assert without_nan({"a": [(1, "b", float("inf"))]}) == {"a": [[1, "b", None]]}
 
 
-def test_mass_points_are_not_judged_where_the_simulation_is_uncertain_everywhere():
-    """Of no point that is trusted the mean would be NaN, and so the probability of `resolution`."""
-    left, noise = np.full(4, 2.0), np.ones(4)
-    doubted = SimpleNamespace(base=SimpleNamespace(residual=noise), configured=SimpleNamespace(residual=left))
-    doubted.floor, doubted.evidence = noise, SimpleNamespace(sigma=np.array([1.0, 1.0, 9.0, 9.0]))
-    assert coarse(doubted) == pytest.approx(4.0)
-    doubted.evidence = SimpleNamespace(sigma=np.full(4, 9.0))
-    assert coarse(doubted) == 1.0
-
-
-def test_causes_stay_where_nothing_promises_to_take_the_place_of_one():
-    both, one = frozenset({"a", "b"}), frozenset({"b"})
-    theory = SimpleNamespace(names=("a", "b"), free=[0] * 9)
-    fits = {both: SimpleNamespace(cost=1.0, theory=theory), one: SimpleNamespace(cost=20.0, theory=theory)}
-    hypotheses = SimpleNamespace(tried=fits, extended=lambda context: {}, fit=lambda causes, near: fits[causes])
-    assert choose._settled(hypotheses, frozenset({"a"}), both) == both
-
-
-def test_frames_that_are_missing_have_no_force():
-    """A pulse that no frame shows explains nothing: it has no amplitude, however many there are like it."""
-    rng = np.random.default_rng(0)
-    done, noise = np.zeros((40, 100)), rng.standard_normal(100)
-    done[:15] = rng.standard_normal((15, 100))
-    done[15:] = 1e-10 * rng.standard_normal((25, 100))  # rounding
-    amplitudes, left = _ridge(done, noise)
-    assert not amplitudes[15:].any()
-    assert 0.7 < np.mean(left**2) / np.mean(noise**2) < 1
-    np.testing.assert_allclose(left, noise + amplitudes @ done)
-
-
 def test_wider_ranges_are_told_to_the_other_stages(model):
     wide = replace(model.string.parameters[2], high=1e9)
     other = replace(model.string, ranges={**model.string.ranges, wide.name: wide})
     assert wider(model.string, other) == {wide.name: {"low": wide.low, "high": 1e9}}
     assert wider(model.string, model.string) == {}
-
-
-def test_too_few_points_to_read_positions_from_are_refused(model, begun):
-    few = replace(model, string=replace(model.string, points=3))
-    with pytest.raises(DataError, match=r"string\.points = 3"):
-        said_of(few, [begun], 2)

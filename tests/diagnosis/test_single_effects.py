@@ -8,9 +8,9 @@ import pytest
 import yaml
 from scipy.stats import cauchy, multivariate_normal
 
+from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.casts import Design
-from stringcast.stages.diagnose.single_effects import diagnose as module
-from stringcast.stages.diagnose.single_effects.search import Criteria, Step, enters
+from stringcast.stages.diagnose.single_effects import Step, enters
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.discrepancy import SIZES, TYPICAL, Discrepancy, _kernel_root, log_prior, smoothed
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
@@ -20,9 +20,8 @@ from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.library import library, named
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from tests.diagnosis.performed import performed
+from tests.diagnosis.performed import CRITERIA, performed
 
-CRITERIA = Criteria(causes=3, coverage=0.95, alpha=0.01, tolerance=2e-3, least_size=5e-4, least_share=0.5)
 BASE = {
     **{"axial_stiffness": 5e5, "axial_damping": 30.0, "bending_stiffness": 3.0, "bending_damping": 0.005},
     **{"linear_drag": 0.3, "quadratic_drag": 0.2, "grasp_stiffness": 1.0, "grasp_damping": 0.005},

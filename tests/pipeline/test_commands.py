@@ -400,6 +400,12 @@ def test_what_every_list_of_steps_did_a_mode_does():
         assert modern(before) == now
 
 
+def test_a_diagnosis_that_went_by_other_rules_is_made_again_by_those_of_today():
+    now = composed()
+    before = now | {"diagnose": {name: value for name, value in now["diagnose"].items() if name != "criteria"}}
+    assert modern(before) == now
+
+
 @pytest.mark.parametrize("mode", [HitStudy(), Calibrate()])
 def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
     """Its trials, where it has any, are not read as a dataset."""

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.diagnose.single_effects.budget import Budget
-from stringcast.stages.diagnose.single_effects.judgement import Judgement
-from stringcast.stages.diagnose.single_effects.prepared import Prepared
-from stringcast.stages.diagnose.single_effects.search import Criteria, unexplained
+from stringcast.stages.diagnose.budget import Budget
+from stringcast.stages.diagnose.judgement import Judgement
+from stringcast.stages.diagnose.prepared import Prepared
+from stringcast.stages.diagnose.single_effects import Criteria, unexplained
 from stringcast.stages.inference.evidence import Data, Fit, lacked
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String

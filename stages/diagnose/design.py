@@ -21,7 +21,7 @@ from scipy.stats import norm
 
 from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
 from stringcast.stages.diagnose.casts import Design, imagined, possible, standing_for
-from stringcast.stages.diagnose.single_effects.prepared import corrected
+from stringcast.stages.diagnose.prepared import corrected
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import commands_of, control_points_of
 from stringcast.stages.inference import solver

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from stringcast.stages.diagnose.single_effects.places import touching, varied_parameters
+from stringcast.stages.diagnose.places import touching, varied_parameters
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import marginal
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from stringcast.stages.diagnose.single_effects.search import (
+from stringcast.stages.diagnose.single_effects import (
     Criteria,
     Found,
     Step,
@@ -17,7 +17,7 @@ from stringcast.stages.diagnose.single_effects.search import (
     refitted,
     removed,
 )
-from stringcast.stages.diagnose.single_effects.small_effects import Tempered, responses, tempered
+from stringcast.stages.diagnose.small_effects import Tempered, responses, tempered
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, tip_draws
 from stringcast.stages.model.effect import Effect
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.stages.diagnose.single_effects.search import Found, refitted
+from stringcast.stages.diagnose.single_effects import Found, refitted
 from stringcast.stages.inference.evidence import TIP, Data, Fit, Hypothesis, tip_draws
 from stringcast.stages.inference.forward import Case
 

@@ -18,9 +18,9 @@ import numpy as np
 from pydantic import Field
 
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.single_effects.predictions import Prediction, predicted
-from stringcast.stages.diagnose.single_effects.prepared import MOST, ROUNDS, Prepared, searched_again
-from stringcast.stages.diagnose.single_effects.proposals import Proposal, proposals
+from stringcast.stages.diagnose.predictions import Prediction, predicted
+from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, searched_again
+from stringcast.stages.diagnose.proposals import Proposal, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
 from stringcast.stages.model.effect import Effect, placed
 
