@@ -41,7 +41,17 @@ def refusal(error: BaseException) -> str:
     names = list(flat(composed(groups)))
     near = difflib.get_close_matches(key[1], names, 1)
     remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
+    remedy = f"It is one of {' and '.join(there)}." if (there := _options_with(key[1])) else remedy
     return f"{key[1]} (command line): there is no such setting. {remedy}"
+
+
+def _options_with(name: str) -> list[str]:
+    """Options of a group that have a setting which those of this call have not: `estimate=random_search` for
+    `estimate.beta`."""
+    group, _, inner = name.partition(".")
+    line = re.compile(rf"^{re.escape(inner)}:", re.M)
+    files = sorted((CONF / group).glob("*.yaml")) if inner else []
+    return [f"{group}={file.stem}" for file in files if line.search(file.read_text(encoding="utf-8"))]
 
 
 def _unread(said: str) -> str:

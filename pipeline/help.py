@@ -17,9 +17,10 @@ from stringcast.pipeline.settings import CONF, composed
 PAGE = """\
 Cast an unknown string at a target with a robot arm, and learn the string from each cast.
 
-  python -m pipeline +experiment=stringB              one experiment of the paper
+  python -m pipeline                                  string A at (400, 700) mm, by the motion most likely to hit
   python -m pipeline target.x=0.45 target.y=0.65      any setting, by its name
-  python -m pipeline --multirun estimate.beta=0.99,0.995 seed=0,1,2
+  python -m pipeline +experiment=stringB              one experiment of the paper, by the paper's method
+  python -m pipeline --multirun method=paper estimate.beta=0.99,0.995 seed=0,1,2
   python -m pipeline +experiment=sweep hydra/launcher=joblib   side by side; or ray, slurm
   python -m pipeline +experiment=sweep hydra.sweep.dir=...     go on with a sweep, or see how it stands
   python -m pipeline +experiment=estimate trials=outputs/...   estimate again from stored trials

@@ -58,18 +58,18 @@ def test_what_cannot_be_done_is_said_with_the_remedy(call, says):
 
 @pytest.fixture(scope="module")
 def motion():
-    return sc.generate(None, "string=paper", "generate.longest=0.6", target=(0.45, 0.6), seed=1)
+    return sc.generate(None, "method=paper", "generate.longest=0.6", target=(0.45, 0.6), seed=1)
 
 
 def test_the_string_is_simulated_as_it_was_planned(motion):
     """To 0.1 mm: what is planned is a curve, what is commanded are its samples each 5 ms."""
     planned = motion.string
     times = planned["t"].unique()
-    string = sc.simulate(None, motion, "string=paper", times=times)
+    string = sc.simulate(None, motion, "method=paper", times=times)
     pd.testing.assert_frame_equal(
         string[["t", "s", "x", "y"]], planned[["t", "s", "x", "y"]].reset_index(drop=True), atol=1e-4
     )
-    fine = sc.simulate(None, motion, "string=paper", times=np.arange(0, motion.duration, 1e-4))
+    fine = sc.simulate(None, motion, "method=paper", times=np.arange(0, motion.duration, 1e-4))
     tip = fine[fine["s"] == fine["s"].max()]
     inside = (np.abs(tip["x"] - 0.45) <= 0.01) & (np.abs(tip["y"] - 0.6) <= 0.02)
     assert inside.any()

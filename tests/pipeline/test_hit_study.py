@@ -98,7 +98,7 @@ def test_a_case_says_only_what_differs_and_another_stage_comes_whole():
     assert lagging["hardware"]["specimen"]["parameters"] == config["specimen"]["parameters"]
     assert config["specimen"]["hidden"] == {}
     practice = settings(config, {}, {"generate": hits["lessons"]["generate"]}, 3, 2)
-    assert practice["generate"] == composed()["generate"]
+    assert practice["generate"] == composed(["method=paper"])["generate"]
 
 
 def test_ways_of_learning_differ_in_their_motions_alone():

@@ -30,6 +30,13 @@ def test_an_experiment_of_the_paper_takes_either_method_and_names_the_other(name
     assert by_the_other_method(robust).endswith(f"+experiment={name} method=paper")
 
 
+@pytest.mark.parametrize("words", [[], ["target.x=0.45", "seed=3"], ["effects=[tip_mass]"], ["specimen=D"]])
+def test_a_plain_cast_is_the_robust_one(words):
+    plain = composed(words)
+    assert parts(plain) == ["robust", "least_squares", 5]
+    assert plain == composed([*words, "method=robust"])
+
+
 def test_what_belongs_to_no_experiment_of_the_paper_names_none():
     assert [by_the_other_method(composed(words)) for words in ([], ["+experiment=robust"], ["method=robust"])] == [
         ""

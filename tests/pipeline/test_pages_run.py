@@ -51,7 +51,7 @@ RUN = {
     "pipeline +experiment=stringB method=robust": Run(**CAST),
     "pipeline +experiment=window": Run(**CAST),
     "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
-    "pipeline 'effects=[tip_mass,arm_lag]' estimate=least_squares": Run(**CAST),
+    "pipeline 'effects=[tip_mass,arm_lag]'": Run(**CAST),
     "pipeline +experiment=stringB seed=0 hydra.run.dir=outputs/gallery": Run(**CAST),
     "pipeline +experiment=stringB extended=outputs/...": Run(**CAST, of="diagnosed"),
     "pipeline +experiment=stringB extended=outputs/...-align-...": Run(**CAST, of="aligned"),
@@ -85,7 +85,7 @@ RUN = {
         leaves=("report.html", "camera.yaml", "calibration"), of="pictures"
     ),
     # Sweeps: a job is about half a minute.
-    "pipeline --multirun estimate.beta=0.99,0.995 target=at_300_900,at_400_700 seed=0,1,2": Run(
+    "pipeline --multirun method=paper estimate.beta=0.99,0.995 target=at_300_900,at_400_700 seed=0,1,2": Run(
         leaves=("report.html", "ledger"), rows=("sweep.parquet", 12)
     ),
     "pipeline --multirun +experiment=stringB estimate.beta=0.99,0.995 seed=0,1,2": Run(
