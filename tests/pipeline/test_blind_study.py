@@ -16,6 +16,7 @@ from matplotlib.image import imread
 from stringcast.data.dataset import read
 from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
 from stringcast.pipeline.provenance import state
+from stringcast.pipeline.settings import composed
 from stringcast.pipeline.studies.blind.bench import OneBench
 from stringcast.pipeline.studies.blind.pictures import pictures
 from stringcast.pipeline.studies.blind.scores import TABLES, calibration_error, scores
@@ -230,6 +231,13 @@ def test_a_diagnosis_that_fails_is_a_wrong_answer(tmp_path):
     failed = one_bench(4, tmp_path, Bench, looked)
     assert failed["diagnosis"]["error"] == "RuntimeError: no"
     assert not correct(failed)
+
+
+@pytest.mark.parametrize(("laboratory", "points"), [("own", 10), ("nodal", 57), ("pyelastica", 57)])
+def test_only_the_virtual_lab_is_asked_about_ten_points(laboratory, points):
+    """A seed of its own may hide that they are too few; beside any other string they always are."""
+    config = composed(["+experiment=blind_study", f"laboratory={laboratory}"])
+    assert (config["study"]["laboratory"], config["string"]["points"]) == (laboratory, points)
 
 
 def test_a_bench_of_the_lab_is_one(arm, camera, tmp_path):

@@ -279,6 +279,7 @@ def test_every_experiment_composes_and_is_valid(name):
     stored = ["trials=outputs/some-run"] if name in ("estimate", "diagnose", "decide", "measured_study") else []
     points = {"stringD": 25, "long": 30}
     points |= dict.fromkeys(("robust", "window", "gap", "several", "gain_study", "estimate"), 20)
+    points |= dict.fromkeys(("diagnose", "decide"), 57)
     own = ("align", "calibrate", "extraction_study", "measured_study", "paper")  # simulate none, or say which by part
     points |= dict.fromkeys(own, 57)
     assert composed(f"+experiment={name}", *stored).string.points == points.get(name, 10)
