@@ -13,6 +13,7 @@ from stringcast.pipeline.called import as_called
 from stringcast.pipeline.commands import listed
 from stringcast.pipeline.meanings import explained
 from stringcast.pipeline.settings import CONF, composed
+from stringcast.stages.model.library import files
 
 PAGE = """\
 Cast an unknown string at a target with a robot arm, and learn the string from each cast.
@@ -37,6 +38,9 @@ Commands (python -m pipeline <command> --help says more):
 Groups and their options (group=option, +experiment=option):
 {groups}
 
+Effects (effects=[name,name]; parameters, units and ranges in conf/README.md):
+{effects}
+
 Settings of this call:
 {settings}
 """
@@ -45,7 +49,9 @@ Settings of this call:
 def page(overrides: Sequence[str]) -> str:
     """The help, with the settings as these overrides make them."""
     settings = "\n".join(explained(yaml.safe_dump(composed(overrides), sort_keys=False, allow_unicode=True)))
-    return as_called(PAGE).format(commands=listed(), groups="\n".join(groups()), settings=settings)
+    return as_called(PAGE).format(
+        commands=listed(), groups="\n".join(groups()), effects=", ".join(files()), settings=settings
+    )
 
 
 def groups() -> Iterator[str]:

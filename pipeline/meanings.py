@@ -21,7 +21,7 @@ def meanings() -> dict[str, str]:
     found: dict[str, str] = {}
     groups = (file for file in sorted(CONF.rglob("*/*.yaml")) if file.relative_to(CONF).parts[0] != "experiment")
     for file in (CONF / "config.yaml", *groups):
-        for name, comment in _of(file):
+        for name, comment in of_file(file):
             found.setdefault(name, comment)
     for group, name in RENAMED.findall((CONF / "config.yaml").read_text(encoding="utf-8")):
         found |= {
@@ -30,7 +30,7 @@ def meanings() -> dict[str, str]:
     return found
 
 
-def _of(file: Path) -> Iterator[tuple[str, str]]:
+def of_file(file: Path) -> Iterator[tuple[str, str]]:
     """Names and comments of a file's settings."""
     text = file.read_text(encoding="utf-8")
     alone = file.parent == CONF or "@package _global_" in text

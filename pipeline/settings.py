@@ -88,21 +88,39 @@ def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any
     function's keyword-only arguments, or the fields of those that are `Together`, less what the run itself supplies.
     """
     function = loaded(block["_target_"], place, where)
-    hints = get_type_hints(function, include_extras=True)
-    wanted = {
-        name: hints[name]
-        for name, parameter in inspect.signature(function).parameters.items()
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY and name not in FROM_THE_RUN
-    }
-    groups = {name: kind for name, kind in wanted.items() if isinstance(kind, type) and issubclass(kind, Together)}
-    inside = {name: get_type_hints(kind, include_extras=True) for name, kind in groups.items()}
-    flat = {n: kind for name, hint in wanted.items() for n, kind in inside.get(name, {name: hint}).items()}
+    groups = {name: kind for name, kind in _keywords(function).items() if _together(kind)}
+    flat = taken(function)
     given = {key: value for key, value in block.items() if key != "_target_"}
     _check_names(given, flat, place, where)
     known = {n: _checked(flat[n], given[n], f"{place}.{n}", where) for n in flat}
     for name, kind in groups.items():
-        known[name] = kind(**{field: known.pop(field) for field in inside[name]})
+        known[name] = kind(**{field: known.pop(field) for field in get_type_hints(kind)})
     return functools.partial(function, **known)
+
+
+def taken(kind: Callable[..., Any]) -> dict[str, Any]:
+    """The type of each setting that a block takes which names this function or class."""
+    if inspect.isclass(kind):
+        return get_type_hints(kind, include_extras=True)
+    inside = {
+        name: get_type_hints(hint, include_extras=True) if _together(hint) else {name: hint}
+        for name, hint in _keywords(kind).items()
+    }
+    return {name: hint for one in inside.values() for name, hint in one.items()}
+
+
+def _keywords(function: Callable[..., Any]) -> dict[str, Any]:
+    """Types of a function's keyword-only arguments, less what the run itself supplies."""
+    hints = get_type_hints(function, include_extras=True)
+    return {
+        name: hints[name]
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY and name not in FROM_THE_RUN
+    }
+
+
+def _together(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, Together)
 
 
 def build(kind: type[Built], block: Mapping[str, Any], place: str, where: str) -> Built:

@@ -51,7 +51,7 @@ def kind_of(name: str) -> tuple[str, int]:
         return kind, int(number)
     near = difflib.get_close_matches(name, known, 1)
     hint = f"Did you mean '{near[0]}'? " if near else ""
-    raise UnknownEffectError(f"there is no effect '{name}'. {hint}Known are: {', '.join(known)}")
+    raise UnknownEffectError(f"there is no effect '{name}'. {hint}All of them: python -m pipeline --help")
 
 
 def files() -> dict[str, Path]:

@@ -2,6 +2,7 @@
 
 import re
 
+from stringcast.pipeline import reference
 from stringcast.pipeline.help import page
 from stringcast.pipeline.meanings import meanings
 from stringcast.pipeline.settings import composed, leaves
@@ -24,6 +25,25 @@ def test_lengths_times_and_angles_have_units():
     wanted += ("generate.shortest", "generate.longest", "execute.before", "string.largest_step")
     for name in wanted:
         assert re.search(r"\[(m|s|px/m|1/s|rad/s)\]", meanings()[name]), name
+
+
+def test_the_reference_is_what_it_would_be_made_now():
+    """Else: python -m pipeline.reference."""
+    assert reference.page() == reference.PAGE.read_text(encoding="utf-8")
+
+
+def test_the_reference_says_values_limits_and_meaning():
+    page = reference.page()
+    assert (
+        "| `estimate.beta` | `0.995` (`estimate=random_search`) | above 0, at most 1 | by which the range narrows"
+        in page
+    )
+    assert "| `camera.width` | `640` | whole, at least 16 | of a picture [px] |" in page
+    assert "| `wind.along_x` | -5 to 5 | m/s |" in page
+    bare = [
+        line for line in page.splitlines() if line.startswith("| `") and line.endswith("|  |") and "|  |  |" not in line
+    ]
+    assert bare == []
 
 
 def test_what_stands_behind_a_setting_is_its_own_meaning():

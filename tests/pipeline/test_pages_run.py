@@ -152,6 +152,7 @@ ELSEWHERE = {  # which test runs it, or why none can
     "pipeline check data/sample": SHORT,
     "pipeline board board.pdf": SHORT,
     "pipeline --help": SHORT,
+    "pipeline.reference": "would write over the page: tests/pipeline/test_help.py::test_the_reference_is_what_it_would_be_made_now",
     "pipeline +experiment=paper hydra.sweep.dir=outputs/sweeps/...": "goes on with a sweep, as does "
     "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
     "pipeline +experiment=measured_study trials=../shared/measured": "needs recordings of others, which are not ours to "

@@ -1,0 +1,197 @@
+"""The reference of all settings: `python -m pipeline.reference` writes conf/README.md anew.
+
+It is made of what is there: the files of `conf` with their comments, the types of what takes their values, and the
+effects of the library.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import yaml
+from hydra import compose, initialize_config_dir
+from pydantic import PydanticSchemaGenerationError, PydanticUserError, TypeAdapter
+
+from stringcast.data.store import write_text
+from stringcast.pipeline.meanings import meanings, of_file
+from stringcast.pipeline.settings import CONF, composed, leaves, loaded, taken
+from stringcast.stages.calibrate.board import Board
+from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.box import Box
+from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.library import library
+from stringcast.stages.model.string import String
+
+PAGE = CONF / "README.md"
+HEAD = """\
+# All settings
+Made by `python -m pipeline.reference` of the files in this folder, of the types that take their values and of the \
+library of effects; a test fails where it is out of date. `python -m pipeline --help` shows the settings of a call as \
+they are then.
+
+A setting is given by its name, `target.x=0.45`; a group of settings by one of its options, which is a file here, \
+`estimate=cma_es`; an experiment is added, `+experiment=stringA`. A list is quoted, `'effects=[tip_mass,wind]'`; \
+several values are a sweep, `--multirun seed=0,1,2`. Units are in brackets.
+"""
+RUN = "## Of the run\nIn `config.yaml`.\n"
+EFFECTS = """\
+## Effects
+What can be so beyond the paper, `'effects=[wind]'`; one that the paper has is always there. A parameter is sought \
+within its range. It is known by `'+known.tip_mass.ratio=0.05'`, or with an interval by \
+`'+known.wind.along_x={value: 1, low: 0.8, high: 1.2}'`. [How they are simulated](../stages/model/README.md).
+"""
+BUILT = {"arm": Arm, "camera": Camera, "board": Board, "target": Box, "string": String}  # by their fields
+UNTOLD = {"_target_", "integrator", "_partial_"}  # what code a block is of: an option says it in words
+RANGE = {"low", "high", "start"}
+LIMITS = {"exclusiveMinimum": "above", "minimum": "at least", "exclusiveMaximum": "below", "maximum": "at most"}
+KINDS = {"integer": "whole", "string": "text", "boolean": "true or false"}
+
+
+def page() -> str:
+    """The page as text."""
+    chosen, settings = _choices(), composed()
+    groups = [group for group in settings if (CONF / group).is_dir()]
+    others = {name: value for name, value in settings.items() if name not in groups and name != "plane"}
+    parts = [HEAD, RUN, _run(others), _options("experiment", ""), _options("method", chosen["method"])]
+    parts += [part for group in groups for part in _group(group, chosen[group], settings[group])]
+    return "\n".join([*parts, _options("hydra/launcher", "serial"), EFFECTS, _effects()])
+
+
+def _choices() -> Mapping[str, str]:
+    """The option of each group that is chosen where nothing is said."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        found: Mapping[str, str] = compose("config", return_hydra_config=True).hydra.runtime.choices
+        return found
+
+
+def _group(group: str, chosen: str, block: Mapping[str, Any]) -> Iterator[str]:
+    """A group: its options, then the settings of the chosen one, then what only others have."""
+    yield _options(group, chosen)
+    others = sorted((CONF / group).glob("*.yaml"), key=lambda file: ("defaults:" in file.read_text(), file.stem))
+    told = [CONF / group / f"{chosen}.yaml", *others]  # those that begin from others, last
+    known: set[str] = set()
+    rows = []
+    for option, settings in ((file.stem, block if file.stem == chosen else _read(file)) for file in told):
+        own, kinds = dict(of_file(CONF / group / f"{option}.yaml")), dict(_kinds(group, settings))
+        for name, value in leaves(_folded(settings), group).items():
+            if any(name == one or name.startswith(f"{one}.") for one in known) or {*name.split(".")} & UNTOLD:
+                continue
+            known.add(name)
+            where = "" if option == chosen else f" (`{group}={option}`)"
+            rows.append((f"`{name}`", _value(value) + where, kinds.get(name, ""), own.get(name) or _meaning(name)))
+    if rows:
+        yield _table(("setting", "default", "", "what it means"), rows)
+
+
+def _read(file: Path) -> dict[str, Any]:
+    """The settings of an option, with those of the options that it begins from."""
+    block = yaml.safe_load(file.read_text(encoding="utf-8")) or {}
+    before = [name for name in block.pop("defaults", []) if isinstance(name, str) and name != "_self_"]
+    inherited = [_read(file.with_name(f"{name}.yaml")) for name in before]
+    return {name: value for one in (*inherited, block) for name, value in one.items()}
+
+
+def _folded(block: Any) -> Any:
+    """Settings in which the range of a parameter is one value."""
+    if not isinstance(block, Mapping):
+        return block
+    if block.keys() >= RANGE:
+        return "{low:g} to {high:g}, begun at {start:g}".format(**block)
+    return {name: _folded(value) for name, value in block.items()}
+
+
+def _options(group: str, chosen: str) -> str:
+    """Heading and options of a group, each with what stands on top of its file."""
+    files = sorted((CONF / group).glob("*.yaml"), key=lambda file: (file.stem != chosen, file.stem))
+    rows = [(f"`{file.stem}`{', by default' * (file.stem == chosen)}", _heading(file)) for file in files]
+    return f"## `{'+' * (group == 'experiment')}{group}=`\n{_table(('option', 'what it is'), rows)}"
+
+
+def _heading(file: Path) -> str:
+    """The comment on top of a file."""
+    lines = [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("# @package")]
+    top = re.match(r"(?:#.*\n)*", "\n".join([*lines, ""]))
+    return " ".join(line.strip("# ") for line in (top[0] if top else "").splitlines())
+
+
+def _run(settings: Mapping[str, Any]) -> str:
+    """Settings that belong to no group."""
+    rows = [(f"`{name}`", _value(value), meanings().get(name, "")) for name, value in settings.items()]
+    return _table(("setting", "default", "what it means"), rows)
+
+
+def _meaning(name: str) -> str:
+    """What a setting means, or one called alike in another group, or else the block that it is of."""
+    parts = name.split(".")
+    alike = [one for one in meanings() if len(parts) > 2 and one.endswith(f".{'.'.join(parts[-2:])}")]
+    names = [name, *alike, *(".".join(parts[:end]) for end in range(len(parts) - 1, 1, -1))]
+    return next((meanings()[one] for one in names if one in meanings()), "")
+
+
+def _kinds(group: str, block: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What values each setting of a block takes, by its full name."""
+    if "_target_" in block:
+        yield from _of_fields(group, taken(loaded(block["_target_"], group, str(CONF / group))))
+    elif group in BUILT:
+        yield from _of_fields(group, get_type_hints(BUILT[group], include_extras=True))
+
+
+def _of_fields(place: str, hints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for name, hint in hints.items():
+        if is_dataclass(hint):
+            yield from _of_fields(f"{place}.{name}", get_type_hints(hint, include_extras=True))
+        else:
+            yield f"{place}.{name}", _kind(hint)
+
+
+def _kind(hint: Any) -> str:
+    """The values of a type in words: `whole, from 1 to 255`; nothing for what is no number, text or list of these."""
+    try:
+        return _said(TypeAdapter(hint).json_schema())
+    except (PydanticSchemaGenerationError, PydanticUserError):  # of a class of ours, whose fields are settings
+        return ""
+
+
+def _said(schema: Mapping[str, Any]) -> str:
+    if "anyOf" in schema:
+        return " or ".join(filter(None, map(_said, schema["anyOf"])))
+    if schema.get("type") == "array" and "maxItems" in schema:
+        return f"{schema['maxItems']} numbers"
+    if schema.get("type") == "array":
+        return f"list, each {inside}" if (inside := _said(schema["items"])) else "list"
+    limits = [f"{word} {schema[name]:g}" for name, word in LIMITS.items() if name in schema]
+    return ", ".join(filter(None, (KINDS.get(schema.get("type", ""), ""), *limits)))
+
+
+def _effects() -> str:
+    """Every effect with its parameters, the base of the model first."""
+    rows = []
+    for effect in sorted(library().values(), key=lambda one: (not any(p.symbol for p in one.parameters), one.name)):
+        words = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
+        words += " A diagnosis does not look for it." * effect.told
+        rows += [(f"`{effect.name}`", words, "", "", "")]
+        rows += [
+            ("", p.meaning, f"`{effect.qualified(p)}`", f"{p.low:g} to {p.high:g}", p.unit) for p in effect.parameters
+        ]
+    return _table(("effect", "what is so", "parameter", "range", "unit"), rows)
+
+
+def _value(value: Any) -> str:
+    """As it is given on the command line."""
+    said = value if isinstance(value, str) else yaml.safe_dump([value], default_flow_style=True, width=1000)[1:-2]
+    return f"`{said}`"
+
+
+def _table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """A table in Markdown, in which a bar would end a cell and what looks like a tag would not be seen."""
+    escaped = ([re.sub(r"([|<])", r"\\\1", cell) for cell in row] for row in rows)
+    lines = [columns, ("---",) * len(columns), *escaped]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+if __name__ == "__main__":
+    write_text(PAGE, page())
