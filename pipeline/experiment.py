@@ -129,7 +129,7 @@ def prepare(config: Mapping[str, Any], where: Where) -> Experiment:
 
 
 LEFT = ("frames", "report")
-ALL = "all"  # of the trials, which `memory` may be
+ALL = "all"  # of the trials, which `trials_used` may be
 
 
 def _check_run(config: Mapping[str, Any], where: Where) -> None:
@@ -138,15 +138,15 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
         raise UserError(
             f"steps = {config['steps']}: what a run does is its mode now. Give `override /mode: ...` instead."
         )
-    for name, other in (("manipulations", ""), ("memory", f", or {ALL}")):
+    for name, other in (("manipulations", ""), ("trials_used", f", or {ALL}")):
         if (type(config[name]) is not int or config[name] < 1) and not (other and config[name] == ALL):
             must = f"it must be a whole number from 1{other}"
             raise UserError(f"{name} = {config[name]!r} ({where(name)}): {must}. Change it.")
     if type(config["seed"]) is not int or config["seed"] < 0:
         raise UserError(f"seed = {config['seed']!r} ({where('seed')}): it must be a whole number from 0. Change it.")
-    if not isinstance(config["leave"], list) or not set(config["leave"]) <= set(LEFT):
+    if not isinstance(config["keep"], list) or not set(config["keep"]) <= set(LEFT):
         choices = ", ".join(LEFT)
-        raise UserError(f"leave = {config['leave']} ({where('leave')}): it must be a list of {choices}. Change it.")
+        raise UserError(f"keep = {config['keep']} ({where('keep')}): it must be a list of {choices}. Change it.")
 
 
 def with_effects(model: Model, names: Any, where: str) -> Model:

@@ -32,7 +32,7 @@ FROM_TRIALS = (
     "effects",
     "known",
     "seed",
-    "memory",
+    "trials_used",
     "own",
     "estimate",
     "generate",

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 from stringcast.pipeline.commands import NAMES
+from stringcast.pipeline.older import new_name
 from stringcast.pipeline.settings import CONF, UserError
 
 CALL = ["python", "-m", "pipeline"]  # as which it is called is put in where it is printed
@@ -92,7 +93,9 @@ def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str,
 def _valued(word: str, name: str, value: str) -> Iterator[tuple[str, list[str]]]:
     """What is wrong with a setting and its value."""
     plain = name.lstrip("+")
-    if plain == "target" and (place := re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", value)):
+    if (now := new_name(plain)) != plain:
+        yield f"{word}: this setting is called {now} now.", [f"{now}={value}"]
+    elif plain == "target" and (place := re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", value)):
         x, y = (_metres(float(part)) for part in place.groups())
         yield f"{word}: a place has a setting for each coordinate.", [f"target.x={x:g}", f"target.y={y:g}"]
     elif (CONF / plain).is_dir() and value and not re.search(r"[,()\[{$]", value):

@@ -29,13 +29,30 @@ MODES: Mapping[tuple[str, ...], Mapping[str, Any]] = {  # what `steps` was, befo
 # What decided in diagnoses that had no settings for it: they went by other rules, and are made again by those of today.
 CRITERIA = {"causes": 3, "coverage": 0.95, "alpha": 0.01, "tolerance": 2e-3, "least_size": 5e-4, "least_share": 0.5}
 FLOAT64 = {"_target_": "stages.model.precision.Double"}  # which is all there is now
+RENAMED: Mapping[str, Mapping[str, str]] = {  # by the block that the settings are in; elsewhere as in ""
+    "": {"memory": "trials_used", "leave": "keep"},
+    "estimate": {"together": "batch"},
+    "generate": {
+        "together": "batch",
+        "tries": "searches",
+        "informative": "exploration",
+        "fresh": "validation",
+        "doubt": "uncertainty",
+    },
+}
+
+
+def new_name(name: str) -> str:
+    """The full name of a setting today, `generate.validation` for `generate.fresh`."""
+    block, dot, last = name.rpartition(".")
+    return f"{block}{dot}{RENAMED.get(block, {}).get(last, last)}"
 
 
 def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a run by their names of today: `mode` instead of `steps`, nothing of float64, `diagnose.criteria`."""
-    now, steps, string = dict(settings), settings.get("steps"), settings.get("string")
+    now, steps, string = _renamed(settings, ""), settings.get("steps"), settings.get("string")
     if isinstance(settings.get("diagnose"), Mapping):
-        now["diagnose"] = {"criteria": CRITERIA} | dict(settings["diagnose"])
+        now["diagnose"] = {"criteria": CRITERIA} | now["diagnose"]
     if isinstance(string, Mapping) and string.get("precision") == FLOAT64:
         now["string"] = {name: value for name, value in string.items() if name != "precision"}
     mode = next((dict(mode) for names, mode in MODES.items() if [*names] == steps), None)
@@ -44,3 +61,12 @@ def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
     if mode.get("motions"):
         mode["motions"] = settings["manipulations"]
     return {name: value for name, value in now.items() if name != "steps"} | {"mode": mode}
+
+
+def _renamed(block: Mapping[str, Any], place: str) -> dict[str, Any]:
+    """A block of settings with today's names, all the way down. place: its own name."""
+    names = RENAMED.get(place, RENAMED[""])
+    return {
+        names.get(name, name): _renamed(value, name) if isinstance(value, Mapping) else value
+        for name, value in block.items()
+    }

@@ -23,6 +23,7 @@ from stringcast.data import store
 from stringcast.data.schema import DataError
 from stringcast.pipeline.iterations import Step
 from stringcast.pipeline.layout import place_of
+from stringcast.pipeline.older import modern
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.settings import UserError, allowed, leaves
 from stringcast.stages.model.library import files, kind_of
@@ -216,7 +217,8 @@ def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]
         yield "its files do not say of which sources they were made"
         return
     yield from _renewed("input", made["inputs"], now["inputs"], "has another content")
-    used = (leaves({key: one["config"].get(key) for key in uses}) for one in (made, json.loads(json.dumps(now))))
+    configs = modern(made["config"]), json.loads(json.dumps(now["config"]))
+    used = (leaves({key: config.get(key) for key in uses}) for config in configs)
     yield from (f"setting {key} was {a}, is {b}" for key, a, b in pairs(*used))
     yield from _renewed("source", made["sources"], now["sources"], "has changed")
     yield from (f"package {key} was {a}, is {b}" for key, a, b in pairs(made["packages"], now["packages"]))

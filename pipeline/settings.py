@@ -19,7 +19,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from stringcast.data.errors import ExpectedError
 from stringcast.pipeline.targets import MOVED, roles
-from stringcast.stages.common import Together
+from stringcast.stages.common import SettingsGroup
 
 Built = TypeVar("Built")
 CONF = Path(__file__).resolve().parents[1] / "conf"
@@ -85,10 +85,10 @@ def stage(block: Mapping[str, Any], place: str, where: str) -> Callable[..., Any
     """The function a block names, with the block's settings checked and bound.
 
     place: name of the block; where: the file it comes from. The settings must be exactly the
-    function's keyword-only arguments, or the fields of those that are `Together`, less what the run itself supplies.
+    function's keyword-only arguments, or the fields of those that are a `SettingsGroup`, less what the run supplies.
     """
     function = loaded(block["_target_"], place, where)
-    groups = {name: kind for name, kind in _keywords(function).items() if _together(kind)}
+    groups = {name: kind for name, kind in _keywords(function).items() if _is_group(kind)}
     flat = taken(function)
     given = {key: value for key, value in block.items() if key != "_target_"}
     _check_names(given, flat, place, where)
@@ -103,7 +103,7 @@ def taken(kind: Callable[..., Any]) -> dict[str, Any]:
     if inspect.isclass(kind):
         return get_type_hints(kind, include_extras=True)
     inside = {
-        name: get_type_hints(hint, include_extras=True) if _together(hint) else {name: hint}
+        name: get_type_hints(hint, include_extras=True) if _is_group(hint) else {name: hint}
         for name, hint in _keywords(kind).items()
     }
     return {name: hint for one in inside.values() for name, hint in one.items()}
@@ -119,8 +119,8 @@ def _keywords(function: Callable[..., Any]) -> dict[str, Any]:
     }
 
 
-def _together(hint: Any) -> bool:
-    return isinstance(hint, type) and issubclass(hint, Together)
+def _is_group(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, SettingsGroup)
 
 
 def build(kind: type[Built], block: Mapping[str, Any], place: str, where: str) -> Built:

@@ -13,7 +13,7 @@ from functools import cache
 from stringcast.pipeline.registry import stages
 
 SOURCES = ("hardware.camera.Device", "hardware.camera.ImageFolder", "hardware.camera.VideoFile")
-REHEARSALS = ("stages.execute.dry_run.dry", "stages.execute.dry_run.slow")
+DRY_RUNS = ("stages.execute.dry_run.dry", "stages.execute.dry_run.slow")
 VIRTUAL = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")  # nothing real moves by these
 SHELL: Mapping[str, tuple[str, ...]] = {
     "mode": (

@@ -1,4 +1,4 @@
-"""What several stages share: how far one is, how widely numbers scatter, and the way of places on a string."""
+"""Shared helpers of stages: progress, robust scatter, and tracks of places on a string."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ AGAIN = 0.3  # of the steps along a place's way that take as many frames as thos
 
 
 @dataclass(frozen=True)
-class Together:
+class SettingsGroup:
     """Settings that belong together: an argument of a stage's function whose fields are settings of the stage's block,
     side by side with its others."""
 

@@ -1,8 +1,4 @@
-"""What a stage says of itself: `STAGE`, by which the shell finds, runs, stores and shows it.
-
-A stage is a folder anywhere beneath `stages/` whose `__init__` exports one. That file is read wherever runs are listed:
-it imports tables and this, and names what is heavier as text.
-"""
+"""The description of a stage: `STAGE`, by which the shell finds, runs, stores and shows it."""
 
 from __future__ import annotations
 

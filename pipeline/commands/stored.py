@@ -11,9 +11,9 @@ from stringcast.data import dataset
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.modes.stepwise import Stepwise
-from stringcast.pipeline.older import modern
+from stringcast.pipeline.older import modern, new_name
 from stringcast.pipeline.result import Result
-from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.settings import UserError, flat
 from stringcast.pipeline.terminal import Terminal
 
 
@@ -55,9 +55,12 @@ def stored_settings(folder: Path) -> dict[str, Any]:
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
     written = dataset.settings(path)
     settings = modern(written)
+    renamed = {name: new_name(name) for name in flat(written) if new_name(name) != name}
+    read = [f"{old} is read as {new}" for old, new in renamed.items()]
     if "mode" not in written and "mode" in settings:
-        words = f"{path}: steps = {written['steps']} is read as mode = {settings['mode']}, as it is called now."
-        Terminal(stderr=True).print(words, soft_wrap=True, markup=False)
+        read.append(f"steps = {written['steps']} is read as mode = {settings['mode']}")
+    if read:
+        Terminal(stderr=True).print(f"{path}: {', '.join(read)}, as it is called now.", soft_wrap=True, markup=False)
     return settings
 
 

@@ -15,7 +15,7 @@ from stringcast.pipeline.modes.stepwise import Stepwise, needs_none
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError, allowed
-from stringcast.pipeline.targets import REHEARSALS
+from stringcast.pipeline.targets import DRY_RUNS
 from stringcast.stages.align.undo import in_arms_frame
 from stringcast.stages.generate.space import check_reach
 from stringcast.stages.hit_test import hit_test
@@ -45,13 +45,13 @@ class Cast(Stepwise):
         """As of `Stepwise`. before: what was cast already, and counts as spent."""
         history = History(executor, [*before])
         by = allowed(experiment.config["execute"]["_target_"], "execute", "config.json")
-        rehearsal = by in REHEARSALS
-        casts = 1 if rehearsal else experiment.config["manipulations"]
+        dry = by in DRY_RUNS
+        casts = 1 if dry else experiment.config["manipulations"]
         while len(history.iterations) < casts and not (history.iterations and history.iterations[-1].hit):
             self._cast(experiment, history)
             executor.publish(history.iterations)
         made = tuple(history.iterations)
-        return Result(folder, made, rehearsed(made[-1]) if rehearsal else ended(made))
+        return Result(folder, made, dry_run(made[-1]) if dry else ended(made))
 
     def _cast(self, experiment: Experiment, history: History) -> None:
         """One manipulation, step by step. Nothing is learned from a trial that cannot be trusted."""
@@ -82,8 +82,8 @@ def known_stages(names: Sequence[str]) -> None:
 def remembered(experiment: Experiment, iterations: Sequence[Iteration]) -> TrialSet:
     """The trials that can be trusted and that an estimation looks at: the last ones, or all."""
     seen = [i for i in iterations if "points" in i.done and not i.refused]
-    memory = experiment.config["memory"]
-    last = seen if memory == ALL else seen[-memory:]
+    used = experiment.config["trials_used"]
+    last = seen if used == ALL else seen[-used:]
     return TrialSet(tuple(i.observation for i in last), numbers=tuple(i.number for i in last))
 
 
@@ -106,8 +106,8 @@ def ended(iterations: Sequence[Iteration]) -> str:
     return f"The tip did not reach the target in {tries}; the budget is spent."
 
 
-def rehearsed(iteration: Iteration) -> str:
-    """What a rehearsal shows: how the link carries the ticks, and whether the string can be read."""
+def dry_run(iteration: Iteration) -> str:
+    """The result of a dry run: how the link carries the ticks, and whether the string can be read."""
     link, read = iteration.done["trial"].link.iloc[0], iteration.done["points"].readings["valid"]
     unread = iteration.done["points"].readings.loc[~read.astype(bool), "reason"]
     why = f" (most often: {unread.mode().iloc[0]})" if len(unread) else ""
@@ -118,4 +118,4 @@ def rehearsed(iteration: Iteration) -> str:
     ]
     if "trip_p50" in link:  # which a virtual arm has none of
         told.insert(0, f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})")
-    return f"Rehearsed: {', '.join(told)}. Nothing is learned from it: {iteration.refused}."
+    return f"Dry run: {', '.join(told)}. Nothing is learned from it: {iteration.refused}."

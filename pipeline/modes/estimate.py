@@ -19,7 +19,7 @@ from stringcast.pipeline.result import Result
 
 @dataclass(frozen=True)
 class Estimate(Stepwise):
-    """Each trial in turn, beginning with the estimate of the one before it, or all at once (`memory=all`).
+    """Each trial in turn, beginning with the estimate of the one before it, or all at once (`trials_used=all`).
 
     Trials that dataset.yaml holds out are not estimated from: what the last estimate predicts of each comes after.
     again: points are extracted also where they are stored.
@@ -33,7 +33,7 @@ class Estimate(Stepwise):
 
     def work(self, experiment: Experiment, folder: Path, executor: Executor) -> Result:
         """As of `Stepwise`."""
-        data, memory = usable(experiment), experiment.config["memory"]
+        data, used = usable(experiment), experiment.config["trials_used"]
         fitted = [name for name in data.trials if name not in held_out(data)]
         if not fitted:
             raise DataError(f"trials={data.folder}: dataset.yaml holds out every trial. Leave some to estimate from.")
@@ -41,8 +41,8 @@ class Estimate(Stepwise):
         seen: list[Observation] = []
         for number, name in enumerate(fitted, start=1):
             seen.append(read_points(history, data, name, self.again))
-            if number == len(fitted) or memory != ALL:
-                first = 0 if memory == ALL else max(number - memory, 0)
+            if number == len(fitted) or used != ALL:
+                first = 0 if used == ALL else max(number - used, 0)
                 trials = TrialSet(tuple(seen[first:]), numbers=tuple(range(first + 1, number + 1)))
                 history.make("estimate", trials=trials)
                 log_fit(history.iterations[-1])

@@ -33,11 +33,11 @@ class Stepwise(Mode):
         with bars(console) as bar:
             kept = run_folder.RunFolder(experiment, folder, bar, lambda words: console.print(escape(words)))
             result = self.work(experiment, folder, kept)
-            if "report" in experiment.config["leave"]:
+            if "report" in experiment.config["keep"]:
                 with bar("report"):  # which draws: it takes a second and more to load
                     import_module("stringcast.pipeline.report").write(experiment, result)
             run_folder.end(result)
-        if "frames" not in experiment.config["leave"]:
+        if "frames" not in experiment.config["keep"]:
             run_folder.without_frames(experiment, result)
         console.print(summary(result, experiment.config))
         return result

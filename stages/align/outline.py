@@ -18,8 +18,8 @@ from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import ALWAYS, Problem, fitted
 from stringcast.stages.align.sightings import Sighted, Sightings
 from stringcast.stages.common import Progress
-from stringcast.stages.extract.isolate import darkest
-from stringcast.stages.extract.steady import samples
+from stringcast.stages.extract.segment import darkest
+from stringcast.stages.extract.stabilise import samples
 from stringcast.stages.model.body import arm_seen
 from stringcast.stages.model.hand import JointMotion, joint_motion
 from stringcast.stages.model.model import Model

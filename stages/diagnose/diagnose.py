@@ -30,7 +30,7 @@ from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria, Found, searched, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered, tempered
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.estimate.untouched import untouched
+from stringcast.stages.estimate.trim import trimmed_at_contact
 from stringcast.stages.inference.evidence import Fit, evaluated
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.library import library
@@ -48,7 +48,7 @@ WORSE = "# There is no extended model: the causes do not predict trials left out
 def run(call: Call, trials: TrialSet) -> Diagnosis:
     """The diagnosis of all trials until their string touches an obstacle, as a stage."""
     setup = call.setup
-    seen = [untouched(trial, setup.obstacles) for trial in trials.observations]
+    seen = [trimmed_at_contact(trial, setup.obstacles) for trial in trials.observations]
     given = (setup.model, seen, trials.rejected, trials.held_out, setup.obstacles)
     made: Diagnosis = call.by(*given, seed=call.seed, progress=call.progress)
     return made

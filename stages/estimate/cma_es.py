@@ -14,9 +14,9 @@ from pydantic import Field
 
 from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
-from stringcast.stages.estimate.least_squares import possible
+from stringcast.stages.estimate.least_squares import posterior_samples
 from stringcast.stages.estimate.matching import Matching, matching_rate, targets
-from stringcast.stages.estimate.result import Search, estimate_of, start_chi, unmoved
+from stringcast.stages.estimate.result import Search, estimate_of, insensitive, start_chi
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
 
@@ -57,4 +57,4 @@ def estimate(
         progress((number + 1) / rounds)
     found = Search("CMA-ES", np.concatenate(tried), np.concatenate(rates))
     best = found.chi[found.best]
-    return estimate_of(goals, before, best, found, unmoved(goals, found), possible(goals, best, seed))
+    return estimate_of(goals, before, best, found, insensitive(goals, found), posterior_samples(goals, best, seed))

@@ -16,7 +16,7 @@ from pydantic import Field
 from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.estimate.matching import Matching, Target, matching_rate, targets
-from stringcast.stages.estimate.result import EDGE, Interval, Search, estimate_of, start_chi, tied, words
+from stringcast.stages.estimate.result import EDGE, Interval, Search, correlated, estimate_of, start_chi, undetermined
 from stringcast.stages.inference.covariance import Covariance, covariance
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
@@ -53,8 +53,10 @@ def estimate(
     goals = targets(model, observations, matching)
     before = start_chi(model.parameters, previous)
     drawn = np.random.default_rng([seed, manipulation]).uniform(0, 1, (screening, len(before)))
-    told = _told(model)
-    drawn[:, told] = before[told]
+    # What is known of effects beyond the paper's is not drawn from all its range, where a dry friction, say, asks for a
+    # hundred times as many steps; it is refined.
+    known = [i for i, name in enumerate(model.names) if "." in name and name in model.known]
+    drawn[:, known] = before[known]
     tried = np.concatenate([before[None], drawn])
     given = Likelihood(model, tuple(goal.case for goal in goals))
     found = searched(given, screened(given, tried, starts), iterations, progress)
@@ -67,7 +69,7 @@ def estimate(
     return estimate_of(goals, before, best, search, interval, _draws(best, sure, seed))
 
 
-def possible(goals: Sequence[Target], chi: np.ndarray, seed: int) -> np.ndarray:
+def posterior_samples(goals: Sequence[Target], chi: np.ndarray, seed: int) -> np.ndarray:
     """Strings that the trials leave possible about a solution chi (P,), whichever way it was found: (DRAWS, P).
 
     Normal, with the covariance of least squares there; what would leave its range stops at its end.
@@ -76,23 +78,17 @@ def possible(goals: Sequence[Target], chi: np.ndarray, seed: int) -> np.ndarray:
     return _draws(chi, covariance(with_initial_states(likelihood, chi), chi), seed)
 
 
-def _told(model: Model) -> np.ndarray:
-    """Places of what is known of effects beyond the paper's: it is not sought all over its range, where a dry friction,
-    say, asks for a hundred times as many steps, but refined."""
-    return np.array([i for i, name in enumerate(model.names) if "." in name and name in model.known], dtype=int)
-
-
 def _interval(model: Model, best: np.ndarray, sure: Covariance, likelihood: Likelihood) -> Interval:
     """95 % intervals about the solution (P,), and what the data cannot determine."""
     low, high = np.clip(best - sure.reach, 0, 1), np.clip(best + sure.reach, 0, 1)
     determined = (high - low < WIDE) & (best > EDGE) & (best < 1 - EDGE)
-    sentence = words(model.parameters, determined, "This data determines every parameter.")
-    sentence += tied(model.parameters, determined, sure.correlation)
+    sentence = undetermined(model.parameters, determined, "This data determines every parameter.")
+    sentence += correlated(model.parameters, determined, sure.correlation)
     return Interval(low, high, determined, sentence + _misfit(likelihood) + _mesh(likelihood, best))
 
 
 def _misfit(likelihood: Likelihood) -> str:
-    """What to say where the residual is more than the points' own uncertainty, where that is known."""
+    """A warning where the residual exceeds the points' own uncertainty, where that is known; else empty."""
     if likelihood.scale < MISFIT:
         return ""
     return (
@@ -102,7 +98,7 @@ def _misfit(likelihood: Likelihood) -> str:
 
 
 def _mesh(likelihood: Likelihood, best: np.ndarray) -> str:
-    """What to say where the mesh is further from its limit than the points are from the string."""
+    """A warning where the discretisation error exceeds the noise of the points; else empty."""
     string, error = likelihood.model.string, discretisation_error(likelihood, best)
     noise = np.sqrt(2) * likelihood.scale * np.median([np.median(trial.sigma) for trial in likelihood.trials])
     if not error > noise:

@@ -10,9 +10,9 @@ from pydantic import Field
 
 from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
-from stringcast.stages.estimate.least_squares import possible
+from stringcast.stages.estimate.least_squares import posterior_samples
 from stringcast.stages.estimate.matching import Matching, matching_rate, targets
-from stringcast.stages.estimate.result import Search, estimate_of, start_chi, unmoved
+from stringcast.stages.estimate.result import Search, estimate_of, insensitive, start_chi
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
 
@@ -27,7 +27,7 @@ def estimate(
     candidates: Annotated[int, Field(ge=1)],
     chi_0: Annotated[float, Field(gt=0, le=1)],
     beta: Annotated[float, Field(gt=0, le=1)],
-    together: Annotated[int, Field(ge=1)],
+    batch: Annotated[int, Field(ge=1)],
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:
@@ -36,7 +36,7 @@ def estimate(
     Candidate m is chi_best + chi_0 / M beta^m RAND(-1, 1), clipped to [0, 1] (Eq. 4), each
     parameter with a random number of its own; M is `manipulation`, from 1. chi_best begins
     with the previous manipulation's estimate and is then the best so far: the narrowing by
-    beta^m would make no sense around a point that stays. Candidates are drawn `together` at a
+    beta^m would make no sense around a point that stays. Candidates are drawn `batch` at a
     time from the same chi_best, so that they fill the machine: 1 is one by one, and as many as
     `candidates` is Eq. 4 to the letter, where chi_best is the previous manipulation's estimate.
     """
@@ -45,8 +45,8 @@ def estimate(
     rng = np.random.default_rng(seed)
     chi, rate = before[None], matching_rate(goals, values_of(model.parameters, before[None]))
     best, best_rate = before, rate[0]
-    for first in range(1, candidates, together):
-        m = np.arange(first, min(first + together, candidates))
+    for first in range(1, candidates, batch):
+        m = np.arange(first, min(first + batch, candidates))
         step = chi_0 / manipulation * beta**m
         drawn = np.clip(best + step[:, None] * rng.uniform(-1, 1, (len(m), len(before))), 0, 1)
         scores = matching_rate(goals, values_of(model.parameters, drawn))
@@ -55,4 +55,4 @@ def estimate(
         if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):
             best, best_rate = drawn[int(np.nanargmax(scores))], np.nanmax(scores)
     search = Search("random search", chi, rate)
-    return estimate_of(goals, before, best, search, unmoved(goals, search), possible(goals, best, seed))
+    return estimate_of(goals, before, best, search, insensitive(goals, search), posterior_samples(goals, best, seed))

@@ -16,7 +16,7 @@ from stringcast.stages.model.parameter import Parameter, values_of
 NEAR = 0.01  # candidates within this much of the best E are as good as it
 BROAD = 0.5  # an undetermined parameter's good values spread over this share of its range
 SCAN = np.linspace(0, 1, 21)  # chi at which a parameter is tried for that
-TIED = 0.95  # correlation beyond which two parameters are known only together
+CORRELATED = 0.95  # correlation beyond which two parameters are known only together
 POOR = 0.6  # E below which the model does not explain the data, whatever its parameters
 FAR = 0.1  # of the string's length: a residual beyond that is no fit either
 EDGE = 0.01  # of the range: a value this close to an end sits on it
@@ -24,7 +24,7 @@ EDGE = 0.01  # of the range: a value this close to an end sits on it
 
 @dataclass(frozen=True)
 class Search:
-    """What a method tried: chi (C, P), E (C,) with NaN for rejected runs, in order."""
+    """Candidates of a method, in order: chi (C, P) and matching rate E (C,), NaN where the simulation diverged."""
 
     method: str
     chi: np.ndarray
@@ -46,7 +46,8 @@ class Search:
 
 @dataclass(frozen=True)
 class Interval:
-    """95 % intervals in chi, (P,) each; which parameters the data determines; in words."""
+    """95 % intervals in chi, low and high (P,); which parameters the data determines (P,) bool; the same as a
+    sentence."""
 
     low: np.ndarray
     high: np.ndarray
@@ -82,7 +83,7 @@ def estimate_of(
         "tip_before": tip[0],
         "tip_after": tip[1],
         "rejected": int(np.isnan(search.matching_rate).sum()),
-        "sentence": poor(matching["after"].mean(), rms[1], goals[0].case.model.string.length) or interval.sentence,
+        "sentence": bad_fit(matching["after"].mean(), rms[1], goals[0].case.model.string.length) or interval.sentence,
     }
     return Estimate(
         PARAMETERS.check(_parameters(parameters, pair[1], after, interval)),
@@ -93,7 +94,7 @@ def estimate_of(
     )
 
 
-def unmoved(goals: Sequence[Target], search: Search) -> Interval:
+def insensitive(goals: Sequence[Target], search: Search) -> Interval:
     """What a search on E can say of its best string: which parameters E does not depend on there.
 
     It cannot say that a parameter is determined: a search narrows by itself, and may end beside
@@ -109,12 +110,12 @@ def unmoved(goals: Sequence[Target], search: Search) -> Interval:
     width = np.ptp(chi[rate >= search.matching_rate[search.best] - NEAR], axis=0)
     found = (width < BROAD) & (best > EDGE) & (best < 1 - EDGE)
     unknown = np.full(len(best), np.nan)
-    loose = words(parameters, found, "Near the best string found, E depends on every parameter.")
+    loose = undetermined(parameters, found, "Near the best string found, E depends on every parameter.")
     sentence = f"{loose} How sure the others are, a search on E cannot say; least squares can."
     return Interval(unknown, unknown, np.zeros(len(best), dtype=bool), sentence)
 
 
-def words(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -> str:
+def undetermined(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -> str:
     """Which parameters the data cannot determine, in a sentence; `clear` if there are none."""
     loose = [p.symbol or p.name for p, good in zip(parameters, determined, strict=True) if not good]
     if not loose:
@@ -123,18 +124,18 @@ def words(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -
     return f"This data cannot determine {', '.join(loose)}: {why}."
 
 
-def tied(parameters: Sequence[Parameter], determined: np.ndarray, correlation: np.ndarray) -> str:
+def correlated(parameters: Sequence[Parameter], determined: np.ndarray, correlation: np.ndarray) -> str:
     """Which parameters, not all determined, the data knows only together. correlation: (P, P)."""
     names = [p.symbol or p.name for p in parameters]
     pairs = [
         f"{names[i]} and {names[j]} (correlation {correlation[i, j]:+.2f})"
         for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
-        if abs(correlation[i, j]) > TIED and not (determined[i] and determined[j])
+        if abs(correlation[i, j]) > CORRELATED and not (determined[i] and determined[j])
     ]
     return f" It knows only together: {', '.join(pairs)}." if pairs else ""
 
 
-def poor(rate: float, rms: float, length: float) -> str:
+def bad_fit(rate: float, rms: float, length: float) -> str:
     """What to say of parameters of a model that does not fit; empty if it does. rms, length [m]."""
     if rate >= POOR and rms < FAR * length:
         return ""

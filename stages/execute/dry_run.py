@@ -1,4 +1,4 @@
-"""Rehearsals of a cast: they go through everything that `execute` goes through, and their trials are not used."""
+"""Dry runs of a cast: all that `execute` does, without the arm or slowly; their trials are marked invalid."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ def dry(
     before: Annotated[float, Field(ge=0, le=10)],
     after: Annotated[float, Field(ge=0, le=10)],
 ) -> Trial:
-    """With the arm disabled: the link is tested, `motion` checked, velocity zero sent on its schedule, and filmed.
+    """A dry run with the arm disabled: the link is tested, `motion` checked, zero velocity sent on its schedule, and
+    filmed.
 
-    before, after: as of `execute`.
+    before, after: rest filmed around the movement [s]. Raises what the devices raise.
     """
     commands = padded(motion.commands, before, after)
     with camera, arm:
         arm.check(commands)
         here = arm.angles()
         trial = filmed(still(commands, here), arm, camera, end=motion.duration + after)
-    return distrusted(trial, "rehearsal with the arm disabled")
+    return distrusted(trial, "dry run with the arm disabled")
 
 
 def slow(
@@ -43,20 +44,22 @@ def slow(
     after: Annotated[float, Field(ge=0, le=10)],
     share: Annotated[float, Field(gt=0, lt=1)],
 ) -> Trial:
-    """At a share of the speed, along the same way. before, after: as of `execute`."""
+    """A run along the same path at a share of the speed. before, after: rest filmed around the movement [s]. Raises
+    what the devices raise."""
     outcome = motion.outcome.assign(duration=motion.duration / share)
     slower = replace(motion, commands=slowed(motion.commands, share), outcome=outcome)
     trial = execute(slower, arm, camera, before=before, after=after)
-    return distrusted(trial, f"rehearsal at {share:g} of the speed")
+    return distrusted(trial, f"dry run at {share:g} of the speed")
 
 
 def still(commands: pd.DataFrame, angles: np.ndarray) -> pd.DataFrame:
-    """The same ticks at a standstill. angles: (J,) [rad]."""
+    """Commands (table COMMANDS) that hold the given joint angles (J,) [rad] at the same ticks."""
     return commands.assign(**dict(zip(JOINTS, angles, strict=True)), **dict.fromkeys(SPEEDS, 0.0))
 
 
 def slowed(commands: pd.DataFrame, share: float) -> pd.DataFrame:
-    """The same way at `share` of the speed, on the same tick: speed falls by `share`, acceleration no less."""
+    """Commands (table COMMANDS) along the same path at `share` of the speed, on the same tick. Speed falls by `share`,
+    acceleration no less."""
     t, angles = commands["t"].to_numpy(), commands[list(JOINTS)].to_numpy()
     tick = float(np.median(np.diff(t)))
     count = int(np.ceil((len(t) - 1) / share)) + 1

@@ -15,7 +15,7 @@ from stringcast.stages.spec import Call
 
 
 def run(call: Call, motion: Motion) -> Trial:
-    """What arm and camera of the lab bring back, as a stage."""
+    """The stage: the trial that the lab's arm and camera record of a motion."""
     lab = call.setup.lab(call.number)
     made: Trial = call.by(motion, lab.arm, lab.camera)
     return made
@@ -29,10 +29,10 @@ def execute(
     before: Annotated[float, Field(ge=0, le=10)],
     after: Annotated[float, Field(ge=0, le=10)],
 ) -> Trial:
-    """Perform `motion` and bring back what was commanded, measured and seen.
+    """Perform `motion` and record the trial: commands, measured angles, frames.
 
-    before, after: rest filmed around the movement [s] (V: 0.2 s). Devices are opened here and
-    always left stopped. Raises what the devices raise.
+    before, after: rest filmed around the movement [s] (V: 0.2 s). Devices are opened here and always left stopped.
+    Raises what the devices raise.
     """
     commands = padded(motion.commands, before, after)
     with camera, arm:

@@ -1,8 +1,8 @@
-"""The two roles a lab must fill: an arm that follows velocity commands and a camera that films.
+"""The two device interfaces of a lab: an arm that follows velocity commands and a camera that films.
 
-`stages.execute` knows these and nothing else of the hardware. A device that cannot do
-what is asked raises `HardwareError` with the device, what is wrong and the remedy, and
-raises it before anything moves wherever it can be known before.
+`stages.execute` knows these and nothing else of the hardware. A device that cannot do what is asked raises
+`HardwareError` with the device, what is wrong and the remedy, and raises it before anything moves wherever it can be
+known before.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ class HardwareError(ExpectedError):
 
 @dataclass(frozen=True)
 class Performance:
-    """What an arm did. `arm` and `ticks` are tables ARM and TICKS, `link` is table LINK (data.artifacts).
+    """The record of one motion by an arm. `arm` and `ticks` are tables ARM and TICKS, `link` is table LINK
+    (data.artifacts).
 
     begun: host time (time.monotonic) at which the first command was due [s].
     """
@@ -37,10 +38,10 @@ class Performance:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a camera saw: `t` (F,) mid-exposure times [s] on the camera's clock, 0 at the start of the
-    movement, and `images`, F uint8 arrays (height, width).
+    """The frames of one motion by a camera: `t` (F,) mid-exposure times [s] on the camera's clock, 0 at the start of
+    the movement, and `images`, F uint8 arrays (height, width).
 
-    A camera that can be late or lose frames says so: `counts` has a row a frame, `summary` is about them all: the
+    A camera that can be late or lose frames reports it: `counts` has a row a frame, `summary` is about them all: the
     optional columns of tables FRAMES and LINK (data.artifacts). fault: why it cannot be trusted; empty if it can.
     """
 

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from stringcast.stages.common import mad_sigma
-from stringcast.stages.extract.certainty import centroid, sigmas
+from stringcast.stages.extract.uncertainty import centroid, sigmas
 
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 GAP = 7  # [px] across which a broken string is joined
@@ -55,9 +55,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Across:
-    """What is seen across a line, (K,) each. shift: of the string's middle and its sigma [px]. light: in all.
+    """Profiles of light across a line, (K,) each.
 
-    blind: an outline hides which light is the string's; lost: nothing is read there, and the line is carried on.
+    shift: of the string's middle, sigma: its standard deviation [px]. light: in all [grey levels half pixels]. blind:
+    an outline hides which light is the string's. lost: nothing is read there, and the line is carried on.
     """
 
     shift: np.ndarray
@@ -133,7 +134,7 @@ def _evenly(line: np.ndarray) -> np.ndarray:
 def _across(
     light: np.ndarray, outline: np.ndarray, line: np.ndarray, normal: np.ndarray, noise: float, half: float
 ) -> Across:
-    """What is seen across the line at each of its points (K, 2) [px]."""
+    """Profiles across the line at each of its points (K, 2) [px]. normal: (K, 2) unit vectors."""
     reach = max(HALF, 1.8 * half + 2)
     across = np.arange(-reach, reach + 0.25, 0.5)
     u, v = np.moveaxis((line[:, None] + across[None, :, None] * normal[:, None]).astype(np.float32), -1, 0)

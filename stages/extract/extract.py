@@ -15,22 +15,22 @@ from stringcast.data.images import Held
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.extract.centreline import HALF, Line, UnreadableError, along, refine, trace
-from stringcast.stages.extract.doubt import check
 from stringcast.stages.extract.footage import Footage, aligned_footage
-from stringcast.stages.extract.isolate import (
+from stringcast.stages.extract.quality import check
+from stringcast.stages.extract.score import rasterise
+from stringcast.stages.extract.segment import (
     Backdrop,
     background,
     brightest,
     darkest,
     half_width,
     half_widths,
-    isolate,
     packed,
+    segment,
     silhouette,
     uncovered,
 )
-from stringcast.stages.extract.score import rasterise
-from stringcast.stages.extract.steady import samples, steadied
+from stringcast.stages.extract.stabilise import samples, stabilised
 from stringcast.stages.extract.window import around
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import Call
@@ -80,7 +80,7 @@ def extract(
     line may differ before the frame is refused (a swung string stretches).
     """
     _check_size(footage, camera)
-    images, sway = steadied(Held(footage.images))
+    images, sway = stabilised(Held(footage.images))
     footage = replace(footage, images=images)
     reach = string_length * (1 + longer) * camera.px_per_m + MARGIN
     backdrop = _backdrop(footage, camera, string_length, arm_width, sway)
@@ -96,7 +96,7 @@ def extract(
 
 
 def _backdrop(footage: Footage, camera: Camera, string_length: float, arm_width: float, sway: float) -> Backdrop:
-    """What all frames share, learnt from some of them."""
+    """The scene shared by all frames, from a sample of them. sway: one sigma of where the camera looks [px]."""
     images, chosen = footage.images, samples(len(footage.images))
     frames = [image if image.dtype == np.uint8 else cv2.convertScaleAbs(image) for image in (images[i] for i in chosen)]
     bodies = np.zeros((len(footage.t), 0, 2)) if footage.body is None else camera.pixels(footage.body)
@@ -136,7 +136,7 @@ def _line(
         raise UnreadableError("the grasp is out of view")
     moments, blur = _body(footage, number, camera)
     part = replace(backdrop, scene=window.cut(backdrop.scene))
-    seen = isolate(window.cut(image), part, moments - window.corner, arm_width * camera.px_per_m, blur, sigmas)
+    seen = segment(window.cut(image), part, moments - window.corner, arm_width * camera.px_per_m, blur, sigmas)
     half = min(half_width(seen.mask), backdrop.half + BLURRED)
     ridge = cv2.GaussianBlur(seen.light, (0, 0), 0.6 * half) if half > WIDE else seen.light
     way = trace(ridge, seen.mask, seen.arm, grasp - window.corner, start_radius=hidden * camera.px_per_m + 8)

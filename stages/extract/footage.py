@@ -1,4 +1,4 @@
-"""What extraction looks at: frames, where the grasp is in each, and what else is in view."""
+"""Input of extraction: frames, the pose of the grasp in each, and where the arm is."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class Window:
 
 
 def around(centre: np.ndarray, reach: float, shape: tuple[int, ...]) -> Window:
-    """What lies within `reach` [px] of a place (u, v), as far as the picture goes."""
+    """The window of half width `reach` [px] about a place (u, v), cut at the picture's edges."""
     low = np.maximum(np.floor(centre - reach), 0).astype(int)
     high = np.minimum(np.ceil(centre + reach) + 1, shape[1::-1]).astype(int)
     return Window((int(low[1]), int(high[1])), (int(low[0]), int(high[0])))

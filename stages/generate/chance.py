@@ -28,10 +28,13 @@ class Place:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What becomes of M motions under K draws. clear: (M, K) share of the movement until something touches an obstacle,
-    1 where nothing does. distance: (M, K) of the tip from the target's centre in half widths and half heights, the
-    least until then; infinite where the simulation does not stay finite. hit: (M, K) the tip enters the box until
-    then, as `stages.hit_test` has it, and the arm touches nothing afterwards either."""
+    """Results of M motions under K draws.
+
+    clear: (M, K) share of the movement until something touches an obstacle, 1 where nothing does. distance: (M, K) of
+    the tip from the target's centre in half widths and half heights, the least until then; infinite where the
+    simulation diverges. hit: (M, K) the tip enters the box until then, as `stages.hit_test` has it, and the arm touches
+    nothing afterwards either.
+    """
 
     distance: np.ndarray
     clear: np.ndarray

@@ -1,4 +1,4 @@
-"""What may be so at the next cast, as draws: the string, how the arm follows, how far the simulation is off."""
+"""Uncertainty of the next cast, as draws: of the string, of how the arm follows, of the simulation's error."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Small = Annotated[float, Field(ge=0, le=0.1)]
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """What else is uncertain beside the string.
+class Uncertainty:
+    """Uncertainty beside the string's.
 
-    amplitude: how differently two performances turn out, one sigma of a joint's relative speed. lag: how late joints
-    follow their commands at most [s]. tip: how far the simulation itself is off at the tip before a trial says so,
-    one sigma of a coordinate [m].
+    amplitude: of a joint's relative speed from one trial to the next, one sigma. lag: how late joints follow their
+    commands at most [s]. tip: error of the simulation at the tip before a trial tells it, one sigma of a coordinate
+    [m].
     """
 
     amplitude: Small
@@ -47,20 +47,22 @@ class Draws:
         return Draws(self.values[chosen], self.amplitude[chosen], self.lag[chosen], self.off[chosen])
 
     def of_the_string(self) -> Draws:
-        """The same strings, with nothing else uncertain."""
+        """The draws of the string with nothing else uncertain."""
         return Draws(self.values, 0 * self.amplitude, 0 * self.lag, 0 * self.off)
 
 
-def drawn(model: Model, estimate: Estimate | None, doubt: Doubt, count: int, rng: np.random.Generator) -> Draws:
-    """Draws of the string and of all else.
+def drawn(
+    model: Model, estimate: Estimate | None, uncertainty: Uncertainty, count: int, rng: np.random.Generator
+) -> Draws:
+    """Draws of the string, of how the arm follows, and of the simulation's error; `count` of them.
 
     Strings come from what an estimate's trials leave possible; before the first, every exponent within a parameter's
     range is as likely as another (Eq. 3), but for parameters that are known. Once there is an estimate, the
     distance that it leaves between simulated and measured strings says how far the simulation is off.
     """
-    amplitude = doubt.amplitude * rng.standard_normal((count, len(model.arm.links)))
-    lag = rng.uniform(0, doubt.lag, count)
-    tip = doubt.tip if estimate is None else float(estimate.fit["rms_after"].iloc[0])
+    amplitude = uncertainty.amplitude * rng.standard_normal((count, len(model.arm.links)))
+    lag = rng.uniform(0, uncertainty.lag, count)
+    tip = uncertainty.tip if estimate is None else float(estimate.fit["rms_after"].iloc[0])
     off = tip * rng.standard_normal((count, 2))
     values = _prior(model, count, rng) if estimate is None else _posterior(model, estimate, count, rng)
     return Draws(values, amplitude, lag, off)

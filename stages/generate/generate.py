@@ -25,7 +25,7 @@ from stringcast.data.artifacts import (
 )
 from stringcast.data.errors import ExpectedError
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress, Together
+from stringcast.stages.common import Progress, SettingsGroup
 from stringcast.stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
 from stringcast.stages.generate.space import check_reach
 from stringcast.stages.model.arm import Arm
@@ -45,7 +45,7 @@ class MotionNotFoundError(ExpectedError):
 
 
 @dataclass(frozen=True)
-class Drawing(Together):
+class Drawing(SettingsGroup):
     """How motions are drawn. shortest, longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2].
     fraction: of the control points' range by which slight changes of the last motion differ."""
 
@@ -64,18 +64,18 @@ class Drawing(Together):
 
 
 @dataclass(frozen=True)
-class Budget(Together):
-    """attempts: motions of a kind tried at most. together: of these at a time. hits: motions that hit, of which the one
+class Budget(SettingsGroup):
+    """attempts: motions of a kind tried at most. batch: of these at a time. hits: motions that hit, of which the one
     whose tip stays longest in the box is taken (1 is the paper's first come)."""
 
     attempts: Annotated[int, Field(ge=1)]
-    together: Annotated[int, Field(ge=1)]
+    batch: Annotated[int, Field(ge=1)]
     hits: Annotated[int, Field(ge=1)]
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What became of some candidates. times: (F,). points: (C, F, n, 2) [m]. inside: (C, F - 1) tip in the box."""
+    """Simulated candidates. times: (F,) [s]. points: (C, F, n, 2) [m]. inside: (C, F - 1) tip in the box."""
 
     times: np.ndarray
     points: np.ndarray
@@ -134,7 +134,7 @@ def _searched(
     """Motions that hit, with how long each stays in the box [s], and what became of all that were tried."""
     count, found = Counter[str](), list[tuple[float, Motion]]()
     while count.total() < budget.attempts and len(found) < budget.hits:
-        size = min(budget.together, budget.attempts - count.total())
+        size = min(budget.batch, budget.attempts - count.total())
         found += check(draw(size), count, budget.hits - len(found))
         progress(count.total() / budget.attempts)
     return found, count
@@ -279,7 +279,7 @@ def _counted(motion: Motion, count: Counter[str]) -> Motion:
 
 
 def _failure(count: Counter[str]) -> str:
-    """What to tell the user."""
+    """The message of MotionNotFoundError. count: how often each reason occurred."""
     reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
     return (
         f"no motion hits the target in {count.total()} tries ({reasons}). "

@@ -1,8 +1,8 @@
-"""What a cast is expected to teach: how well, after it, the next one could be foretold where it matters, at the target.
+"""Expected information of a cast: how well, after it, the tip of the next one would be predicted at the target.
 
 To first order: each motion's strings, under the draws, are fitted as linear in the exponents of the parameters (with
 the prior of `least_squares`); what is seen of a motion narrows the exponents by its Fisher information, and these in
-turn what is foretold of the tip on a motion of interest (c-optimal design: Atkinson, Donev and Tobias 2007, Optimum
+turn the prediction of the tip on a motion of interest (c-optimal design: Atkinson, Donev and Tobias 2007, Optimum
 Experimental Designs, chapter 10).
 """
 
@@ -20,8 +20,8 @@ LEAST = 1e-3  # [m] what is seen and simulated is never surer
 RIDGE = 1e-3  # of the exponents' variance: keeps a fit to few draws in hand
 
 
-def spread_after(place: Place, curves: Curves, draws: Draws, interest: int) -> np.ndarray:
-    """How uncertain the tip at the target would still be on the motion of interest after each motion, (M,) [m].
+def predictive_sd(place: Place, curves: Curves, draws: Draws, interest: int) -> np.ndarray:
+    """Predictive standard deviation of the tip at the target on the motion of interest after each motion, (M,) [m].
 
     curves: M motions. interest: the number of one. Infinite for a motion on which a simulation fails.
     """

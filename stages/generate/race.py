@@ -46,7 +46,7 @@ def entrants(
 
 
 def possible(place: Place, curves: Curves) -> Curves:
-    """Those of the movements that keep every limit of the arm."""
+    """The movements that keep every limit of the arm."""
     angles, speeds = curves.sampled(place.model.arm.tick, float(curves.duration.max()))
     return curves.only(np.flatnonzero(arm_faults(place.model.arm, place.obstacles, angles, speeds) == ""))
 

@@ -1,6 +1,6 @@
 """Generate a motion that hits whatever the string may be: the highest chance over many draws of it.
 
-Random motions race, the winners are refined, and fresh draws, which had no part in choosing, say how likely the
+Random motions race, the winners are refined, and validation draws, which had no part in choosing, say how likely the
 chosen motion hits.
 """
 
@@ -16,12 +16,12 @@ from pydantic import Field
 
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
 from stringcast.data.later import Later
-from stringcast.stages.common import Progress, Together, part
+from stringcast.stages.common import Progress, SettingsGroup, part
 from stringcast.stages.generate.chance import Place, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, joined
-from stringcast.stages.generate.draws import Doubt, Draws, drawn
+from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
 from stringcast.stages.generate.generate import HIT, Drawing, MotionNotFoundError, commands_of, control_points_of
-from stringcast.stages.generate.learning import spread_after
+from stringcast.stages.generate.learning import predictive_sd
 from stringcast.stages.generate.race import entrants, race
 from stringcast.stages.generate.refine import Space, refine
 from stringcast.stages.generate.space import check_reach
@@ -45,18 +45,18 @@ class Sought:
 
 
 @dataclass(frozen=True)
-class Search(Together):
-    """motions: random ones that race. strings: draws on which winners are refined, for `rounds` of CMA-ES. tries: how
-    often that is done at most, from other random motions, while none found hits half of the draws; before the first
-    trial, once. informative: closeness (see `Outcome`) that may be given up for a cast that teaches more. fresh: draws
-    that say what the chance is."""
+class Search(SettingsGroup):
+    """Effort of the search. motions: random ones that race. strings: draws on which winners are refined, for `rounds`
+    of CMA-ES. searches: from other random motions each, at most, while none found hits half of the draws; before the
+    first trial, one. exploration: closeness (see `Outcome`) that may be given up for a more informative cast.
+    validation: draws that had no part in the choice, for its hit probability."""
 
     motions: Annotated[int, Field(ge=16)]
     strings: Annotated[int, Field(ge=4)]
     rounds: Annotated[int, Field(ge=0)]
-    tries: Annotated[int, Field(ge=1)]
-    informative: Annotated[float, Field(ge=0, le=1)]
-    fresh: Annotated[int, Field(ge=10)]
+    searches: Annotated[int, Field(ge=1)]
+    exploration: Annotated[float, Field(ge=0, le=1)]
+    validation: Annotated[int, Field(ge=10)]
 
 
 def generate(
@@ -69,30 +69,32 @@ def generate(
     seed: int,
     drawing: Drawing,
     search: Search,
-    doubt: Doubt,
+    uncertainty: Uncertainty,
     progress: Progress = lambda share: None,
 ) -> Motion:
     """The motion with the highest chance that the tip enters the target box, as far as is known.
 
     previous: the last motion; a quarter of those tried are slight changes of it. estimate: what is known of the
-    string, None before the first trial. doubt: of what is not the string. Raises MotionNotFoundError where the arm can
-    make no motion or none is clear of the obstacles, and DataError for a target out of reach or an empty range of
-    durations; a motion that hits with no draw is still the one that comes nearest.
+    string, None before the first trial. uncertainty: of all but the string. Raises MotionNotFoundError where the
+    arm can make no motion or none is clear of the obstacles, and DataError for a target out of reach or an empty range
+    of durations; a motion that hits with no draw is still the one that comes nearest.
     """
     space = Space(model.arm, *drawing.durations, drawing.alpha)
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     place = Place(model, target, obstacles)
-    draws = drawn(model, estimate, doubt, search.strings, rng)
-    most = 1 if estimate is None else search.tries  # half of all strings there may be are not hit by any motion
+    draws = drawn(model, estimate, uncertainty, search.strings, rng)
+    most = 1 if estimate is None else search.searches  # half of all strings there may be are not hit by any motion
     found: list[Sought] = []
     while len(found) < most and not any(each.share >= ENOUGH for each in found):
         random = entrants(place, space, previous, drawing.fraction, search.motions, rng)
         found.append(sought(place, space, random, draws, search.rounds, seed, part(progress, len(found), most)))
     final = joined([each.best for each in found])
-    chosen = choice(place, final, drawn(model, estimate, doubt, search.strings, rng), search.informative)
+    chosen = choice(place, final, drawn(model, estimate, uncertainty, search.strings, rng), search.exploration)
     progress(1.0)
-    return stated(place, chosen, drawn(model, estimate, doubt, search.fresh, rng), sum(each.tried for each in found))
+    return stated(
+        place, chosen, drawn(model, estimate, uncertainty, search.validation, rng), sum(each.tried for each in found)
+    )
 
 
 def sought(
@@ -117,14 +119,14 @@ def sought(
     return Sought(joined([refined, best.only(slice(NEAREST))]), len(random.duration), share)
 
 
-def choice(place: Place, curves: Curves, draws: Draws, informative: float) -> Curves:
-    """The nearest of some motions, or one that is nearly so and teaches more. informative: closeness given up."""
+def choice(place: Place, curves: Curves, draws: Draws, exploration: float) -> Curves:
+    """The nearest of some motions, or one that is nearly so and teaches more. exploration: closeness given up."""
     closeness = outcome(place, curves, draws).closeness
     best = int(np.argmax(closeness))
-    near = np.flatnonzero(closeness >= closeness[best] - informative)
+    near = np.flatnonzero(closeness >= closeness[best] - exploration)
     if len(near) > 1:
         some = curves.only(near)
-        best = int(near[np.argmin(spread_after(place, some, draws, int(np.searchsorted(near, best))))])
+        best = int(near[np.argmin(predictive_sd(place, some, draws, int(np.searchsorted(near, best))))])
     return curves.only(np.array([best]))
 
 
@@ -151,7 +153,7 @@ def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:
 
 
 def _outcome(place: Place, curve: Curves, tip: np.ndarray, hit: np.ndarray) -> dict[str, float]:
-    """Table MOTION_OUTCOME. tip: (T, 2) of a string that hits [m]. hit: (K,) of the fresh draws."""
+    """Table MOTION_OUTCOME. tip: (T, 2) of a string that hits [m]. hit: (K,) of the validation draws."""
     target, way = place.target, between(tip[None])[0]
     at = int(np.argmin(target.away(way)))
     share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")

@@ -258,7 +258,7 @@ def test_estimation_is_better_with_the_alignment_known(bench, model, later):
     rows = {"t": np.repeat(t, len(s)), "s": np.tile(s, len(t)), "x": seen[..., 0].ravel(), "y": seen[..., 1].ravel()}
     points = POINTS.check(pd.DataFrame(rows | {"sigma": 1e-3}))
     observation = Observation("t02", points, READINGS.empty(), MASKS.empty(), arm=cast)
-    how = {"seed": 0, "manipulation": 1, "candidates": 33, "chi_0": 0.6, "beta": 0.95, "together": 32}
+    how = {"seed": 0, "manipulation": 1, "candidates": 33, "chi_0": 0.6, "beta": 0.95, "batch": 32}
     matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
     models = [replace(m, string=replace(m.string, ranges=near)) for m in (model, later)]
     left = [estimate(m, [observation], None, **how, matching=matching).fit["rms_after"].iloc[0] for m in models]

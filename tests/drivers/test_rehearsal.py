@@ -45,7 +45,7 @@ def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
     np.testing.assert_allclose(trial.arm[list(JOINTS)].iloc[-1], ended, atol=0.02)
     assert trial.frames["t"].iloc[-1] == pytest.approx(1.1, abs=0.03)
     assert not trial.link["valid"].iloc[0]
-    assert trial.link["reason"].iloc[0] == "rehearsal at 0.5 of the speed"
+    assert trial.link["reason"].iloc[0] == "dry run at 0.5 of the speed"
 
 
 def test_dry_the_arm_stays_where_it_is_and_the_film_is_whole(bench):

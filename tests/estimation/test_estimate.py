@@ -94,7 +94,7 @@ def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camer
 def test_the_next_manipulation_begins_where_the_last_one_ended(arm, camera):
     model = Model(STRING, arm, camera)
     settings = {"candidates": 64, "matching": MATCHING}
-    walk = {"chi_0": 0.5, "beta": 0.99, "together": 16}
+    walk = {"chi_0": 0.5, "beta": 0.99, "batch": 16}
     first = random_search.estimate(model, [observed(1)], None, seed=2, manipulation=1, **settings, **walk)
     second = random_search.estimate(model, [observed(2)], first, seed=3, manipulation=2, **settings, **walk)
     begun = second.candidates.iloc[0]
@@ -115,7 +115,7 @@ def test_cma_es_looks_closer_with_every_manipulation(arm, camera):
 
 def test_candidates_narrow_as_equation_4_says(arm, camera):
     """Within chi_0 / M beta^m of the best so far, and reaching near that bound."""
-    settings = {"candidates": 400, "chi_0": 0.5, "beta": 0.99, "together": 1, "matching": MATCHING}
+    settings = {"candidates": 400, "chi_0": 0.5, "beta": 0.99, "batch": 1, "matching": MATCHING}
     found = random_search.estimate(Model(STRING, arm, camera), [observed(1)], None, seed=2, manipulation=2, **settings)
     table = CANDIDATES.check(found.candidates)
     chi = np.stack([p.chi(table[p.name].to_numpy()) for p in STRING.parameters], axis=-1)
@@ -132,7 +132,7 @@ def test_candidates_narrow_as_equation_4_says(arm, camera):
 
 
 def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
-    settings = {"candidates": 200, "chi_0": 0.6, "beta": 0.995, "together": 16, "matching": MATCHING}
+    settings = {"candidates": 200, "chi_0": 0.6, "beta": 0.995, "batch": 16, "matching": MATCHING}
 
     def run():
         return random_search.estimate(

@@ -129,12 +129,12 @@ class Recorder:
 class Settings:
     """As much of a world as estimation from stored trials asks for."""
 
-    def __init__(self, model, memory, trials):
+    def __init__(self, model, trials_used, trials):
         self.model, self.arm, self.camera, self.string = model, model.arm, model.camera, model.string
-        self.config = {"memory": memory, "trials": str(trials)}
+        self.config = {"trials_used": trials_used, "trials": str(trials)}
 
 
-def run(model, folder, memory, held_out):
+def run(model, folder, trials_used, held_out):
     trials = [driven(model, {}, name) for name in "abcd"]
     for table in ("grasp", "points"):
         rows = [getattr(trial, table).assign(trial=trial.trial) for trial in trials]
@@ -142,19 +142,19 @@ def run(model, folder, memory, held_out):
     about = {"format": 1, "string": {"length": 0.3}, "trials": {name: {"role": "held_out"} for name in held_out}}
     (folder / "dataset.yaml").write_text(yaml.safe_dump(about))
     executor = Recorder()
-    return executor.seen, Estimation(again=False).work(Settings(model, memory, folder), Path(), executor)
+    return executor.seen, Estimation(again=False).work(Settings(model, trials_used, folder), Path(), executor)
 
 
 @pytest.mark.parametrize(
-    ("memory", "estimated"),
+    ("trials_used", "estimated"),
     [
         (1, [(1, ["a"]), (2, ["c"]), (3, ["d"])]),
         (2, [(1, ["a"]), (2, ["a", "c"]), (3, ["c", "d"])]),
         ("all", [(3, ["a", "c", "d"])]),
     ],
 )
-def test_what_is_held_out_is_foretold_and_not_estimated_from(memory, estimated, model, tmp_path):
-    seen, result = run(model, tmp_path, memory, ["b"])
+def test_what_is_held_out_is_foretold_and_not_estimated_from(trials_used, estimated, model, tmp_path):
+    seen, result = run(model, tmp_path, trials_used, ["b"])
     assert [(number, trials) for name, number, trials, _ in seen if name == "estimate"] == estimated
     name, number, trials, estimate = seen[-1]
     assert (name, number, trials) == ("predict", 4, ["b"])

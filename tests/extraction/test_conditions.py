@@ -21,11 +21,11 @@ from stringcast.hardware.virtual.conditions.pose import Across, Loop
 from stringcast.pipeline.studies.extraction import Cell, compared, read, shares, take
 from stringcast.pipeline.studies.extraction.pictures import overview
 from stringcast.stages.extract.centreline import Line
-from stringcast.stages.extract.doubt import beside, longest
 from stringcast.stages.extract.extract import extract
-from stringcast.stages.extract.isolate import background, darkest, packed
+from stringcast.stages.extract.quality import length_beside, longest_run
 from stringcast.stages.extract.score import rasterise
-from stringcast.stages.extract.steady import steadied
+from stringcast.stages.extract.segment import background, darkest, packed
+from stringcast.stages.extract.stabilise import stabilised
 
 SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text()) | {"string_length": 0.3}
 SETTINGS.pop("_target_")
@@ -83,16 +83,16 @@ def test_what_cannot_be_read_is_refused_with_the_reason(cast, condition, severit
     assert refused["reason"].str.contains(reason).mean() > 0.5
 
 
-def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_doubts(cast, monkeypatch):
-    """Three films that mislead. Measured: of 36 frames, 3 lines 8 px off and more without the doubts and none with
+def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_quality_checks(cast, monkeypatch):
+    """Three films that mislead. Measured: of 36 frames, 3 lines 8 px off and more without the quality checks and none with
     them; with them one tip is 3.6 px off, where wall that was in shadow lies beyond it."""
     films = [("cluttered wall", 3), ("arm's shadow", 2), ("drifting dust", 2)]
-    doubted = pd.concat([scored(cast, *one) for one in films])
+    checked = pd.concat([scored(cast, *one) for one in films])
     monkeypatch.setattr(import_module("stringcast.stages.extract.extract"), "check", lambda *_: None)
     believed = pd.concat([scored(cast, *one) for one in films])
-    assert doubted["read"].sum() >= 24
-    assert doubted["wrong"].sum() <= 1
-    assert (doubted["line_px"] > 3).sum() == 0
+    assert checked["read"].sum() >= 24
+    assert checked["wrong"].sum() <= 1
+    assert (checked["line_px"] > 3).sum() == 0
     assert (believed["line_px"] > 3).sum() >= 2
 
 
@@ -107,7 +107,7 @@ def test_a_tip_out_of_view_is_never_read(cast):
 def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
     """Against where the camera really looked; scatter of 0.07 px was measured, beside the offset common to all frames."""
     shaken = film(cast.shot, [Shake(2.0)], seed=1)
-    steady, sway = steadied(shaken)
+    steady, sway = stabilised(shaken)
     true = np.array([exposed(cast.shot, n, 1).rng.normal(0, 2.0, 2) for n in range(len(shaken))])
     off = steady.shift - true
     assert np.std(off, axis=0).max() < 0.1
@@ -115,11 +115,11 @@ def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
 
 
 def test_flicker_is_measured_and_a_steady_film_is_left_alone(cast):
-    flickering, _ = steadied(film(cast.shot, [Flicker(0.2)], seed=1))
+    flickering, _ = stabilised(film(cast.shot, [Flicker(0.2)], seed=1))
     true = 1 + 0.2 * np.sin(2 * np.pi * 101.3 * cast.shot.t + 0.5)
     np.testing.assert_allclose(flickering.gain / flickering.gain[0], true / true[0], rtol=0.02)
     plain = film(cast.shot, [], seed=1)
-    assert steadied(plain) == (plain, 0.0)
+    assert stabilised(plain) == (plain, 0.0)
 
 
 def test_the_wall_behind_a_passing_shadow_is_bright():
@@ -133,14 +133,14 @@ def test_the_wall_behind_a_passing_shadow_is_bright():
     assert scene[20, 35] == pytest.approx(60, abs=1)
 
 
-def test_doubts_measure_what_they_say():
+def test_quality_measures_are_what_they_say():
     mask = rasterise(np.array([[10.0, 30.0], [90.0, 30.0]]), (60, 100), 3) // 255
     branch = rasterise(np.array([[50.0, 30.0], [50.0, 58.0]]), (60, 100), 3) // 255
     points = np.stack([np.arange(10.0, 91.0), np.full(81, 30.0)], axis=-1)
     line = Line(points, np.ones(81), np.ones(81))
-    assert beside(line, mask, 1.0) == pytest.approx(0, abs=1)
-    assert beside(line, mask | branch, 1.0) == pytest.approx(24, abs=3)
-    assert longest(np.array([1, 1, 0, 1, 1, 1], bool), np.full(6, 2.0)) == 6
+    assert length_beside(line, mask, 1.0) == pytest.approx(0, abs=1)
+    assert length_beside(line, mask | branch, 1.0) == pytest.approx(24, abs=3)
+    assert longest_run(np.array([1, 1, 0, 1, 1, 1], bool), np.full(6, 2.0)) == 6
 
 
 def test_conditions_move_the_truth_along(cast):

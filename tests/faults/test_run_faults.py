@@ -211,4 +211,4 @@ def test_a_study_may_be_asked_for_more_in_its_folder_but_not_for_something_else(
     run_folder.begin(toy_experiment(**more), tmp_path)
     assert json.loads((tmp_path / "config.json").read_text())["study"] == {"benches": 5, "first": 2, "processes": 0}
     with pytest.raises(DataError, match="other settings"):
-        run_folder.begin(toy_experiment(memory=4, **more), tmp_path)
+        run_folder.begin(toy_experiment(trials_used=4, **more), tmp_path)

@@ -19,7 +19,7 @@ from stringcast.stages.model.string import String
 STRING = String(0.3)
 SETTINGS = {
     "attempts": 20000,
-    "together": 256,
+    "batch": 256,
     "shortest": 0.2,
     "longest": 1.5,
     "alpha": 150.0,

@@ -14,9 +14,9 @@ from stringcast.pipeline.settings import stage
 from stringcast.stages.generate import race
 from stringcast.stages.generate.chance import TOGETHER, Place, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, first_curves, joined, plain_cast
-from stringcast.stages.generate.draws import Doubt, Draws, drawn
+from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults, curves_of
-from stringcast.stages.generate.learning import spread_after
+from stringcast.stages.generate.learning import predictive_sd
 from stringcast.stages.generate.robust import stated
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import joint_motion
@@ -25,19 +25,19 @@ from stringcast.stages.model.string import String
 
 STRING = String(0.3)
 TARGET = Box(0.4, 0.7, 0.02, 0.04)
-NONE = Doubt(0.0, 0.0, 0.0)
+NONE = Uncertainty(0.0, 0.0, 0.0)
 SETTINGS = {
     "motions": 200,
     "strings": 12,
     "rounds": 4,
-    "tries": 1,
-    "informative": 0.0,
-    "fresh": 200,
+    "searches": 1,
+    "exploration": 0.0,
+    "validation": 200,
     "shortest": 0.2,
     "longest": 0.8,
     "alpha": 150.0,
     "fraction": 0.25,
-    "doubt": NONE,
+    "uncertainty": NONE,
 }
 SOFT = {"bending_stiffness": 0.05, "bending_damping": 2e-4, "grasp_stiffness": 0.05, "grasp_damping": 1e-3}
 STIFF = {"bending_stiffness": 20.0, "bending_damping": 1e-2, "grasp_stiffness": 5.0, "grasp_damping": 5e-3}
@@ -110,7 +110,7 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
     a chance at most unless by luck; one that is made for both hits both."""
     both = known(SOFT, STIFF)
     draws = drawn(model, both, NONE, 60, np.random.default_rng(5))
-    settings = {"attempts": 20000, "together": 256, "shortest": 0.2, "longest": 0.8, "alpha": 150.0, "fraction": 0.25}
+    settings = {"attempts": 20000, "batch": 256, "shortest": 0.2, "longest": 0.8, "alpha": 150.0, "fraction": 0.25}
     place = Place(model, TARGET, ())
 
     def chance(motion):
@@ -197,17 +197,17 @@ def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
 
 
 def test_draws_are_what_is_known(model):
-    """Before a trial the whole range, but for what is known; after it the estimate's draws, and its misfit as doubt."""
+    """Before a trial the whole range, but for what is known; after it the estimate's draws, and its misfit as uncertainty."""
     rng = np.random.default_rng(0)
     names = model.names
-    prior = drawn(replace(model, known={"bending_stiffness": 4.0}), None, Doubt(0.004, 0.01, 0.02), 4000, rng)
+    prior = drawn(replace(model, known={"bending_stiffness": 4.0}), None, Uncertainty(0.004, 0.01, 0.02), 4000, rng)
     assert (prior.values[:, names.index("bending_stiffness")] == 4.0).all()
     damping = np.log(prior.values[:, names.index("bending_damping")])
     np.testing.assert_allclose(damping.mean(), np.log(np.sqrt(3e-7 * 0.67)), atol=0.2)
     assert prior.off.std() == pytest.approx(0.02, rel=0.05)
     assert prior.amplitude.std() == pytest.approx(0.004, rel=0.05)
     assert prior.lag.max() == pytest.approx(0.01, rel=0.01)
-    after = drawn(model, known(SOFT, STIFF, rms=0.003), Doubt(0.004, 0.01, 0.02), 4000, rng)
+    after = drawn(model, known(SOFT, STIFF, rms=0.003), Uncertainty(0.004, 0.01, 0.02), 4000, rng)
     stiffness = after.values[:, names.index("bending_stiffness")]
     assert np.unique(stiffness).tolist() == [0.05, 20.0]
     assert np.mean(stiffness == 20.0) == pytest.approx(0.5, abs=0.04)
@@ -239,8 +239,8 @@ def test_failures_say_why(model, monkeypatch):
 
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
     """The cast will teach what the string is like."""
-    tiny = SETTINGS | {"motions": 60, "rounds": 0, "fresh": 10}
-    target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"tries": 2}
+    tiny = SETTINGS | {"motions": 60, "rounds": 0, "validation": 10}
+    target, more = Box(0.4, 0.7, 1e-7, 1e-7), tiny | {"searches": 2}
     motion, first = (likeliest(model, target, (), None, None, seed=0, **some) for some in (tiny, more))
     again = likeliest(model, target, (), None, known(SOFT), seed=0, **more)
     told = motion.outcome.iloc[0]
@@ -259,7 +259,7 @@ def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
     draws = Draws(values, np.zeros((24, 3)), np.zeros(24), 0.002 * rng.standard_normal((24, 2)))
     swing = plain_cast(model.arm, 0.6)
     down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), swing.duration, np.zeros_like(swing.control))
-    swung, hung = spread_after(Place(model, TARGET, ()), joined([swing, down]), draws, interest=0)
+    swung, hung = predictive_sd(Place(model, TARGET, ()), joined([swing, down]), draws, interest=0)
     tip = simulated(model, swing, draws)[1][:, :, -1]
     assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
     assert swung < 0.2 * hung

@@ -83,7 +83,7 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
     (tmp_path / "dataset").mkdir()
     (tmp_path / "dataset" / "dataset.yaml").write_text("format: 1\nstring: {length: 0.2, mass: 0.2, tip_mass: 0.01}\n")
     by_hand = ["+experiment=estimate", f"trials={tmp_path / 'dataset'}", "string=cable", "estimate=least_squares"]
-    by_hand += ["effects=[rest_curvature]", "own=[rest_curvature]", "memory=all", "leave=[]"]
+    by_hand += ["effects=[rest_curvature]", "own=[rest_curvature]", "trials_used=all", "keep=[]"]
     by_hand += ["string.points=6", "string.largest_step=2e-3"]
     by_hand += [f"estimate.{name}=1" for name in ("starts", "screening", "iterations")]
     person = with_inherited_settings(OmegaConf.create(composed(by_hand)), names_given(by_hand))
@@ -93,7 +93,7 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
 def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, monkeypatch):
     """And makes nothing again that is there."""
     folder = tmp_path / "study"
-    quick = composed(["estimate=random_search"])["estimate"] | {"candidates": 8, "together": 8}
+    quick = composed(["estimate=random_search"])["estimate"] | {"candidates": 8, "batch": 8}
     config["measured"]["families"]["cables"]["settings"]["estimate"] = quick
     here = prepare(config, lambda block: block)
     monkeypatch.setattr("stringcast.pipeline.studies.engine.workers", Here)

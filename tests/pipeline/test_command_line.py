@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from stringcast.data import store
 from stringcast.pipeline import inherited, settings
 
-BARE = "leave=[frames]"  # no report, where nobody asks for it
+BARE = "keep=[frames]"  # no report, where nobody asks for it
 MISSED = ("target.w=0.02", "target.h=0.04")  # [m], as small as the paper's: two casts do not hit
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 

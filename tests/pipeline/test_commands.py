@@ -380,10 +380,12 @@ def test_a_run_that_says_steps_instead_of_mode_is_read_and_gone_on_with(run, cap
     config = json.loads(path.read_text())
     mode = config.pop("mode")
     string = config["string"] | {"precision": FLOAT64}
-    path.write_text(json.dumps(config | {"steps": ["generate", "execute", "extract", "estimate"], "string": string}))
+    old = {"memory": config.pop("trials_used"), "leave": config.pop("keep"), "string": string}
+    path.write_text(json.dumps(config | old | {"steps": ["generate", "execute", "extract", "estimate"]}))
     status, said = asked(capsys, "why", run)
     assert status == 0
     assert "is read as mode = {'_target_': 'pipeline.modes.Cast'" in said
+    assert "memory is read as trials_used, leave is read as keep" in said
     assert asked(capsys, "index", run.parent)[1].count("missed") == 1
     assert toy_run(run, toy_experiment())[0] == []
     assert json.loads(path.read_text())["mode"] == mode

@@ -9,7 +9,9 @@ PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
 
 
 def parts(settings):
-    return [settings[stage]["_target_"].split(".")[-2] for stage in ("generate", "estimate")] + [settings["memory"]]
+    return [settings[stage]["_target_"].split(".")[-2] for stage in ("generate", "estimate")] + [
+        settings["trials_used"]
+    ]
 
 
 @pytest.mark.parametrize("name", PAPERS)

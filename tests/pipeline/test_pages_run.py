@@ -70,8 +70,8 @@ RUN = {
             leaves=("report.html", "run.json"), of="mine"
         )
         for words in (
-            "memory=all",
-            "memory=all 'effects=[rest_curvature,maxwell_slip]'",
+            "trials_used=all",
+            "trials_used=all 'effects=[rest_curvature,maxwell_slip]'",
             "'effects=[tip_mass]' +known.tip_mass.ratio=0.05",
             "'+known.bending_stiffness={value: 20, low: 15, high: 25}'",
         )

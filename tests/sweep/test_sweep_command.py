@@ -19,7 +19,7 @@ HERE = {"joblib": "workers=2", "ray": "address=null", "slurm": "cluster=local"}
 
 
 def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
-    asked = ["+experiment=estimate", f"trials={trials}", "estimate.candidates=32", f"estimate.beta={betas}", "leave=[]"]
+    asked = ["+experiment=estimate", f"trials={trials}", "estimate.candidates=32", f"estimate.beta={betas}", "keep=[]"]
     how = [f"hydra.sweep.dir={folder}", f"hydra.launcher.threads={threads}"]
     return call("--multirun", *asked, *how, *overrides)
 

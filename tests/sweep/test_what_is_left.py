@@ -60,7 +60,7 @@ def test_an_experiment_that_still_says_steps_does_not_cast_instead():
 
 def test_what_a_run_may_leave_is_named():
     config = composed()
-    assert config["leave"] == list(LEFT)
+    assert config["keep"] == list(LEFT)
     for wrong in (["pictures"], "frames"):
-        with pytest.raises(UserError, match=r"leave = .*\[?.*frames, report\. Change it"):
-            _check_run(config | {"leave": wrong}, lambda block: "conf/config.yaml")
+        with pytest.raises(UserError, match=r"keep = .*\[?.*frames, report\. Change it"):
+            _check_run(config | {"keep": wrong}, lambda block: "conf/config.yaml")

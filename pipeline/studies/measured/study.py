@@ -123,5 +123,5 @@ def settings(job: Fit, dataset: Path) -> dict[str, Any]:
     """Of the run that a person begins by hand: +experiment=estimate trials=<dataset> and what the family sets."""
     family = job.config["measured"]["families"][job.family]
     own = composed(["+experiment=estimate"]) | family["settings"] | family["sets"][job.laws]
-    own |= {"seed": job.config["seed"], "leave": [], "trials": str(dataset)}
+    own |= {"seed": job.config["seed"], "keep": [], "trials": str(dataset)}
     return with_inherited_settings(OmegaConf.create(own), {"string"})

@@ -1,7 +1,7 @@
-"""How far a model is off in a trial that nothing was fitted to.
+"""Prediction error of a model in a trial that nothing was fitted to.
 
-Of the trial itself are only the state in which it begins, corrected as in a fit (`initial_modes`), and the values of
-effects that differ from one recording to another, such as a set: they are read from the frames in which the string
+Two things are taken from the trial itself: the state in which it begins, corrected as in a fit (`initial_modes`), and
+the values of effects that differ from one trial to another, such as a set, read from the frames in which the string
 rests.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction, TrialSet
-from stringcast.stages.estimate.untouched import untouched
+from stringcast.stages.estimate.trim import trimmed_at_contact
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import coefficients, settled
 from stringcast.stages.inference.solver import LOST, fitted
@@ -27,8 +27,8 @@ STEPS = 60  # iterations of the solver at most; it mostly takes five
 
 
 def run(call: Call, trials: TrialSet, estimate: Estimate) -> Prediction:
-    """Of the one trial given, until its string touches an obstacle; as a stage."""
-    (observation,) = (untouched(trial, call.setup.obstacles) for trial in trials.observations)
+    """The stage: prediction of the one trial given, until its string touches an obstacle."""
+    (observation,) = (trimmed_at_contact(trial, call.setup.obstacles) for trial in trials.observations)
     return predict(call.setup.model, estimate, observation, call.setup.own)
 
 
@@ -84,7 +84,7 @@ class _AtRest:
 
     @property
     def parameters(self) -> list[Parameter]:
-        """Those that are read."""
+        """The parameters that are read from rest."""
         return [self.still.model.parameters[place] for place in self.places]
 
     def values_at(self, chi: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ FEWEST = 3  # frames that are worth keeping
 PLACES = 40  # along the string, where every frame was measured at others
 
 
-def untouched(observation: Observation, obstacles: Sequence[Box]) -> Observation:
+def trimmed_at_contact(observation: Observation, obstacles: Sequence[Box]) -> Observation:
     """The trial until its string first comes near an obstacle, seen along the string and on each point's way.
 
     One that is near from its first frames on stays whole, as does one of which no point was read.

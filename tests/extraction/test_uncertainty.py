@@ -11,10 +11,10 @@ from conftest import ROOT, specimen
 from stringcast.hardware.virtual.conditions import CONDITIONS
 from stringcast.pipeline.studies.extraction import Cell, read, take
 from stringcast.pipeline.studies.extraction import footage as real
-from stringcast.stages.extract.certainty import sigmas
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
-from stringcast.stages.extract.isolate import uncovered
+from stringcast.stages.extract.segment import uncovered
+from stringcast.stages.extract.uncertainty import sigmas
 
 SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text()) | {"string_length": 0.3}
 SETTINGS.pop("_target_")

@@ -1,7 +1,8 @@
-"""How sure a line is: one sigma of a coordinate of each of its points, along and across taken together.
+"""Uncertainty of a centre-line: one sigma of a coordinate of each of its points, across and along taken together.
 
-Across, the centroid is drawn by the light that noise, texture or coding leave beside the string. Along, a point lies
-where its share of the whole length is: the end draws all of it, and what is not seen may be longer than it is drawn.
+Across, the centroid is displaced by the light that noise, texture or coding leave beside the string. Along, a point
+lies where its share of the whole length is: an error of the end stretches the whole line, and a hidden stretch may be
+longer than it is drawn.
 """
 
 from __future__ import annotations

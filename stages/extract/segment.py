@@ -1,4 +1,4 @@
-"""Isolate: what in a frame is brighter than the scene without the string would be."""
+"""Segmentation: the pixels of a frame that are brighter than the scene without the string would be."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ GREY = 0.3  # [grey levels] noise of rounding to whole levels
 
 @dataclass(frozen=True)
 class Backdrop:
-    """What all frames share.
+    """The scene behind the string, shared by all frames of a film.
 
-    scene: (height, width) without string and arm. string: its brightness. half: half its width, blurred [px]. sway:
-    one sigma of where the camera looks [px].
+    scene: (height, width) grey levels without string and arm. string: brightness of the string [grey levels]. half:
+    half its width, blurred [px]. sway: one sigma of where the camera looks [px].
     """
 
     scene: np.ndarray
@@ -38,12 +38,11 @@ class Backdrop:
 
 
 @dataclass(frozen=True)
-class Isolated:
-    """The string of one frame, each (height, width).
+class Segmented:
+    """The string of one frame, each array (height, width).
 
-    light: brightness above what else is seen, as in front of the scene [grey levels]. mask:
-    where it is certain, uint8. arm: where the arm may hide it, outline: where the arm's edge
-    blurs what is what, bool. noise: one sigma of light.
+    light: brightness above what else is seen, as in front of the scene [grey levels]. mask: where it is certain, uint8.
+    arm: where the arm may hide it, outline: where the arm's edge blurs what is what, bool. noise: one sigma of light.
     """
 
     light: np.ndarray
@@ -53,14 +52,13 @@ class Isolated:
     noise: float
 
 
-def isolate(
+def segment(
     image: np.ndarray, backdrop: Backdrop, moments: np.ndarray, width: float, blur: float, sigmas: float
-) -> Isolated:
-    """What in a frame is neither scene nor arm.
+) -> Segmented:
+    """The pixels of a frame that are neither scene nor arm.
 
-    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure. width: of a link,
-    blur: how far the arm moves in the exposure [px]; its clock may be half an exposure off.
-    sigmas: by how much the string stands out from the noise.
+    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure. width: of a link, blur: how far the arm
+    moves in the exposure [px]; its clock may be half an exposure off. sigmas: threshold above the noise.
     """
     seen, body, outline = expected(image, backdrop.scene, moments, width, OUTLINE + blur / 2)
     above = cv2.GaussianBlur(image - seen, (0, 0), 0.8)
@@ -70,7 +68,7 @@ def isolate(
     arm = silhouette(image.shape, moments, width + 4 + blur)
     # what is as bright as the arm is noise, made larger
     sure = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
-    return Isolated(sure * alike(above, seen, backdrop.string), mask, arm, outline, grain)
+    return Segmented(sure * alike(above, seen, backdrop.string), mask, arm, outline, grain)
 
 
 def background(frames: Sequence[np.ndarray], arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
@@ -87,7 +85,7 @@ def background(frames: Sequence[np.ndarray], arm: Sequence[np.ndarray], low: np.
 
 
 def darkest(frames: Sequence[np.ndarray]) -> np.ndarray:
-    """What each pixel shows when nothing bright covers it, (height, width) float32. frames: uint8."""
+    """The brightness of each pixel when nothing bright covers it, (height, width) float32. frames: uint8."""
     levels = _in_bands(_low_and_middle, frames)
     low, middle = levels[..., 0], levels[..., 1]
     return np.asarray(low + np.median(middle - low))  # noise alone makes a low percentile darker than the scene
@@ -177,15 +175,15 @@ def uncovered(scene: np.ndarray, grasp: np.ndarray, length: float) -> np.ndarray
 
 
 def expected(
-    image: np.ndarray, scene: np.ndarray, moments: np.ndarray, width: float, doubt: float
+    image: np.ndarray, scene: np.ndarray, moments: np.ndarray, width: float, margin: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a frame would show at most without the string, (height, width) float32.
+    """The brightest that a frame could be without the string, (height, width) float32.
 
     Also, bool: where the arm is all it shows, and where the arm's outline makes it uncertain.
 
-    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure, width: of a link,
-    doubt: by how much its outline may be off [px]. The arm is taken to be as bright as along
-    its middle; the string in front of it must be brighter.
+    moments: (K, J + 1, 2) the arm's joints [px] at moments of the exposure, width: of a link, margin: by how much its
+    outline may be off [px]. The arm is taken to be as bright as along its middle; the string in front of it must be
+    brighter.
     """
     if not len(moments):
         nowhere = np.zeros(scene.shape, bool)
@@ -195,7 +193,7 @@ def expected(
     middle = silhouette(scene.shape, moments, max(width / 3, 1)) & (cover > 0.99)
     body = float(np.median(image[middle])) if middle.any() else 0.0
     seen = scene + cover * (body - scene)
-    around = np.ones((2 * round(doubt) + 1,) * 2, np.uint8)
+    around = np.ones((2 * round(margin) + 1,) * 2, np.uint8)
     near = cv2.dilate(cover, around) > 0
     most = np.where(near, cv2.dilate(seen, around), seen)
     return most, cover > 0.99, near & (most > seen + UNCERTAIN)

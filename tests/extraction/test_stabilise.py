@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from stringcast.stages.extract.score import rasterise
-from stringcast.stages.extract.steady import Steadied, steadied
+from stringcast.stages.extract.stabilise import Stabilised, stabilised
 
 
 def swinging(wall, width):
@@ -20,15 +20,15 @@ def test_a_strip_that_swings_is_no_tremble():
     """Before a black wall the strip is all the texture there is. Believed whole, it shook the picture by 3.4 px RMS;
     on real strips by 0.3 to 1 px."""
     film = list(swinging(np.full((240, 320), 8.0), 40))
-    steady, sway = steadied(film)
+    steady, sway = stabilised(film)
     assert sway == 0
-    assert not isinstance(steady, Steadied) or not steady.shift.any()
+    assert not isinstance(steady, Stabilised) or not steady.shift.any()
 
 
 def test_a_tremble_behind_a_string_is_seen_all_the_same():
     """A wall with texture, filmed by a camera that stands at 0, 1 and 2 px in turn. Measured: within 0.06 px."""
     wall = gaussian_filter(np.random.default_rng(1).uniform(0, 100, (240, 330)), 3)
     views = [list(swinging(wall[:, 4 + at : 324 + at], 6)) for at in range(3)]
-    steady, _ = steadied([views[i % 3][i] for i in range(24)])
+    steady, _ = stabilised([views[i % 3][i] for i in range(24)])
     apart = steady.shift[5:21:3] - steady.shift[3:21:3]  # where the string hangs still, it is not sure
     np.testing.assert_allclose(apart, np.tile([-2.0, 0.0], (6, 1)), atol=0.1)

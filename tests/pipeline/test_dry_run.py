@@ -13,7 +13,7 @@ from stringcast.data.dataset import read
 from stringcast.stages.execute.interfaces import HardwareError
 from tests.faults.toy import CALLS, toy_experiment, toy_run
 
-REASON = "rehearsal with the arm disabled"
+REASON = "dry run with the arm disabled"
 
 
 def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
@@ -24,7 +24,7 @@ def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
     assert REASON in said
     assert "nan" not in said
     sentence = json.loads((folder / "run.json").read_text())["sentence"]
-    assert re.match(r"Rehearsed: .*commands went out .* ms late .* 0 of \d+ were late or lost", sentence)
+    assert re.match(r"Dry run: .*commands went out .* ms late .* 0 of \d+ were late or lost", sentence)
     seen, frames = map(int, re.search(r"the string was read in (\d+) of (\d+) frames", sentence).groups())
     assert (seen, frames) == (0, 88)  # at the pose of rest the picture holds more than the string
     assert "most often: something like a string hangs together with the string" in sentence

@@ -1,8 +1,8 @@
-"""Steady: frames as a lamp that does not flicker and a camera that does not tremble would show them.
+"""Stabilisation: frames corrected for a flickering lamp and a trembling camera.
 
 Each frame is compared with the median of the film: frame = gain * median, shifted (d_u, d_v), by least squares on the
-picture's own texture (Lucas and Kanade, IJCAI 1981), where what moves has no weight. What cannot be told, for want
-of texture, is left as it is.
+picture's own texture (Lucas and Kanade, IJCAI 1981), where what moves has no weight. Where there is too little texture,
+nothing is changed.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ def samples(count: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(0, count - 1, SAMPLES).astype(int))]
 
 
-def steadied(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
-    """The film without flicker and tremble, itself where it has none; and one sigma of where it looks then [px]."""
+def stabilised(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
+    """The film without flicker and tremble (the same object where it has none), and one sigma of the mean shift
+    [px]."""
     coarse, fine = PYRAMID
     found, _ = _against(images, coarse, np.tile([1.0, 0.0, 0.0], (len(images), 1)))
     gain, shift = _beyond(found, CLEARLY)
@@ -44,11 +45,11 @@ def steadied(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]
     if not shift.any() and (gain == 1).all():
         return images, 0.0
     middle = np.sqrt(np.pi / 2 / len(shift))  # of a median, in sigmas of its values
-    return Steadied(images, gain, shift), float(middle * np.sqrt(np.mean(shift**2)))
+    return Stabilised(images, gain, shift), float(middle * np.sqrt(np.mean(shift**2)))
 
 
 @dataclass(frozen=True)
-class Steadied(Sequence[np.ndarray]):
+class Stabilised(Sequence[np.ndarray]):
     """Images divided by gain (F,) and shifted back by shift (F, 2) [px], float32."""
 
     images: Sequence[np.ndarray] = field(repr=False)
