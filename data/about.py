@@ -135,7 +135,8 @@ class About(Block):
 
 
 def about(folder: Path) -> dict[str, Any]:
-    """What dataset.yaml says, or nothing where it is missing; raises DataError naming the field and the remedy."""
+    """The content of dataset.yaml as a dict, empty where the file is missing. Raises DataError naming the field and the
+    remedy."""
     path = folder / NAME
     if not path.exists():
         return {}

@@ -1,4 +1,4 @@
-"""What `align` makes: how the camera and its clock stand to the arm, as measured."""
+"""The artifact of `align`: position, rotation and clock of the camera relative to the arm, with intervals."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""What the stages hand to one another: frozen artifacts, each a handful of tables.
-
-Every table's columns carry unit and meaning. Everything is SI and planar: x right,
-y up, angles counter-clockwise from +x. `store` writes and reads artifacts; nothing
-here touches a disk.
-"""
+"""The artifacts that stages hand to one another: frozen dataclasses of a few tables each."""
 
 from __future__ import annotations
 
@@ -176,16 +171,16 @@ class Trial:
 
     @property
     def film(self) -> Film:
-        """What the camera saw, and where the arm was."""
+        """The frames and the joint angles of the trial."""
         return Film(self.frames["t"].to_numpy(), self.images, arm=self.arm)
 
 
 @dataclass(frozen=True)
 class Film:
-    """What a camera saw of one trial, ours or anybody's, and where the hand was.
+    """The frames of one trial, ours or others', and the motion of the hand.
 
-    t: (F,) times of the frames [s]. images: F uint8 arrays (height, width). Exactly one of
-    `arm` (joint angles, table ARM) and `grasp` (poses, table GRASP) is given.
+    t: (F,) times of the frames [s]. images: F uint8 arrays (height, width). Exactly one of `arm` (joint angles, table
+    ARM) and `grasp` (poses, table GRASP) is given.
     """
 
     t: np.ndarray
@@ -421,7 +416,7 @@ SCORE = Table(
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a fitted model foretells of a trial that nothing was fitted to: what `predict` makes."""
+    """The artifact of `predict`: a fitted model's prediction of a trial that nothing was fitted to, and its error."""
 
     predicted: pd.DataFrame
     score: pd.DataFrame
@@ -558,7 +553,8 @@ FINDING = Table(
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the simulation gets wrong and why: what `diagnose` makes."""
+    """The artifact of `diagnose`: the discrepancy between simulation and trials, its causes, and the evidence for
+    them."""
 
     finding: pd.DataFrame
     causes: pd.DataFrame

@@ -1,4 +1,4 @@
-"""What a calibration hands on: the lens, the plane of motion, and all by which to judge them."""
+"""The artifact of `calibrate`: the lens, the plane of motion, and the errors by which to judge them."""
 
 from __future__ import annotations
 

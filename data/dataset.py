@@ -41,7 +41,7 @@ LATE = 10.0  # [s] from which a clock began long before its trial, whose times a
 
 
 def with_trial(table: Table) -> Table:
-    """The same table with the leading column `trial`."""
+    """A table with the additional leading column `trial`."""
     return Table(table.name, table.meaning, (TRIAL, *table.columns))
 
 
@@ -230,7 +230,7 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
 
 
 def _instead_of(folder: Path) -> str:
-    """What to do where a table is missing: files of other names may hold it."""
+    """The remedy where a table is missing: files of other names may hold it."""
     known = {f"{table.name}{end}" for table in (ARM, GRASP, *PUBLISHED) for end in (".parquet", ".csv")}
     others = [p for p in sorted(folder.iterdir()) if p.suffix in (".csv", ".parquet", ".tsv", ".h5", ".mcap")]
     named = [str(path) for path in others if path.name not in known]
@@ -314,7 +314,7 @@ def _unusable(moved: np.ndarray, trial: Observation, film: Film | None, begin: f
 
 
 def _two_clocks(moved: np.ndarray, seen: np.ndarray) -> str:
-    """What two clocks say that have nothing in common; times [s]."""
+    """A description of two clocks that have no time in common. moved, seen: times of arm and camera [s]."""
     said = [
         f"says {datetime.fromtimestamp(t.min(), UTC):%Y-%m-%d %H:%M:%S} (seconds since 1970)"
         if SINCE_1970[0] < t.min() < SINCE_1970[1]
@@ -325,7 +325,7 @@ def _two_clocks(moved: np.ndarray, seen: np.ndarray) -> str:
 
 
 def _pointless(trial: Observation) -> Unusable:
-    """Of a trial without a valid point and without frames."""
+    """The reason why a trial without a valid point and without frames is unusable."""
     if trial.points.empty:
         named = "Add its rows to points or frames, or see that its name is the same in both"
         return Unusable("no measured point and no frame", named)

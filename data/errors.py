@@ -15,11 +15,11 @@ REMEDIES = {
 
 
 class ExpectedError(Exception):
-    """What a person can put right: the message names the place, what is wrong there and the remedy."""
+    """An error that the user can correct: the message names the place, what is wrong there and the remedy."""
 
 
 def remedy_for(error: BaseException) -> str:
-    """What to do about a place that cannot be written."""
+    """The remedy for a place that cannot be written, from the error's number."""
     return REMEDIES.get(getattr(error, "errno", None) or 0, OTHERWISE)
 
 

@@ -15,7 +15,7 @@ class Later:
         self._module = module
 
     def __getattr__(self, name: str) -> Any:
-        """What the module has of that name; kept, so that this is asked once for each."""
+        """An attribute of the module, loaded and kept at its first use."""
         value = getattr(import_module(self._module), name)
         setattr(self, name, value)
         return value

@@ -23,8 +23,11 @@ MOTIONS = (ARM.name, GRASP.name)
 
 @dataclass(frozen=True)
 class Rows:
-    """What became of a file's rows. read: how many there were. dropped: how many could not be used, by reason.
-    unordered: how many are earlier than the row before them of the same trial (and arc length)."""
+    """The count of a file's rows.
+
+    read: all of them. dropped: unusable ones by reason. unordered: rows earlier than the row before them of the same
+    trial (and arc length).
+    """
 
     read: int
     dropped: Mapping[str, int] = field(default_factory=dict)

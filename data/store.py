@@ -101,7 +101,7 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
 
 
 def origin_of(path: Path) -> dict[str, Any]:
-    """What made a Parquet file; empty for one that is not ours."""
+    """The provenance in a Parquet file's footer; empty for a file that is not ours."""
     if path.exists():
         foreign.regular(path)
     metadata = pq.read_schema(path).metadata or {}
@@ -131,7 +131,7 @@ def content_hash(path: Path) -> str:
 
 
 def _columns(path: Path) -> tuple[bytes, int]:
-    """What the footer of a Parquet file says of its columns alone, and the size of the pages before it [bytes].
+    """The serialised schema of a Parquet file without metadata, and the size of the pages before its footer [bytes].
 
     The file ends with the footer, the footer's length (4 bytes) and "PAR1"; all before it is the columns' pages.
     """

@@ -1,4 +1,4 @@
-"""What a column means, by its name: `joint1_deg`, `Time (Seconds)`, `tip_x_mm`, `actual_TCP_pose_0`."""
+"""The meaning of a column from its name: `joint1_deg`, `Time (Seconds)`, `tip_x_mm`, `actual_TCP_pose_0`."""
 
 from __future__ import annotations
 
@@ -58,9 +58,12 @@ FILLERS = {
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a column holds. kind: `time`, `frame`, `trial`, `joint`, `hand`, `point`, `arc` or `other`. name: number of
-    a joint, name of a point. axis: x, y, z, angle, a quaternion's, or likelihood, valid, sigma. unit: as its name says;
-    empty where it does not."""
+    """The meaning of a column.
+
+    kind: `time`, `frame`, `trial`, `joint`, `hand`, `point`, `arc` or `other`. name: number of a joint, name of a
+    point. axis: x, y, z, angle, a quaternion's, or likelihood, valid, sigma. unit: from the column's name; empty where
+    it gives none.
+    """
 
     kind: str
     name: str = ""
@@ -78,7 +81,7 @@ def words_of(column: str) -> list[str]:
 
 
 def meaning(column: str) -> Meaning:
-    """What a column holds, as far as its name says."""
+    """The meaning of a column, as far as its name tells."""
     words = words_of(column)
     if not words or NO_POSITION & {*words} or _is_a_rate(column, words):
         return OTHER
@@ -116,7 +119,7 @@ def unit_in(column: str, kind: str) -> str:
 
 
 def _placed(plain: Sequence[str], unit: str) -> Meaning:
-    """Of a column that holds where something is: of a joint, the hand or a point of the string."""
+    """The meaning of a column of positions: of a joint, the hand or a point of the string."""
     axis = next((word for axes in ("xyz", "uv") for word in plain if word in axes), "")
     numbers = [word for word in plain if word.isdigit()]
     of_hand = bool({*HAND} & {*plain})

@@ -58,7 +58,8 @@ def read(path: Path) -> list[Recording]:
 
 
 def _names(pickled: bytes) -> list[str]:
-    """What the columns are called, of the names of scorer, point and coordinate."""
+    """The column names, from the pickled names of scorer, point and coordinate. Raises ValueError where they are
+    none."""
     whole: Any = _Texts(io.BytesIO(pickled[:MOST_NAMES])).load()
     if not isinstance(whole, list) or len(whole) > MOST_COLUMNS:
         raise ValueError("its columns have no names")

@@ -119,7 +119,7 @@ def _columns(recording: Recording, said: Said) -> list[Column]:
 
 
 def _as_said(role: str, column: str) -> Meaning:
-    """What a column of a role of ours is; its unit is the one that its name says."""
+    """The meaning of a column whose role the user gave; its unit is the one that its name gives."""
     point, _, axis = role.rpartition(".")
     kinds = {"t": "time", "trial": "trial", "s": "arc", "x": "hand", "y": "hand", "theta": "hand"}
     kind = "point" if point else kinds.get(role, "joint")
@@ -141,7 +141,7 @@ def _hand_by_its_angle(columns: Sequence[Column]) -> list[Column]:
 def _parts(
     recording: Recording, columns: Sequence[Column], said: Said, taken: list[Taken]
 ) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
-    """What a recording says of the hand and of the string, in our units; None of what it says nothing."""
+    """The hand's motion and the string's points of a recording, in our units; None for what it does not hold."""
     kinds = {column.meaning.kind for column in columns}
     if not {"joint", "hand", "point"} & kinds:
         return None, None
@@ -173,7 +173,7 @@ def _trials(moved: Sequence[Recording], seen: Sequence[Recording]) -> dict[int, 
 
 
 def _alike(names: Sequence[str]) -> int:
-    """With how many characters names begin alike, numbers left whole."""
+    """The number of leading characters that all names share, numbers left whole."""
     return len(commonprefix(names).rstrip("0123456789"))  # noqa: RUF071
 
 

@@ -66,7 +66,7 @@ def _width(about: Any) -> int:
 
 
 def _names(feature: str, about: Mapping[str, Any], width: int) -> list[str]:
-    """Of the columns of a feature: as the dataset calls them, else by number."""
+    """The names of a feature's columns, from the dataset, else by number."""
     names = about.get("names")
     names = next(iter(names.values()), None) if isinstance(names, dict) else names
     known = isinstance(names, list) and len(names) == width

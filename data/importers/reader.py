@@ -20,12 +20,12 @@ LIKELY = 0.6  # of a tracker's own likelihood: below it says that it guesses (De
 
 @dataclass(frozen=True)
 class Said:
-    """What a person says of the files, beside what their columns' names do.
+    """The user's description of the files, beyond what the names of columns tell.
 
-    columns: our name to theirs, with a sign before it and a shift behind it, as in q2: -elbow_deg+90. unit: of
-    lengths, by the file's name, or of all under the empty name. degrees: what angles without a unit are in; None: as
-    they turn. down: y of points is counted down. plane: which two of three directions are x and y, each with a sign.
-    fps: of files without times [1/s]. clock: to be added to the times of points [s]. px_per_m, origin_px: of pixels.
+    columns: our name to theirs, with a sign before it and a shift behind it, as in q2: -elbow_deg+90. unit: of lengths,
+    by the file's name, or of all under the empty name. degrees: what angles without a unit are in; None: as they turn.
+    down: y of points is counted down. plane: which two of three directions are x and y, each with a sign. fps: of files
+    without times [1/s]. clock: to be added to the times of points [s]. px_per_m, origin_px: of pixels.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -160,7 +160,7 @@ class Reader:
         return self.numbers(column, role, unit, LENGTHS[unit], how)
 
     def unit(self, column: Column) -> str:
-        """Of a column of lengths: as its name says, or a person does of its file, or metres."""
+        """The unit of a column of lengths: from its name, else as the user gave it for the file, else metres."""
         said = self.said.unit
         return column.meaning.unit or said.get(self.recording.file.name) or said.get("") or "m"
 
@@ -193,7 +193,8 @@ class Reader:
         return pd.DataFrame({**places, "theta": self._theta(hand, right, up)}, index=self.recording.table.index)
 
     def _degrees_of(self, columns: Sequence[Column]) -> Said:
-        """What is said, with degrees for all of these if one of them turns so far."""
+        """The user's description with degrees for all these columns if one of them turns further than a joint can
+        [rad]."""
         if self.said.degrees is not None:
             return self.said
         raw = self.recording.table[[c.name for c in columns]].apply(pd.to_numeric, errors="coerce").abs()

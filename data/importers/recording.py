@@ -1,4 +1,4 @@
-"""What any reader makes of a file: a table of columns as they are called there, or a film."""
+"""The result of every reader: a table of columns under their original names, or a film."""
 
 from __future__ import annotations
 

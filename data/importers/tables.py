@@ -62,7 +62,7 @@ def _csv(path: Path) -> pd.DataFrame:
 
 
 def separated(head: list[str]) -> tuple[str, str]:
-    """What separates columns, and what stands before decimals, by the first lines."""
+    """The separator of columns and the decimal mark, from the first lines."""
     first, *rest = head or [""]
     counts = {mark: first.count(mark) for mark in SEPARATORS}
     mark = max(counts, key=lambda m: counts[m])

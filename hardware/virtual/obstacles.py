@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.effect import another
+from stringcast.stages.model.effect import numbered
 from stringcast.stages.model.effects.box_contact import BoxContact
 
 NotNegative = Annotated[float, Field(ge=0)]
@@ -30,7 +30,7 @@ class Obstacles:
     @property
     def effects(self) -> tuple[type[BoxContact], ...]:
         """One for each box."""
-        return tuple(another(BoxContact, number) for number in range(len(self.boxes)))
+        return tuple(numbered(BoxContact, number) for number in range(len(self.boxes)))
 
     @property
     def sizes(self) -> dict[str, float]:

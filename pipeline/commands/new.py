@@ -30,11 +30,10 @@ class {Name}(StringEffect):
         Parameter("strength", "m/s2", "steady pull to the right, over mass", -2.0, 2.0, 0.0),
     )
     reference = "Where the law is from"
-    symmetries = (nothing_at_zero("acceleration", "strength"),)  # tests hold it to these; others: symmetry.py
+    invariants = (nothing_at_zero("acceleration", "strength"),)  # tests hold it to these; others: invariants.py
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so, in the diagnosis."""
+    def describe(values: Values) -> str:
         return f"the string is pulled to the right with {{values['strength']:.3f}} m/s2"
 
     @staticmethod

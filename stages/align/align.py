@@ -127,7 +127,7 @@ def settings(model: Model, measured: pd.DataFrame, fit: Fit) -> dict[str, object
 
 
 def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:
-    """What was found, and what looks alike."""
+    """The result of an alignment in sentences: what was measured, and what it cannot be told from."""
     rows = measured.set_index("name")
     said, agreed = [], []
     for effect in named(fit.effects):
@@ -135,7 +135,7 @@ def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:
         if (ends[:, 0] <= 0).all() and (ends[:, 1] >= 0).all():
             agreed.append(effect.name)
             continue
-        words = effect.words({p.name: fit.values[effect.qualified(p)] for p in effect.parameters})
+        words = effect.describe({p.name: fit.values[effect.qualified(p)] for p in effect.parameters})
         said.append(words[0].upper() + words[1:])
     if agreed:
         said.append(f"Nothing is off, within the intervals, in {', '.join(agreed)}")

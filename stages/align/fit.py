@@ -108,12 +108,12 @@ class Sought:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those that are sought, evenly in their ranges."""
+        """The free parameters, uniform in their ranges."""
         low, high = self.problem.ranges(self.names)
         return tuple(Parameter(n, "", "", a, b, 0.0) for n, a, b in zip(self.names, low, high, strict=True))
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Of candidates (C, P), (C, N) over sigma."""
+        """Residuals over sigma (C, N) of candidates chi (C, P)."""
         values = values_of(self.parameters, chi)
         others = np.broadcast_to(np.array(list(self.held.values())), (len(chi), len(self.held)))
         return self.problem.off((*self.names, *self.held), np.hstack([values, others])) / self.problem.sigma
@@ -146,7 +146,7 @@ class Fit:
 
     @cached_property
     def _sure(self) -> Covariance:
-        """Of the places in the ranges."""
+        """Covariance of the parameters as shares of their ranges."""
         return jackknife((self.slope * self.width).T, self.residual, self.weight, self.blocks)
 
     @property

@@ -20,7 +20,7 @@ from stringcast.stages.align.sightings import Sighted, Sightings
 from stringcast.stages.common import Progress
 from stringcast.stages.extract.segment import darkest
 from stringcast.stages.extract.stabilise import samples
-from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import JointMotion, joint_motion
 from stringcast.stages.model.model import Model
 
@@ -70,7 +70,8 @@ def from_films(model: Model, films: Mapping[str, Film], width: float, progress: 
 
 
 def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
-    """What of each frame is arm: differs from the scene and is wider than `opening` [px]. film: one with joints."""
+    """Pixels of the arm in each frame: those that differ from the scene and are wider than `opening` [px]. film: one
+    with joints."""
     assert film.arm is not None
     motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()).lasting(film.t[-1])
     chosen = np.unique(np.linspace(0, len(film.t) - 1, MOST).astype(int))
@@ -127,7 +128,7 @@ def fine(model: Model, known: np.ndarray, seen: Silhouettes, width: float) -> Si
 def looked_for(
     model: Model, known: np.ndarray, seen: Silhouettes, some: np.ndarray, width: float, reach: float
 ) -> np.ndarray:
-    """Of some frames: the frame, and what `pieces` tells of it, (K, 9)."""
+    """The table of `pieces` in some frames, with the frame's number as first column, (K, 9)."""
     there = arm_seen(model, seen.motion, known[None], seen.times[some])[0]
     parts = [pieces(model, seen.pixels[int(i)], joints, width, reach) for i, joints in zip(some, there, strict=True)]
     return np.concatenate([np.column_stack([np.full(len(p), n), p]) for n, p in enumerate(parts)])

@@ -10,7 +10,7 @@ from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import Fit, Problem, robust
 from stringcast.stages.align.sightings import Sighted, on_links
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.effect import components
 from stringcast.stages.model.library import named
 
@@ -103,7 +103,7 @@ def explained(fit: Fit, columns: np.ndarray) -> float:
 
 
 def suspects(problem: Problem, fit: Fit) -> Iterator[tuple[str, np.ndarray]]:
-    """What could be left, in words, and how the residual would change with it, (N, K)."""
+    """Causes that could explain a remaining residual, as sentences, with the residual's change under each, (N, K)."""
     yield "the joints turned more or less than they report", moved_by(problem, fit, "joint_gain", 1e-3)
     yield "a joint had play at its reversals", moved_by(problem, fit, "backlash", 0.01)
     lens = problem.slopes((*fit.names, "lens_distortion.radial"), np.append(fit.x, 0.0))[:, -1:]

@@ -6,19 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """What was seen of the arm in one trial.
-
-    times: (F,) of the frames by the camera's clock [s]. Of each of N sightings: frame (N,) its index; link (N,) 1 is
-    at the base; share (N,) how far along the link; seen (N, 2) where [m]; along (N, 2) the unit vector along which it
-    was measured (a straight link does not show where along itself it is); sigma (N,) one standard deviation [m].
-    """
+    """Observations of the arm in one trial."""
 
     times: np.ndarray
     frame: np.ndarray

@@ -14,9 +14,9 @@ ROUNDS = 12  # of the fixed point: each leaves a tenth of what was off, or less
 
 
 def in_arms_frame(points: Points, model: Model) -> Points:
-    """What was read, where it is in the arm's frame as far as that was measured; times stay the camera's.
+    """The points in the arm's frame, as far as the alignment was measured; times stay the camera's.
 
-    For judging whether the real tip was in a box. A rolling shutter is left as it is: it depends on speeds.
+    For the hit test. A rolling shutter is left as it is: it depends on speeds.
     """
     if not model.measured:
         return points

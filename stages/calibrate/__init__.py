@@ -14,7 +14,7 @@ CAMERA = "camera.yaml"  # the camera that a calibration measured, for `calibrate
 
 
 def summary(made: Calibration) -> Summary:
-    """What was measured, and how well."""
+    """The calibration's result with its errors, for the terminal."""
     outcome = made.outcome.iloc[0]
     sentence = (
         f"This calibration cannot be used: {made.reason}"

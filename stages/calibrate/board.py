@@ -48,7 +48,7 @@ class Board:
 
     @property
     def pattern(self) -> cv2.aruco.CharucoBoard:
-        """As OpenCV knows it."""
+        """The pattern as OpenCV's class."""
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
         return cv2.aruco.CharucoBoard(self.squares, self.square, self.marker, dictionary)
 

@@ -46,14 +46,14 @@ def calibrate(
     astray: Annotated[float, Field(gt=1)],
     progress: Progress = lambda share: None,
 ) -> Calibration:
-    """What `camera` really is; its rate and exposure are kept.
+    """Calibration of `camera`, whose rate and exposure are kept.
 
     pictures: of the board tilted in all directions. flat: of the board held in the plane of motion, of which the one
     with most corners is used. Both uint8 (height, width) or (height, width, 3).
 
-    place: of the board in that plane. views: fewest that must be usable. spread: least angle between two of them
-    [rad]. coverage: least share of the picture where corners were seen. rms: largest reprojection error [px]. astray:
-    times the usual error that no view's may be. What misses one of these is in the artifact, with the reason. Raises
+    place: of the board in that plane. views: fewest that must be usable. spread: least angle between two of them [rad].
+    coverage: least share of the picture where corners were seen. rms: largest reprojection error [px]. astray: times
+    the usual error that no view's may be. What misses one of these is in the artifact, with the reason. Raises
     DataError where there is too little to work out anything.
     """
     seen = _looked(pictures, board, progress)

@@ -35,7 +35,7 @@ class Fitted:
 
     @property
     def rms(self) -> float:
-        """Of the distance between measured and projected corners [px]."""
+        """Root mean square distance between measured and projected corners [px]."""
         return rms(np.concatenate(self.errors))
 
 

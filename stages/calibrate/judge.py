@@ -17,7 +17,7 @@ SIDES = ("left", "right", "top", "bottom")
 
 @dataclass(frozen=True)
 class Demands:
-    """As the settings of `calibrate`."""
+    """Acceptance thresholds of a calibration, the settings of `calibrate`."""
 
     views: int
     spread: float

@@ -1,4 +1,4 @@
-"""What is seen of the board in a picture."""
+"""Detection of the board in pictures."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""What a string that hangs at rest tells of itself: how long it is, how far along it its points lie, and when it begins
-to move. Needed where files of others say where points are, and not of which piece of the string."""
+"""A string hanging at rest: its length, the arc lengths of its points, and when it begins to move."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ CHECKS: tuple[Check, ...] = (
 
 
 def findings(measured: Measured) -> list[Finding]:
-    """What all checks find, the worst first; the same in several trials once."""
+    """Findings of all checks, the worst first; the same finding in several trials once."""
     found = merged(finding for check in CHECKS for finding in check(measured))
     return sorted(found, key=lambda finding: list(Severity).index(finding.severity))
 

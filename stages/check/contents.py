@@ -1,4 +1,4 @@
-"""What a dataset holds: rows and trials that are left out, names that are nearly right, noise, how many strings."""
+"""Checks of a dataset's content: rows and trials that are left out, misspelt names, noise, number of strings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a check has to say."""
+"""The result of a check: a finding."""
 
 from __future__ import annotations
 
@@ -39,5 +39,5 @@ class Finding:
 
 
 def full_stop(remedy: str) -> str:
-    """What ends it: nothing behind a command, which is to be pasted."""
+    """The full stop behind a remedy; none behind a command, which is to be pasted."""
     return "" if re.search(r": (python|rm) \S", remedy) else "."

@@ -18,7 +18,7 @@ SLACK = 0.01  # of the length by which a string may seem longer at another shift
 
 
 def shifts(trials: Sequence[Seen]) -> dict[str, float]:
-    """What is to be added to the times of each trial's points [s], none for one without motion.
+    """Time shifts to be added to each trial's points [s], by trial; none for a trial without motion.
 
     The same for all trials where their onsets agree. The latest shift is taken at which points stay about as near to
     the hand as their arc lengths demand: the string follows the hand, so that by the onsets alone it would be early.

@@ -36,7 +36,7 @@ class Seen:
 
     @property
     def name(self) -> str:
-        """Of the trial."""
+        """The trial's name."""
         return self.observation.trial
 
     @property
@@ -159,7 +159,7 @@ class Measured:
         return tuple(Seen(observation, self.arm, self.length) for observation in self.data.trials.values())
 
     def with_points(self) -> Iterator[Seen]:
-        """Those of them of which points were measured."""
+        """The trials with measured points."""
         return (trial for trial in self.trials if len(trial.points))
 
     @property
@@ -169,7 +169,7 @@ class Measured:
         return sum(rows.dropped.values()) / rows.read if rows and rows.read else 0.0
 
     def telling(self) -> Iterator[Seen]:
-        """Those that were seen often enough to tell how they move, and when they begin to."""
+        """The trials with enough points to tell how they move, and when they begin to."""
         return (t for t in self.with_points() if self.rows_lost <= LOST and not t.scarce)
 
     def file(self, name: str) -> str:

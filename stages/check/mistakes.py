@@ -165,7 +165,7 @@ def in_unit(unit: str, factor: float) -> tuple[Mistake, ...]:
 
 
 def scaled(view: View, factor: float, parts: Iterable[str]) -> View:
-    """With parts of it in another unit."""
+    """The view with some of its parts in another unit."""
     return reduce(lambda v, part: SCALE[part](v, factor), parts, view)
 
 
@@ -248,7 +248,7 @@ def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
 
 
 def unknown_arm(measured: Measured) -> list[str]:
-    """What is not said of an arm of which there are joint angles: links, base."""
+    """The fields of an arm (links, base) that dataset.yaml lacks although there are joint angles."""
     told = measured.data.about.get("arm") or {}
     by_joints = any(seen.joints is not None for seen in measured.trials)
     return [key for key in ("links", "base") if key not in told and by_joints]
@@ -277,7 +277,7 @@ def lengths_of(made: tuple[Mistake, ...]) -> float:
 
 
 def instead(likely: list[tuple[Mistake, ...]], here: View) -> str:
-    """What is said of the next best explanation, where two fit."""
+    """The second best explanation in brackets, where two fit; else empty."""
     if len(likely) < 2:
         return ""
     lengths = [reduce(lambda view, mistake: mistake.undone(view), made, here).length for made in likely[:2]]
@@ -297,7 +297,7 @@ def left_strange(made: tuple[Mistake, ...], strange: Iterable[tuple[View, View]]
 
 
 def shown(here: View) -> str:
-    """What is impossible, in numbers."""
+    """The contradiction in numbers."""
     ratio, _ = here.stretch
     far = float(np.median(np.linalg.norm(here.xy - here.grasp, axis=1)))
     return (

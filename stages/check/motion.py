@@ -32,7 +32,7 @@ def frozen(measured: Measured) -> Iterator[Finding]:
 
 
 def _stands(seen: Seen, reading: np.ndarray) -> str:
-    """What is said of a reading that never changes, or for long at once while the others do; else nothing."""
+    """A message on a reading that never changes, or not for long while the others do; else empty."""
     assert seen.joints is not None
     if np.ptp(reading) == 0:
         return "it never changes"

@@ -1,4 +1,4 @@
-"""What is there: one line of numbers for each trial that can be used."""
+"""Overview of a dataset: a row of numbers for each usable trial."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Row:
 
 
 def row(seen: Seen, filmed: np.ndarray | None) -> Row:
-    """Of a trial. filmed: times of its frames (F,) [s], where it has any: they count where no points were measured."""
+    """The overview's row for a trial. filmed: times of its frames (F,) [s], used where no points were measured."""
     t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed
     common = min(t[-1], seen.hand_t[-1]) - max(t[0], seen.hand_t[0])
     path = float(np.linalg.norm(np.diff(seen.pose[:, :2], axis=0), axis=1).sum())
@@ -52,7 +52,7 @@ def per_second(t: np.ndarray) -> float | None:
 
 
 def rows(measured: Measured) -> list[Row]:
-    """Of all trials that can be used."""
+    """The overview's rows, one for each usable trial."""
     films = measured.data.films
     return [row(seen, films[seen.name].t if seen.name in films else None) for seen in measured.trials]
 

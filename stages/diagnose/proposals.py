@@ -19,7 +19,7 @@ from stringcast.stages.inference.discrepancy import marginal
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.solver import LOST
-from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, components, placed
+from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, components, position_dependent
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model
 
@@ -55,7 +55,7 @@ def candidates(base: Model, library: Mapping[str, type[Effect]], trials: Sequenc
         e
         for e in library.values()
         if e not in base.effects
-        and not e.told
+        and not e.excluded
         and not issubclass(e, ModelChange)
         and not (base.camera.lens and issubclass(e, CameraEffect) and e.of_lens)
         and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())
@@ -65,7 +65,7 @@ def candidates(base: Model, library: Mapping[str, type[Effect]], trials: Sequenc
 def proposals(data: Data, parent: Fit, effects: Sequence[type[Effect]], seed: int) -> list[Proposal]:
     """Of each effect beside those at work, the most promising first; none of what can act nowhere in these trials."""
     linear = _Linear(data, parent)
-    found = [_placed(linear, e, seed) if placed(e) else _anywhere(linear, e, seed) for e in effects]
+    found = [_placed(linear, e, seed) if position_dependent(e) else _anywhere(linear, e, seed) for e in effects]
     return sorted((each for each in found if each is not None), key=lambda each: -each.gain)
 
 

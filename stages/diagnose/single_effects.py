@@ -22,7 +22,7 @@ from stringcast.stages.diagnose.predictions import Prediction, predicted
 from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
-from stringcast.stages.model.effect import Effect, placed
+from stringcast.stages.model.effect import Effect, position_dependent
 
 log = logging.getLogger(__name__)
 
@@ -154,7 +154,7 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
 
 def _touches_once(cause: type[Effect], acts: np.ndarray) -> bool:
     """Whether a cause depends on place and acts in one trial alone. acts: how far it moves each tip [m], (K,)."""
-    return placed(cause) and int((acts > TOUCHES).sum()) == 1
+    return position_dependent(cause) and int((acts > TOUCHES).sum()) == 1
 
 
 def unexplained(data: Data, fit: Fit) -> np.ndarray:

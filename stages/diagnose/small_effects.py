@@ -18,7 +18,7 @@ from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import SIZES, log_prior
 from stringcast.stages.inference.evidence import Data, Fit
 from stringcast.stages.inference.solver import LOST
-from stringcast.stages.model.effect import Effect, components, placed
+from stringcast.stages.model.effect import Effect, components, position_dependent
 
 SMALL = SIZES[SIZES < 2e-3]  # [m] of W0: more is not small
 TRIED = 0.01  # of the way from absent to the end of a range: about linear
@@ -38,7 +38,7 @@ def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarr
     nothing but where they touch."""
     found = [np.zeros((0, sum(2 * len(d.variance) for d in data.discrepancies)))]
     for effect in effects:
-        if placed(effect) or effect in fit.hypothesis.causes:
+        if position_dependent(effect) or effect in fit.hypothesis.causes:
             continue
         hypothesis = fit.hypothesis.joined(effect)
         start = hypothesis.carried(fit.named)

@@ -118,10 +118,10 @@ def causes(
         effect, common = library[name], {"effect": name, "probability": judgement.inclusion.get(name, 0.0)}
         if issubclass(effect, ModelChange):
             nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
-            rows.append(common | {"sentence": effect.words({}), "parameter": "", "at_least": False, **nothing})
+            rows.append(common | {"sentence": effect.describe({}), "parameter": "", "at_least": False, **nothing})
             continue
         fit = fit_with(found, judgement, name)
-        common["sentence"] = effect.words(fit.of(effect))
+        common["sentence"] = effect.describe(fit.of(effect))
         rows += [common | row for row in _parameters(fit, effect, tempered[name], z)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 

@@ -1,1 +1,1 @@
-"""What was learned of a string, for other programs."""
+"""Export of estimated strings to other programs."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stringcast.data.schema import DataError
-from stringcast.stages.model.effect import Effect, StringEffect, placed
+from stringcast.stages.model.effect import Effect, StringEffect, position_dependent
 from stringcast.stages.model.equilibrium import hanging
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.stability import vector_sum
@@ -90,7 +90,7 @@ def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
 def refuse(effects: Sequence[type[Effect]]) -> None:
     """Raise DataError for effects on a string that cannot be carried over."""
     for effect in effects:
-        if effect not in BASE and (placed(effect) or not set(effect.laws()) <= SAID):
+        if effect not in BASE and (position_dependent(effect) or not set(effect.laws()) <= SAID):
             raise DataError(
                 f"effect '{effect.name}': MuJoCo has no such law ({', '.join(effect.laws())}). Estimate the string "
                 "again without it, and export that."
@@ -98,7 +98,7 @@ def refuse(effects: Sequence[type[Effect]]) -> None:
 
 
 def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, Any]]:
-    """What each link is made of, from the grasp to the tip. over: mass per length [kg/m]."""
+    """The properties of each link, from the grasp to the tip. over: mass per length [kg/m]."""
     string = model.string
     named = {name: float(material[0, place]) for place, name in enumerate(string.rows)}
     length = float(string.segments(material)[0])

@@ -10,7 +10,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Film
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.model import Model
 

@@ -86,7 +86,7 @@ def _begun(ready: Case, known: bool) -> State:
         seen = kinematics(*first, float(np.median(ready.sigma)) if known else None, length)
     except DataError as error:
         raise DataError(f"trial {ready.name}: {error}") from error
-    return initial_state(ready.motion.really(ready.model.arm, ()), length, ready.times, seen)
+    return initial_state(ready.motion.actual(ready.model.arm, ()), length, ready.times, seen)
 
 
 def motion_of(observation: Observation) -> JointMotion | HandMotion:

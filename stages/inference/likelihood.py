@@ -93,6 +93,6 @@ def _begins(trial: Case) -> float:
     """When a trial's string begins to move, with its hand or before [s]."""
     if trial.initial is not None:
         return float(trial.times[0])
-    hand, length = trial.motion.really(trial.model.arm, ()), trial.model.string.length
+    hand, length = trial.motion.actual(trial.model.arm, ()), trial.model.string.length
     away = np.abs((hand.pose[0] - hand.pose[0, 0]) * [1.0, 1.0, length]).max(axis=1)
     return hand.start + hand.tick * float(np.argmax(away > STILL * length))

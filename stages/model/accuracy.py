@@ -79,7 +79,7 @@ def remaining(before: np.ndarray, after: np.ndarray, order: int) -> np.ndarray:
 
 
 def extrapolated(coarse: np.ndarray, fine: np.ndarray, order: int = ORDER_IN_POINTS) -> np.ndarray:
-    """What two results converge to, the second of twice as many parts and half the step. Any shape."""
+    """Richardson's limit of two results of any shape, the second with twice as many parts and half the step."""
     return fine + (fine - coarse) / (2**order - 1)
 
 

@@ -44,7 +44,8 @@ class Arm:
         return float(sum(self.links))
 
     def commanded(self, angles: np.ndarray) -> np.ndarray:
-        """What the arm is told, (..., K, J) [rad/s]: a tick's mean, zero at the end. angles: likewise [rad]."""
+        """Commanded joint velocities (..., K, J) [rad/s]: each the mean over its tick, zero at the end. angles: (...,
+        K, J) [rad]."""
         return np.concatenate([np.diff(angles, axis=-2) / self.tick, np.zeros_like(angles[..., :1, :])], axis=-2)
 
     def joints(self, angles: np.ndarray) -> np.ndarray:

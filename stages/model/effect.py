@@ -1,8 +1,8 @@
-"""What an effect is: one physical cause, one class, one file, with all that anybody asks of it.
+"""Effects: one physical cause is one class in one file, with its law, parameters, description, reference and picture.
 
 A file of `stages/model/effects/` (or of a folder named in STRINGCAST_EFFECTS) holds one class
 and is called like it. From it come the name, the parameters with units and bounds, the law,
-its sentence and picture for a report, its reference, and the symmetries that tests hold it
+its description and picture for a report, its reference, and the invariants that tests hold it
 to. An effect whose parameters are at their start is absent.
 
 There is a base class for each place where something can be other than the paper says: on the
@@ -33,11 +33,8 @@ import numpy as np
 
 from stringcast.stages.model import picture
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.picture import line
-from stringcast.stages.model.slots import SLOTS, Law, Quantity, arguments
-from stringcast.stages.model.symmetry import (
-    Symmetry,
+from stringcast.stages.model.invariants import (
+    Invariant,
     brakes,
     carried,
     even,
@@ -45,11 +42,14 @@ from stringcast.stages.model.symmetry import (
     never_negative,
     nothing_at_zero,
     odd,
+    reduces_to,
     resists,
     turns,
     turns_about_centre,
-    unmoved,
 )
+from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.picture import line
+from stringcast.stages.model.slots import SLOTS, Law, Quantity, arguments
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,15 +61,16 @@ Values = Mapping[str, float]  # of parameters, by name
 # All that an effect's file imports, beside numpy.
 __all__ = [
     "Axes", "Camera", "CameraEffect", "ClockEffect", "Effect", "HandEffect", "ModelChange", "Parameter", "Quantity",
-    "StringEffect", "Values", "another", "beside_weight", "brakes", "carried", "components", "even", "follows", "line",
-    "never_negative", "nothing_at_zero", "odd", "placed", "resists", "turns", "turns_about_centre", "unmoved",
+    "StringEffect", "Values", "beside_weight", "brakes", "carried", "components", "even", "follows", "line",
+    "never_negative", "nothing_at_zero", "numbered", "odd", "position_dependent", "reduces_to", "resists", "turns",
+    "turns_about_centre",
 ]  # fmt: skip
 
 
 class Effect(ABC):
     """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
 
-    told: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, what `align`
+    excluded: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, what `align`
     measures beforehand, or what looks like another that is looked for. of_string: it is of the thing itself, and not of
     how a simulation divides it.
     """
@@ -77,18 +78,18 @@ class Effect(ABC):
     name: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     reference: ClassVar[str]
-    symmetries: ClassVar[tuple[Symmetry, ...]] = ()
-    told: ClassVar[bool] = False
+    invariants: ClassVar[tuple[Invariant, ...]] = ()
+    excluded: ClassVar[bool] = False
     of_string: ClassVar[bool] = True
 
     @staticmethod
     @abstractmethod
-    def words(values: Values) -> str:
-        """What is so, in a sentence without a full stop."""
+    def describe(values: Values) -> str:
+        """The effect with these parameters as a sentence without a full stop."""
 
     @staticmethod
     def plausible(values: Values) -> bool:
-        """Whether such values can be what the words say, and not something else in their guise. By own names."""
+        """Whether the values are those of the cause that `describe` names, and not of another one in its guise."""
         return True
 
     @classmethod
@@ -125,14 +126,15 @@ class StringEffect(Effect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Its first law over the first of the slot's arguments that it takes, or the loop of what has a memory."""
+        """The effect's first law over the first of the slot's arguments that it takes, or the loop of what has a
+        memory."""
         paper = any(p.per_length for p in cls.parameters)
         units = {p.unit: values[p.name] for p in cls.parameters}
         picture.law(axes, cls.laws(), {**values, **cls.derived(**values)}, units, of_a_point=paper)
 
     @staticmethod
     def derived(*_: Quantity, **parameters: Quantity) -> dict[str, Quantity]:
-        """What laws need of the parameters alone, computed once for each candidate and not in the loop."""
+        """Quantities of the parameters alone that laws need, computed once for each candidate and not in the loop."""
         return {}
 
 
@@ -153,7 +155,7 @@ class HandEffect(Effect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """What a joint does while a swing is reported, dashed."""
+        """The actual swing of a joint, dashed, beside the reported one."""
         picture.swing(axes, cls.laws()["joints"], list(values.values()))
 
 
@@ -227,8 +229,8 @@ Made = TypeVar("Made", bound=Effect)
 
 
 @cache
-def another(effect: type[Made], number: int) -> type[Made]:
-    """The effect once more, its name with a number: several of a kind can then be at work side by side."""
+def numbered(effect: type[Made], number: int) -> type[Made]:
+    """The effect under a numbered name, so that several of a kind can be active side by side."""
     return cast("type[Made]", type(f"{effect.__name__}{number}", (effect,), {"name": f"{effect.name}_{number}"}))
 
 
@@ -244,6 +246,6 @@ def beside_weight(moment: float) -> float:
 
 
 @cache
-def placed(effect: type[Effect]) -> bool:
+def position_dependent(effect: type[Effect]) -> bool:
     """Whether one of an effect's laws depends on where the string is."""
     return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())

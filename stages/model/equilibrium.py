@@ -10,7 +10,7 @@ the destabilising part of gravity left out of the matrix until close to the solu
 string that leaves an upright hand then falls to a stable side rather than stand on its end.
 The laws are asked for their tangents, by which the shape is sought in compiled code, and again
 where that leads, until nothing turns: twice or three times where they are straight.
-Where forces depend on the place, for the string leans on something, see `leaning`.
+Where forces depend on the place, for the string leans on something, see `contact_equilibrium`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from stringcast.stages.model.effect import placed
-from stringcast.stages.model.leaning import leaning
+from stringcast.stages.model.contact_equilibrium import contact_equilibrium
+from stringcast.stages.model.effect import position_dependent
 from stringcast.stages.model.statics import (
     ENOUGH,
     FLOOR,
@@ -44,7 +44,7 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     touches something, or is pulled, it is sought anew.
     """
     pose = np.broadcast_to(pose, (len(material), 3))
-    free, own = string.only(tuple(e for e in string.effects if not placed(e)), material)
+    free, own = string.only(tuple(e for e in string.effects if not position_dependent(e)), material)
     angles, lengths = _settled(free, own, pose)
     if free.effects != string.effects:
         with_all, without = (
@@ -52,7 +52,7 @@ def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
         )
         held = np.any(with_all != without, axis=(1, 2))
         if held.any():
-            angles[held], lengths[held] = leaning(string, material[held], pose[held])
+            angles[held], lengths[held] = contact_equilibrium(string, material[held], pose[held])
     return angles, lengths
 
 

@@ -39,7 +39,7 @@ class HandMotion:
         return self.start + (self.pose.shape[1] - 1) * self.tick
 
     def lasting(self, until: float) -> HandMotion:
-        """With rest after its last pose, until a time [s] or as long as anything lags behind it."""
+        """The motion with rest after its last pose, until a time [s] or as long as anything lags behind it."""
         return HandMotion(self.start, self.tick, *_rested(self.pose, self.rate, until - self.end, self.tick))
 
     def since(self, begin: float | np.ndarray) -> HandMotion:
@@ -60,8 +60,8 @@ class HandMotion:
         rate = np.where((ticks == place)[..., None], rate / self.tick, 0.0)
         return HandMotion(float(begin) if np.ndim(begin) == 0 else 0.0, self.tick, pose, rate)
 
-    def really(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
-        """The motion that really happened when the hand's effects acted. Raises DataError if one needs joints."""
+    def actual(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
+        """The hand's actual motion with effects on the grasp. Raises DataError if one needs joint angles."""
         motion = self
         for effect, parameters in acts:
             if "grasp" not in effect.laws():
@@ -84,7 +84,7 @@ class JointMotion:
     speeds: np.ndarray
 
     def lasting(self, until: float) -> JointMotion:
-        """With rest after its last sample, until a time [s] or as long as anything lags behind it."""
+        """The motion with rest after its last sample, until a time [s] or as long as anything lags behind it."""
         end = self.start + (self.angles.shape[1] - 1) * self.tick
         return JointMotion(self.start, self.tick, *_rested(self.angles, self.speeds, until - end, self.tick))
 
@@ -93,7 +93,7 @@ class JointMotion:
         return HandMotion(self.start, self.tick, arm.grasp(self.angles), arm.grasp_velocity(self.angles, self.speeds))
 
     def joints(self, acts: Sequence[Act]) -> JointMotion:
-        """The joints' motion that really happened when effects acted on them."""
+        """The joints' actual motion with effects on them."""
         motion = self
         for effect, parameters in acts:
             if "joints" in effect.laws():
@@ -101,10 +101,10 @@ class JointMotion:
                 motion = JointMotion(self.start, self.tick, angles, speeds)
         return motion
 
-    def really(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
-        """The hand's motion that really happened: effects on joints first, then those on the grasp."""
+    def actual(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
+        """The hand's actual motion with effects on the joints, then those on the grasp."""
         later = [act for act in acts if "joints" not in act[0].laws()]
-        return self.joints(acts).grasp(arm).really(arm, later)
+        return self.joints(acts).grasp(arm).actual(arm, later)
 
 
 def hand_motion(arm: Arm, t: np.ndarray, angles: np.ndarray, tick: float = HAND_TICK) -> HandMotion:

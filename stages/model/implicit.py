@@ -34,7 +34,7 @@ from textwrap import indent
 
 import numpy as np
 
-from stringcast.stages.model import turn
+from stringcast.stages.model import rotation
 from stringcast.stages.model.integrator import Integrator, Slopes
 
 AHEAD = 10.0  # [1/m] by which a hinge may bend in a step
@@ -163,11 +163,11 @@ class ImplicitLeapfrog(Integrator):
     rows: tuple[str, ...] = ROWS
     velocity: tuple[str, ...] = ("qx = B[VX + p] + 0.5 * B[DVX + p]", "qy = B[VY + p] + 0.5 * B[DVY + p]")
     averaged: tuple[str, ...] = ("hinge_stiffness", "hinge_drag", "held_moment", "grasp_held_moment")
-    turned: str = field(default=turn.ANY, repr=False)
+    turned: str = field(default=rotation.ANY, repr=False)
     solve: str = field(default=SOLVE, repr=False)
 
     def explicit(self, steepest: np.ndarray, gentlest: np.ndarray) -> np.ndarray:
-        """What exceeds the linear part."""
+        """The slope beyond the linear part, (C,)."""
         return steepest - gentlest
 
     def hinge(self, slots: Sequence[str], law: Callable[[str, str], str]) -> list[str]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stringcast.stages.model import turn
+from stringcast.stages.model import rotation
 
 Slopes = Callable[
     [], tuple[np.ndarray, np.ndarray]
@@ -37,7 +37,7 @@ class Integrator:
     rows: tuple[str, ...] = ()
     velocity: tuple[str, ...] = ("qx = B[VX + p]", "qy = B[VY + p]")
     averaged: tuple[str, ...] = ()
-    turned: str = field(default=turn.SMALL, repr=False)
+    turned: str = field(default=rotation.SMALL, repr=False)
     solve: str = field(default="", repr=False)
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
@@ -49,7 +49,8 @@ class Integrator:
         raise NotImplementedError
 
     def explicit(self, steepest: np.ndarray, gentlest: np.ndarray) -> np.ndarray:
-        """What of a law's slope limits the step: all of it. steepest, gentlest: (C,) over the string's range."""
+        """The part of a law's slope that limits the step: all of it. steepest, gentlest: (C,) over the string's
+        range."""
         return steepest
 
     def hinge(self, slots: Sequence[str], law: Callable[[str, str], str]) -> list[str]:
@@ -60,7 +61,7 @@ class Integrator:
         return []
 
     def constants(self, masses: np.ndarray, segment: np.ndarray, slopes: Slopes, dt: float) -> Mapping[str, np.ndarray]:
-        """What to fill own rows with before the first step of dt [s], (C, 1 to n) each.
+        """Constants of the integrator's own rows before the first step of dt [s], by row, (C, 1 to n) each.
 
         masses: (C, n) over mass per length [m]. segment: (C,) rest length [m]. slopes: finds what may be averaged.
         """

@@ -239,7 +239,7 @@ def _sum(slots: Slots, slot: str, names: Sequence[str], more: Mapping[str, str] 
 
 
 def _factor(slot: str) -> str:
-    """What a slot that is per an argument of another is multiplied by."""
+    """The factor of a slot whose laws are per an argument of another slot."""
     other, argument = PER[slot]
     return EXPRESSIONS[other][argument]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from stringcast.stages.model import effects as package
-from stringcast.stages.model.effect import Effect, another
+from stringcast.stages.model.effect import Effect, numbered
 
 VARIABLE = "STRINGCAST_EFFECTS"  # folders with more effects, separated as in PATH
 MOST = 100  # effects of a model: three times the library; the generated loop nests an expression for each
@@ -36,8 +36,8 @@ def named(names: Sequence[str]) -> tuple[type[Effect], ...]:
     if len(names) > MOST:
         raise UnknownEffectError(f"{len(names)} effects are asked for, {MOST} at most are compiled into one loop")
     known = library()
-    numbered = [(known[kind], number) for kind, number in map(kind_of, names)]
-    return tuple(effect if number == 1 else another(effect, number) for effect, number in numbered)
+    asked = [(known[kind], number) for kind, number in map(kind_of, names)]
+    return tuple(effect if number == 1 else numbered(effect, number) for effect, number in asked)
 
 
 def kind_of(name: str) -> tuple[str, int]:

@@ -79,7 +79,7 @@ class Model:
 
     @cached_property
     def _divided(self) -> dict[int, Model]:
-        """What was asked of `divided`."""
+        """Cache of `divided`."""
         return {}
 
     @cached_property
@@ -87,10 +87,10 @@ class Model:
         """All parameters, with qualified names: the string's first."""
         others = (replace(p, name=e.qualified(p)) for e in self._beyond for p in e.parameters)
         every = (*self.string.parameters, *others)
-        return tuple(self._told(p) for p in every)
+        return tuple(self._with_known(p) for p in every)
 
-    def _told(self, parameter: Parameter) -> Parameter:
-        """A parameter with what is known of it."""
+    def _with_known(self, parameter: Parameter) -> Parameter:
+        """The parameter with the start and range that are known of it."""
         low, high = self.measured.get(parameter.name, (parameter.low, parameter.high))
         return replace(parameter, low=low, high=high, start=self.known.get(parameter.name, parameter.start))
 
@@ -104,11 +104,11 @@ class Model:
         return np.array([named.get(p.name, p.start) for p in self.parameters])
 
     def hand(self, motion: JointMotion | HandMotion, values: np.ndarray) -> HandMotion:
-        """The hand's motion that really happened, one for all candidates or one each. values: (C, P)."""
-        return motion.really(self.arm, self._acts(values))
+        """The hand's actual motion, one for all candidates or one each. values: (C, P)."""
+        return motion.actual(self.arm, self._acts(values))
 
     def joints(self, motion: JointMotion, values: np.ndarray) -> JointMotion:
-        """The joints' motion that really happened. values: (C, P)."""
+        """The joints' actual motion. values: (C, P)."""
         return motion.joints(self._acts(values))
 
     def true(
@@ -148,13 +148,14 @@ class Model:
         return np.concatenate([times - MOMENT, times, after], axis=-1)
 
     def _on_arm(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """What the arm's clock shows at these times of the camera's (F,), (F,) or (C, F) [s]."""
+        """Times of the arm's clock [s] at times of the camera's (F,), (F,) or (C, F)."""
         for effect in self.clock_effects:
             times = effect.times(times, **self._given(effect, values, 2))
         return times
 
     def reported(self, points: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """What the camera reports of true points at `moments`, (C, M, n, 2) [m]. times: (F,). Returns (C, F, n, 2)."""
+        """Points that the camera reports, (C, F, n, 2) [m]. points: true ones at `moments`, (C, M, n, 2). times: (F,)
+        [s]."""
         if not self.camera_effects:
             return points
         before, now, after = np.split(points, 3, axis=1)

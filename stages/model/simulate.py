@@ -52,7 +52,7 @@ def simulate(
     position = (times - hand.start) / hand.tick
     last = asked(position)
     poses, rates = _lasting(hand, int(last.max()) + 1)
-    steps, possible = steps_per_tick(*string.at_work(material), hand.tick)
+    steps, possible = steps_per_tick(*string.active(material), hand.tick)
     parts = []
     for level in np.unique(steps[possible]):
         chosen = np.flatnonzero(possible & (steps == level))
@@ -123,7 +123,7 @@ def _run(
     own = pose if len(pose) == 1 else pose[index]
     start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
     angles, lengths, velocity, hung = (part[index] for part in start)
-    working, acting = string.at_work(material[index])
+    working, acting = string.active(material[index])
     chain = (working.masses(acting)[0], working.segments(acting), partial(averaged, working, acting))
     constants = string.integrator.constants(*chain, hand.tick / steps)
     let_back = 0.0 if initial is None else np.broadcast_to(initial.let_back, count)[index][:, None]
@@ -148,7 +148,7 @@ def _run(
 
 def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, ...]:
     """Angles and lengths of the segments in equilibrium, velocities of the points: none, and angles. As `_moving`."""
-    angles, lengths = hanging(*string.at_work(material), pose[:, 0])
+    angles, lengths = hanging(*string.active(material), pose[:, 0])
     return angles, lengths, np.zeros((len(material), string.points, 2)), angles
 
 
@@ -171,7 +171,7 @@ def _moving(
     relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
     hand = np.broadcast_to(rate[:, :1, :2], (len(material), 1, 2))
     velocity = np.concatenate([hand, hand + relative], axis=1)
-    hung = hanging(*string.at_work(material), pose[:, 0])[0] if any(map(string.holds, HELD)) else angles
+    hung = hanging(*string.active(material), pose[:, 0])[0] if any(map(string.holds, HELD)) else angles
     return angles, lengths, velocity, hung
 
 

@@ -72,5 +72,5 @@ def arguments(law: Callable[..., object]) -> tuple[str, ...]:
 
 
 def taken(law: Callable[..., object], known: Mapping[str, Quantity]) -> dict[str, Quantity]:
-    """Those of the known arguments that a law takes."""
+    """The known arguments that a law takes."""
     return {name: known[name] for name in arguments(law) if name in known}

@@ -28,7 +28,7 @@ class State:
     let_back: float | np.ndarray = 0.0
 
     def at(self, t: float | np.ndarray) -> State:
-        """The same state at another time, of another clock for instance."""
+        """The state at another time, of another clock for instance."""
         return replace(self, t=t)
 
     def counted(self, times: np.ndarray) -> np.ndarray:
@@ -36,14 +36,14 @@ class State:
         return times if np.ndim(self.t) == 0 else times - np.asarray(self.t)[:, None]
 
     def of(self, chosen: np.ndarray | slice) -> State:
-        """Of some candidates, whose numbers are given."""
+        """The states of some candidates, by number."""
         t, let_back = (each if np.ndim(each) == 0 else np.asarray(each)[chosen] for each in (self.t, self.let_back))
         s, angle, rate = (each if each.ndim == 1 else each[chosen] for each in (self.s, self.angle, self.rate))
         return State(t, s, angle, rate, let_back)
 
     def led_on(self, before: np.ndarray, direction: np.ndarray, turning: np.ndarray) -> State:
-        """With what lies before the stated grasp, (C,) [m] long: it bends evenly, to a direction [rad] that turns at a
-        rate [rad/s], (C,) each."""
+        """The state of a string that begins before the stated grasp, by (C,) [m]: it bends evenly, to a direction [rad]
+        that turns at a rate [rad/s], (C,) each."""
 
         def grown(end: np.ndarray, part: np.ndarray) -> np.ndarray:
             rows = np.broadcast_to(part, (len(before), part.shape[-1]))

@@ -1,4 +1,4 @@
-"""What acts on a string at rest, for whatever seeks its equilibrium: forces, moments and how they change.
+"""Statics of a string: forces and moments at rest, and their derivatives, for the solvers of its equilibrium.
 
 A string is here the angles phi [rad] (continuous from the grasp) and lengths l [m] of its segments, (C, n - 1) each,
 and hangs from a pose (C, 3) of the grasp. Forces are over the nominal mass per length [m^2/s^2].
@@ -109,12 +109,13 @@ def moments(chain: Chain, theta: np.ndarray, angles: np.ndarray) -> tuple[np.nda
 
 
 def curvatures(chain: Chain, angles: np.ndarray) -> np.ndarray:
-    """Of the hinges, beyond that at rest, (C, n - 2) [1/m]. angles: (C, n - 1) of the segments [rad]."""
+    """Curvatures of the hinges beyond those at rest, (C, n - 2) [1/m]. angles: (C, n - 1) of the segments [rad]."""
     return (angles[:, 1:] - angles[:, :-1]) / chain.segment - chain.curved
 
 
 def grasp_angle(chain: Chain, theta: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Of the hinge there, beyond that at rest, (C, 1) [rad]. theta: (1 or C,) of the hand. angles: (C, n - 1)."""
+    """Angle of the hinge at the grasp beyond that at rest, (C, 1) [rad]. theta: (1 or C,) of the hand. angles: (C, n -
+    1)."""
     return angles[:, :1] - theta[:, None] - chain.turned
 
 

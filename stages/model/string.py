@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from stringcast.stages.model.effect import StringEffect, placed
+from stringcast.stages.model.effect import StringEffect, position_dependent
 from stringcast.stages.model.effects.air_drag import AirDrag
 from stringcast.stages.model.effects.axial_damper import AxialDamper
 from stringcast.stages.model.effects.axial_spring import AxialSpring
@@ -92,7 +92,7 @@ class String:
         derived = (f"{e.name}.{d}" for e in self.effects for d in e.derived(**{p.name: p.start for p in e.parameters}))
         return (*self.names, *derived, *(HIDDEN if self._hides else ()))
 
-    def at_work(self, material: np.ndarray) -> tuple[String, np.ndarray]:
+    def active(self, material: np.ndarray) -> tuple[String, np.ndarray]:
         """The string without effects that are absent in every candidate, whose laws add nothing, and its material.
 
         For what is found before the first step, whose price goes with the number of laws. material: (C, rows).
@@ -121,7 +121,7 @@ class String:
     @cached_property
     def _removable(self) -> dict[type[StringEffect], list[int]]:
         """Places of the parameters of effects that add nothing where they are absent; none for all others."""
-        stay = {e for e in self.effects if e in BASE or placed(e)}
+        stay = {e for e in self.effects if e in BASE or position_dependent(e)}
         return {e: [] if e in stay else [self.names.index(e.qualified(p)) for p in e.parameters] for e in self.effects}
 
     @cached_property
@@ -202,7 +202,8 @@ class String:
         return any({*names} & {*taken} for slot in slots for _, taken, _ in self._laws.get(slot, ()))
 
     def added(self, slot: str, material: np.ndarray, given: Mapping[str, np.ndarray]) -> Iterator[Any]:
-        """What each law in a slot adds. material: (C, rows). given: the slot's arguments by name, (1 or C, M) each."""
+        """The contribution of each law in a slot. material: (C, rows). given: the slot's arguments by name, (1 or C, M)
+        each."""
         for law in self._laws.get(slot, ()):
             yield _value(law, material, given)
 
@@ -218,11 +219,11 @@ class String:
         before: Sequence[np.ndarray] | None = None,
         lapse: float = np.inf,
     ) -> list[np.ndarray]:
-        """What hinges hold after a change of curvature, or the grasp after one of angle, for each effect with a memory,
-        (1 or C, M) each [1/m] or [rad].
+        """The state of each effect with a memory after a change of curvature, or of the grasp's angle, (1 or C, M) each
+        [1/m] or [rad].
 
-        slot: that of the moment. material: (C, rows). change: (1 or C, M), in a time `lapse` [s]. before: what each of
-        them held, (1 or C, M); nothing, if it is not given: with the lapse as it is, it was bent slowly from straight.
+        slot: that of the moment. material: (C, rows). change: (1 or C, M), in a time `lapse` [s]. before: the states
+        before it, (1 or C, M) each; if not given, zero: with the lapse as it is, it was bent slowly from straight.
         """
         laws = self._laws.get(HELD[slot][0], [])
         known = {"change": change, "dt": np.full((1, 1), lapse)}
@@ -235,9 +236,9 @@ class String:
             yield _value(law, material, {"held": state})
 
     @cached_property
-    def _laws(self) -> dict[str, list[Placed]]:
+    def _laws(self) -> dict[str, list[BoundLaw]]:
         """The laws in each slot."""
-        found: dict[str, list[Placed]] = {}
+        found: dict[str, list[BoundLaw]] = {}
         for effect in self.effects:
             for slot, law in effect.laws().items():
                 names = arguments(law)
@@ -274,11 +275,11 @@ class String:
 
 
 # A law, the names of what it takes, and the rows of `material` where those of them that are parameters are.
-Placed = tuple[Law, tuple[str, ...], dict[str, int]]
+BoundLaw = tuple[Law, tuple[str, ...], dict[str, int]]
 
 
-def _value(placed: Placed, material: np.ndarray, given: Mapping[str, np.ndarray]) -> Any:
+def _value(bound: BoundLaw, material: np.ndarray, given: Mapping[str, np.ndarray]) -> Any:
     """A law's value for all candidates. material: (C, rows). given: the slot's arguments, (1 or C, M) each."""
-    law, names, places = placed
+    law, names, places = bound
     parameters = {name: material[:, place, None] for name, place in places.items()}
     return law(**{name: given[name] for name in names if name in given}, **parameters)

@@ -1,8 +1,4 @@
-"""What comes out of a job, and how sure its mean over the seeds is.
-
-Jobs of one seed share the same chance events, so the seed is what is repeated: a mean is taken over the other factors
-for each seed, and the interval is that of the mean over the seeds.
-"""
+"""Results of a job, and the uncertainty of their mean over the seeds."""
 
 from __future__ import annotations
 

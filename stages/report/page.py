@@ -79,7 +79,7 @@ class Table(Part):
 
 @dataclass(frozen=True)
 class Key(Part):
-    """What colours mean: words, and a CSS colour or the class of a mark."""
+    """The key of colours: words, and a CSS colour or the class of a mark."""
 
     entries: Sequence[tuple[str, str]]
 
@@ -120,7 +120,7 @@ class Grid(Part):
 
 @dataclass(frozen=True)
 class Details(Part):
-    """What is folded away behind a line."""
+    """A block that is folded away behind a line."""
 
     summary: str
     parts: Sequence[Part]
@@ -214,7 +214,7 @@ HERE_IN_WORDS = "{here}"  # in a command: the page's own folder, which the reade
 
 @dataclass(frozen=True)
 class Commands(Part):
-    """What can be done next: why, and what to paste, in which HERE_IN_WORDS may stand."""
+    """Commands to go on with: why, and what to paste, in which HERE_IN_WORDS may stand."""
 
     commands: Sequence[tuple[str, str]]
 

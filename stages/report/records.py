@@ -1,4 +1,4 @@
-"""What pages are made from."""
+"""The data that pages are made from."""
 
 from __future__ import annotations
 

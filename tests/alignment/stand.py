@@ -11,7 +11,7 @@ from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, SPEEDS, M
 from stringcast.hardware.virtual.servo import Servo
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import measuring
-from stringcast.stages.model.body import arm_seen
+from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import JointMotion, joint_motion
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model

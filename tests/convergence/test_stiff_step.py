@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from stringcast.stages.model import turn
+from stringcast.stages.model import rotation
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
@@ -91,7 +91,7 @@ def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does():
     assert simulate(bent, HAND, values, T).finite.all()
 
 
-@pytest.mark.parametrize(("text", "most", "error"), [(turn.SMALL, 26.5, 2e-10), (turn.ANY, 179.9, 1e-10)])
+@pytest.mark.parametrize(("text", "most", "error"), [(rotation.SMALL, 26.5, 2e-10), (rotation.ANY, 179.9, 1e-10)])
 def test_the_turn_of_a_segment_is_its_arc_tangent(text, most, error):
     module = {"njit": numba.njit, "np": np, "LAW": {}}
     exec(text, module)

@@ -52,7 +52,7 @@ class Magnet(StringEffect):
     reference = "a test"
 
     @staticmethod
-    def words(values):
+    def describe(values):
         """What is so."""
         return f"a magnet pulls with {values['pull']:.1f} m/s2"
 
@@ -111,8 +111,8 @@ def test_joints_that_lag_arrive_though_the_log_ends_with_the_motion(arm, camera)
     ready = case(Model(STRING, arm, camera), short)
     acts = [(library()["arm_lag"], {"time_constant": np.full((1, 1, 1), 0.02)})]
     there = arm.grasp(braking[-1])[:2]
-    stops = joint_motion(t, braking).really(arm, acts).pose[0, -1, :2]
-    arrives = ready.motion.really(arm, acts)
+    stops = joint_motion(t, braking).actual(arm, acts).pose[0, -1, :2]
+    arrives = ready.motion.actual(arm, acts)
     assert arrives.end >= ready.times[-1]
     assert np.linalg.norm(stops - there) > 2e-3
     assert np.linalg.norm(arrives.pose[0, -1, :2] - there) < 1e-5
@@ -135,7 +135,7 @@ def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(tmp_path, monkeypa
     (tmp_path / "magnet.py").write_text(MAGNET)
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     magnet = library()["magnet"]
-    assert magnet.words({"pull": 3.0}) == "a magnet pulls with 3.0 m/s2"
+    assert magnet.describe({"pull": 3.0}) == "a magnet pulls with 3.0 m/s2"
     model = Model(STRING, arm, camera).with_effects(magnet)
     t = np.linspace(0, 1, 21)
     values = np.stack([model.values(TRUTH | {"magnet.pull": pull}) for pull in (0.0, 5.0)])

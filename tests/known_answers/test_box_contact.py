@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from stringcast.stages.model.effect import another
+from stringcast.stages.model.effect import numbered
 from stringcast.stages.model.effects.box_contact import BoxContact
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.integrator import RungeKutta4
@@ -164,7 +164,7 @@ LIMP = {
 
 def swung(boxes, t, **how):
     """An undamped string of 10 points whose hand moves 0.2 m sideways in 0.25 s and stops, (F, n, 2) [m]."""
-    effects = [another(BoxContact, i) for i in range(len(boxes))]
+    effects = [numbered(BoxContact, i) for i in range(len(boxes))]
     string = String(LENGTH, effects=(*BASE, *effects), integrator=RungeKutta4(), largest_step=5e-5)
     sizes = {f"{e.name}.{k}": v for e, box in zip(effects, boxes, strict=True) for k, v in (box | how).items()}
     along = 0.1 * (1 - np.cos(np.pi * np.clip(t / 0.25, 0, 1)))

@@ -339,7 +339,7 @@ def test_a_hand_that_lags_arrives_while_it_rests():
     acts = [(ArmLag, {"time_constant": np.full((1, 1, 1), 0.02)})]
     goal = pose[-1, 0]
     left = goal - np.array(
-        [motion.lasting(T[-1] + more).really(None, acts).pose[0, -1, 0] for more in (0.0, 0.02, 0.04)]
+        [motion.lasting(T[-1] + more).actual(None, acts).pose[0, -1, 0] for more in (0.0, 0.02, 0.04)]
     )
     assert left[1:] / left[:-1] == pytest.approx(np.exp(-1), rel=0.02)
     assert motion.lasting(0.5).end == motion.end
@@ -512,4 +512,4 @@ def test_the_last_of_equal_points_is_half_a_segment_too_much():
     same = half.true(motion, half.values(known | {"equal_points.excess": excess})[None], t).tip
     np.testing.assert_allclose(same, tip, atol=1e-9)
     assert np.abs(half.true(motion, half.values(known)[None], t).tip - tip).max() > 1e-3
-    assert f"about {equal.string.points} equal" in EqualPoints.words({"excess": excess})
+    assert f"about {equal.string.points} equal" in EqualPoints.describe({"excess": excess})

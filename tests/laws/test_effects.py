@@ -1,4 +1,4 @@
-"""Every effect of the library through what it declares: symmetries, zero, units, gradient, words, picture."""
+"""Every effect of the library through what it declares: invariants, zero, units, gradient, words, picture."""
 
 import re
 from dataclasses import replace
@@ -83,7 +83,7 @@ ACTING |= {f"{name}.slip": {f"{name}.cap": 2e-3} for name in ("maxwell_slip", "d
 ACTING |= {"grasp_play.slip": {"grasp_play.cap": 0.02}}
 ACTING |= {"standard_linear_solid.relaxation": {"standard_linear_solid.stiffness": 1e-3}}
 LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
-SYMMETRIES = [(effect, symmetry) for effect in LIBRARY.values() for symmetry in effect.symmetries]
+INVARIANTS = [(effect, invariant) for effect in LIBRARY.values() for invariant in effect.invariants]
 SAMPLES = 40
 CAMERA = Camera(640, 480, 300.0, (200.0, 300.0), 200.0)
 
@@ -132,12 +132,12 @@ def test_the_library_holds_every_name_and_no_file_needs_an_entry():
 
 
 @pytest.mark.parametrize(
-    ("effect", "symmetry"), SYMMETRIES, ids=lambda each: getattr(each, "name", None) or each.sentence
+    ("effect", "invariant"), INVARIANTS, ids=lambda each: getattr(each, "name", None) or each.sentence
 )
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_laws_keep_the_symmetries_they_declare(effect, symmetry, seed):
-    assert symmetry.error(law_of(effect, symmetry.law), samples(effect, seed)) < 1e-9
+def test_laws_keep_the_invariants_they_declare(effect, invariant, seed):
+    assert invariant.error(law_of(effect, invariant.law), samples(effect, seed)) < 1e-9
 
 
 @pytest.mark.parametrize("effect", ADDED, ids=lambda e: e.name)
@@ -276,7 +276,7 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
         "box_contact.loss": 0.03,
     }
     material = full.string.material(np.stack([full.string.values(NAMED | some | place) for place in (behind, before)]))
-    steps, possible = steps_per_tick(*full.string.at_work(material), 5e-3)
+    steps, possible = steps_per_tick(*full.string.active(material), 5e-3)
     assert possible.all()
     assert steps[0] == steps[1]
 
@@ -287,10 +287,10 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
 @pytest.mark.parametrize("effect", LIBRARY.values(), ids=lambda e: e.name)
 def test_effects_speak_and_draw(effect):
     small, large = ({p.name: float(p.value(np.asarray(chi))) for p in effect.parameters} for chi in (0.6, 0.9))
-    sentence = effect.words(small)
+    sentence = effect.describe(small)
     assert len(sentence) > 10
     assert not sentence.endswith(".")
-    assert not effect.parameters or sentence != effect.words(large)
+    assert not effect.parameters or sentence != effect.describe(large)
     assert effect.reference
     axes = Figure().add_subplot()
     effect.plot(axes, small)

@@ -210,8 +210,7 @@ class CreepingSlip(StringEffect):
     reference = "A test"
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"bending sticks, slips and creeps within {{values['creep']:.2g}} s"
 {LAW}'''
 

@@ -30,9 +30,9 @@ def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(tmp_path, monkeypatch
     assert new.main(["effect", "my_pull"]) == 0
     effect = library()["my_pull"]
     assert effect.__name__ == "MyPull"
-    for symmetry in effect.symmetries:
-        assert symmetry.error(law_of(effect, symmetry.law), samples(effect, 0)) < 1e-9
-    assert effect.words({"strength": 0.25}) == "the string is pulled to the right with 0.250 m/s2"
+    for invariant in effect.invariants:
+        assert invariant.error(law_of(effect, invariant.law), samples(effect, 0)) < 1e-9
+    assert effect.describe({"strength": 0.25}) == "the string is pulled to the right with 0.250 m/s2"
     np.testing.assert_allclose(effect.acceleration(0.5), (0.5, 0.0))
     with pytest.raises(UserError, match="it is there already"):
         new.main(["effect", "my_pull"])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from stringcast.stages.model.turn import coefficients
+from stringcast.stages.model.rotation import coefficients
 from tests.speed.scalar import GRAVITY
 
 W = 16

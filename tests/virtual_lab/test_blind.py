@@ -71,7 +71,7 @@ def refitted(scene, data, effects=(), start=None):
 
 def test_every_cause_has_its_turn():
     count = Counter(VERSIONS[LATEST].cases)
-    assert {e.name for e in library().values() if e not in BASE and e.of_string and not e.told} <= set(count)
+    assert {e.name for e in library().values() if e not in BASE and e.of_string and not e.excluded} <= set(count)
     assert {c.name for c in causes()} <= set(count)
     assert not {c.name for c in causes()} & set(library())
     assert count["none"] == count["pair"] == 8
@@ -169,7 +169,7 @@ def test_outside_causes_are_absent_at_zero_and_not_at_full(scene, cause):
     trial = np.repeat(np.arange(len(scene.casts)), [len(cast.frames) for cast in scene.casts])
     moved = {int(i) for i in trial[np.abs(large - absent).max(axis=(1, 2)) > 1e-3]}
     assert moved == {thing.only} if cause.once else thing.only is None  # a place may lie in the way of one only
-    assert cause.words({p.name: thing.full[f"{cause.name}.{p.name}"] for p in cause.parameters})
+    assert cause.describe({p.name: thing.full[f"{cause.name}.{p.name}"] for p in cause.parameters})
 
 
 def test_a_library_effect_is_a_disguise_and_a_trembling_hand_is_none(scene):

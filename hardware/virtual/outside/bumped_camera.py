@@ -27,8 +27,7 @@ class BumpedCamera(CameraEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"the camera is knocked at {values['when']:.2f} s and sees all shifted by {1e3 * values['shift']:.1f} mm"
 
     @staticmethod

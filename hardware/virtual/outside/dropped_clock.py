@@ -22,8 +22,7 @@ class DroppedClock(ClockEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"the camera's clock jumps by {1e3 * values['jump']:.1f} ms at {values['when']:.2f} s"
 
     @staticmethod

@@ -24,8 +24,7 @@ class Gust(StringEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"a gust of {values['speed']:.1f} m/s blows at {values['when']:.2f} s"
 
     @staticmethod

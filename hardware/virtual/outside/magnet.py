@@ -24,8 +24,7 @@ class Magnet(StringEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"something at ({values['centre_x']:.2f}, {values['centre_y']:.2f}) m pulls at the string"
 
     @staticmethod

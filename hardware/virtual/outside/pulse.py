@@ -24,8 +24,7 @@ class Pulse(StringEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"something hits the string at {values['when']:.2f} s, {values['where']:.2f} m from the grasp"
 
     @staticmethod

@@ -23,8 +23,7 @@ class SoftSpot(StringEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return (
             f"the string has lost {100 * values['loss']:.0f} % of its stiffness {values['where']:.2f} m from the grasp"
         )

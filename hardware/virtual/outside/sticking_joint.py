@@ -22,8 +22,7 @@ class StickingJoint(HandEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"the second joint sticks for {1e3 * values['lasts']:.0f} ms at {values['when']:.2f} s"
 
     @staticmethod

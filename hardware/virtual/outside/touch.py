@@ -26,8 +26,7 @@ class Touch(StringEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"somebody holds the string {values['where']:.2f} m from the grasp at {values['when']:.2f} s"
 
     @staticmethod

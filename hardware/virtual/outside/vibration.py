@@ -23,8 +23,7 @@ class Vibration(HandEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"the hand trembles by {1e3 * values['amplitude']:.1f} mm at {values['frequency']:.0f} Hz"
 
     @staticmethod

@@ -24,8 +24,7 @@ class Vortex(StringEffect, Outside):
     )
 
     @staticmethod
-    def words(values: Mapping[str, float]) -> str:
-        """What is so."""
+    def describe(values: Mapping[str, float]) -> str:
         return f"air turns about ({values['centre_x']:.2f}, {values['centre_y']:.2f}) m at {values['speed']:.1f} m/s"
 
     @staticmethod

@@ -144,10 +144,10 @@ def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np
 
 
 def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
-    """What sightings of the hand tell. angles, speeds: (K, J).
+    """The information of a motion about the alignment. angles, speeds: (K, J) [rad], [rad/s].
 
-    Logarithm of the determinant of what is told of all parameters, and CLOCKS times that of the clocks, the others but
-    for a lag being unknown: with a lag, only the sum of the two is measured.
+    Logarithm of the determinant of the Fisher information of all parameters, and CLOCKS times that of the clocks, the
+    others but for a lag being unknown: with a lag, only the sum of the two is measured.
     """
     motion = JointMotion(0.0, model.arm.tick, angles[None], speeds[None])
     times = np.arange(0, (len(angles) - 1) * model.arm.tick, SIGHTED)

@@ -56,7 +56,7 @@ def resting(ready: Case) -> Case | None:
     """The frames in which a string rests before the hand moves; None where there are none, or it begins moving."""
     if ready.initial is not None:
         return None
-    hand, length = ready.motion.really(ready.model.arm, ()), ready.model.string.length
+    hand, length = ready.motion.actual(ready.model.arm, ()), ready.model.string.length
     away = np.abs(hand.pose[0] - hand.pose[0, 0])
     moves = np.hypot(away[:, 0], away[:, 1]) + length * away[:, 2] > RESTING * length
     last = hand.start + hand.tick * (np.argmax(moves) - 1) if moves.any() else hand.end

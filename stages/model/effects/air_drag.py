@@ -25,7 +25,7 @@ class AirDrag(StringEffect):
         Parameter("quadratic_drag", "N s2/(m2 kg)", "air resistance, squared", 1.0e-4, 10.0, 1.0e-4, "C_c2"),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_c"
-    symmetries = (
+    invariants = (
         odd("load", "ux", "uy"),
         turns("load", "u"),
         nothing_at_zero("load", "ux", "uy"),
@@ -33,8 +33,7 @@ class AirDrag(StringEffect):
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"air resists with ({values['linear_drag']:.3g} + {values['quadratic_drag']:.3g} |v|) v"
 
     @classmethod

@@ -22,7 +22,7 @@ class AnisotropicDrag(StringEffect):
     name = "anisotropic_drag"
     parameters = (Parameter("excess", "1", "resistance across the string over that along it, less 1", 0.0, 10.0, 0.0),)
     reference = "Taylor, Analysis of the swimming of long and narrow animals (1952): drag along and across a cylinder"
-    symmetries = (
+    invariants = (
         odd("load", "ux", "uy"),
         turns("load", "u", "t"),
         nothing_at_zero("load", "ux", "uy"),
@@ -30,8 +30,7 @@ class AnisotropicDrag(StringEffect):
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"air resists motion across the string {1 + values['excess']:.2f} times as much as along it"
 
     @classmethod

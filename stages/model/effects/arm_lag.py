@@ -15,11 +15,10 @@ class ArmLag(HandEffect):
     name = "arm_lag"
     parameters = (Parameter("time_constant", "s", "time by which joints lag behind", 0.0, 0.1, 0.0),)
     reference = "Response of a first-order system to a polynomial"
-    symmetries = (odd("joints", "angles"), follows("joints", "angles"), odd("grasp", "pose"), follows("grasp", "pose"))
+    invariants = (odd("joints", "angles"), follows("joints", "angles"), odd("grasp", "pose"), follows("grasp", "pose"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"the joints lag {1e3 * values['time_constant']:.1f} ms behind what the arm reports"
 
     @staticmethod
@@ -36,7 +35,7 @@ class ArmLag(HandEffect):
 
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, time_constant: Quantity) -> np.ndarray:
-        """The same for position and direction, where no joints are known."""
+        """The lag of position and direction, where no joints are known."""
         return ArmLag.joints(t, pose, time_constant)
 
 

@@ -11,15 +11,14 @@ class AxialDamper(StringEffect):
         Parameter("axial_damping", "N s/(m kg)", "damping force between mass points", 0.13, 1.3e3, 0.13, "c_s", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_d"
-    symmetries = (
+    invariants = (
         odd("tension", "rate"),
         nothing_at_zero("tension", "rate"),
         resists("tension"),
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"stretching is damped by {values['axial_damping']:.3g} N s/(m kg)"
 
     @staticmethod

@@ -11,14 +11,13 @@ class AxialSpring(StringEffect):
         Parameter("axial_stiffness", "N/(m kg)", "elastic force between mass points", 9.0e3, 9.0e5, 9.0e3, "k_s", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_s"
-    symmetries = (
+    invariants = (
         odd("tension", "stretch"),
         nothing_at_zero("tension", "stretch"),
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"the string stretches with a stiffness of {values['axial_stiffness']:.3g} N/(m kg)"
 
     @staticmethod

@@ -16,11 +16,10 @@ class Backlash(HandEffect):
         Parameter(f"gap_{joint}", "rad", f"play of joint q{joint}, end to end", 0.0, 0.1, 0.0) for joint in (1, 2, 3)
     )
     reference = "Krasnosel'skii and Pokrovskii, Systems with Hysteresis (1989): the play operator"
-    symmetries = (odd("joints", "angles"), follows("joints", "angles"))
+    invariants = (odd("joints", "angles"), follows("joints", "angles"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         gaps = ", ".join(f"{np.degrees(gap):.2f}" for gap in values.values())
         return f"joints have play at their reversals: q1, q2 and q3 of {gaps} degrees"
 

@@ -21,7 +21,7 @@ class BoxContact(StringEffect):
     """
 
     name = "box_contact"
-    told = True
+    excluded = True
     parameters = (
         Parameter("stiffness", "1/s2", "push over mass per depth behind a side", 0.0, 1.0e5, 0.0),
         Parameter("centre_x", "m", "place of the box's centre", -1.5, 1.5, 0.0),
@@ -32,21 +32,20 @@ class BoxContact(StringEffect):
         Parameter("loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0),
     )
     reference = Contact.reference
-    symmetries = (
+    invariants = (
         nothing_at_zero("load", "stiffness"),
         odd("load", "x", "y", "vx", "vy", "centre_x", "centre_y"),
     )
     bound = staticmethod(Contact.bound)  # no curvature of the potential is above that behind a side, k
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         size = f"{values['width']:.3f} m wide and {values['height']:.3f} m high"
         return f"the string touches a box {size} at ({values['centre_x']:.3f}, {values['centre_y']:.3f}) m"
 
     @staticmethod
     def plausible(values: Values) -> bool:
-        """What stands in the way is hard: softer than this, 5 m/s go 10 cm deep, and it is a field of force."""
+        """Whether the obstacle is hard: if softer, 5 m/s go 10 cm deep, and it is a field of force."""
         return values["stiffness"] >= HARD
 
     @classmethod

@@ -9,17 +9,16 @@ class CameraOffset(CameraEffect):
     """Everything is seen shifted: the pixel taken for the arm's origin is another. Measured by `align`, not guessed."""
 
     name = "camera_offset"
-    told = True
+    excluded = True
     parameters = (
         Parameter("x", "m", "how far to the right everything is seen", -0.1, 0.1, 0.0),
         Parameter("y", "m", "how far up everything is seen", -0.1, 0.1, 0.0),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    symmetries = (follows("seen", "points"),)
+    invariants = (follows("seen", "points"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         across = f"{1e3 * abs(values['x']):.1f} mm to the {'right' if values['x'] > 0 else 'left'}"
         up = f"{1e3 * abs(values['y']):.1f} mm {'up' if values['y'] > 0 else 'down'}"
         return f"the picture's origin is off: everything is seen {across} and {up}"

@@ -6,16 +6,15 @@ from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quan
 
 
 class CameraRotation(CameraEffect):
-    """What is seen is turned about the middle of the image, counter-clockwise."""
+    """A rotation of the reported points about the middle of the image, counter-clockwise."""
 
     name = "camera_rotation"
     parameters = (Parameter("angle", "rad", "angle by which what is seen is turned", -0.2, 0.2, 0.0),)
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    symmetries = (turns_about_centre("seen"),)
+    invariants = (turns_about_centre("seen"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         way = "counter-clockwise" if values["angle"] > 0 else "clockwise"
         return f"the camera is rolled: what it sees is turned {np.degrees(abs(values['angle'])):.2f} degrees {way}"
 

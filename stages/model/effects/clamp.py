@@ -15,7 +15,7 @@ class Clamp(StringEffect):
     """
 
     name = "clamp"
-    told = True
+    excluded = True
     parameters = (
         Parameter("hidden", "m", "free string before the stated grasp", -0.03, 0.03, 0.0),
         Parameter("along", "m", "offset of the string in the grasp's direction", -0.01, 0.01, 0.0),
@@ -24,8 +24,7 @@ class Clamp(StringEffect):
     reference = "Geometry; strips of silicone measured on film hide 9 to 10 mm in their clamp (L4DC set)"
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         way = "before" if values["hidden"] > 0 else "beyond"
         hidden, along, across = (1e3 * values[name] for name in ("hidden", "along", "across"))
         return (

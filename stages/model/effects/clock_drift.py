@@ -11,15 +11,14 @@ class ClockDrift(ClockEffect):
     name = "clock_drift"
     parameters = (Parameter("rate", "1", "what the arm's clock gains on the camera's, as a share", -0.05, 0.05, 0.0),)
     reference = "Change of the unit of time"
-    symmetries = (odd("times", "t"),)
+    invariants = (odd("times", "t"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         faster = "faster" if values["rate"] > 0 else "slower"
         return f"the arm's clock runs {1e3 * abs(values['rate']):.2f} ms a second {faster} than the camera's"
 
     @staticmethod
     def times(t: np.ndarray, rate: Quantity) -> np.ndarray:
-        """The same moments on the arm's clock."""
+        """Times on the arm's clock."""
         return t * (1 + rate)

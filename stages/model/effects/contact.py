@@ -27,17 +27,16 @@ class Contact(StringEffect):
         Parameter("loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0),
     )
     reference = "Hunt and Crossley, Coefficient of restitution interpreted as damping in vibroimpact (1975)"
-    symmetries = (nothing_at_zero("load", "stiffness"),)
+    invariants = (nothing_at_zero("load", "stiffness"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         turned = np.degrees(values["tilt"])
         return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees"
 
     @staticmethod
     def plausible(values: Values) -> bool:
-        """What stands in the way is hard: softer than this, 5 m/s go 10 cm deep, and it is a field of force."""
+        """Whether the obstacle is hard: if softer, 5 m/s go 10 cm deep, and it is a field of force."""
         return values["stiffness"] >= HARD
 
     @classmethod

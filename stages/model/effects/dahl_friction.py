@@ -11,17 +11,16 @@ class DahlFriction(StringEffect):
     """
 
     name = "dahl_friction"
-    told = True
+    excluded = True
     parameters = (
         Parameter("cap", "m3/s2", "moment over mass per length that it comes near to", 0.0, 0.3, 0.0),
         Parameter("slip", "1/m", "curvature over which it comes near to it", 5e-3, 2.0, 0.1),
     )
     reference = "Dahl, Solid friction damping of mechanical vibrations (1976)"
-    symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
+    invariants = (odd("held", "held", "change"), odd("held_moment", "held"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         share = beside_weight(values["cap"])
         return f"bending rubs, with {share:.1f} % of the moment that holds 100 mm of it out level"
 

@@ -9,11 +9,10 @@ class DensityTaper(StringEffect):
     name = "density_taper"
     parameters = (Parameter("taper", "1", "rise of mass per length from grasp to tip over its mean", -1.6, 1.6, 0.0),)
     reference = "Newton's second law for a string of uneven density"
-    symmetries = (odd("density", "taper"),)
+    invariants = (odd("density", "taper"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         heavier = "tip" if values["taper"] > 0 else "grasp"
         share = 100 * abs(values["taper"])
         return (

@@ -14,12 +14,11 @@ class EqualPoints(StringEffect):
     name = "equal_points"
     parameters = (Parameter("excess", "1", "string at the tip beyond its length, as a share of it", 0.0, 0.06, 0.0),)
     reference = "Tabata et al., IROS 2021, Eq. 1: every mass point has the same mass"
-    symmetries = (nothing_at_zero("tip_length", "excess"),)
+    invariants = (nothing_at_zero("tip_length", "excess"),)
     of_string = False
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"the trials are as if made of about {1 + 0.5 / max(values['excess'], 1e-9):.0f} equal mass points"
 
     @classmethod

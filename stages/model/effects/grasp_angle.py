@@ -11,11 +11,10 @@ class GraspAngle(HandEffect):
     name = "grasp_angle"
     parameters = (Parameter("angle", "rad", "direction of the string against the last link", -0.8, 0.8, 0.0),)
     reference = "Rotation of the grasp"
-    symmetries = (carried("grasp", "pose"),)
+    invariants = (carried("grasp", "pose"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         side = "left" if values["angle"] > 0 else "right"
         return f"the string leaves the gripper {np.degrees(abs(values['angle'])):.1f} degrees to the {side}"
 

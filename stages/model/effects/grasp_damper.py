@@ -11,15 +11,14 @@ class GraspDamper(StringEffect):
         Parameter("grasp_damping", "N m s/(rad kg)", "damper moment at the grasp", 1.1e-6, 0.37, 1.1e-6, "c_ph", 1),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_phc"
-    symmetries = (
+    invariants = (
         odd("grasp_moment", "rate"),
         nothing_at_zero("grasp_moment", "rate"),
         resists("grasp_moment"),
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"turning in the grasp is damped by {values['grasp_damping']:.3g} N m s/(rad kg)"
 
     @staticmethod

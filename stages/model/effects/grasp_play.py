@@ -14,17 +14,16 @@ class GraspPlay(StringEffect):
     """
 
     name = "grasp_play"
-    told = True
+    excluded = True
     parameters = (
         Parameter("cap", "m3/s2", "moment over mass per length at which it turns in the jaws", 0.0, 0.3, 0.0),
         Parameter("slip", "rad", "angle by which the jaws give before", 5e-3, 0.5, 0.05),
     )
     reference = "Iwan, A distributed-element model for hysteresis and its steady-state dynamic response (1966)"
-    symmetries = (odd("grasp_held", "held", "change"), odd("grasp_held_moment", "held"))
+    invariants = (odd("grasp_held", "held", "change"), odd("grasp_held_moment", "held"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         share = beside_weight(values["cap"])
         return f"the string turns in the gripper, beyond {share:.1f} % of the moment that holds 100 mm of it out level"
 

@@ -19,11 +19,10 @@ class GraspSlip(HandEffect):
         Parameter("duration", "s", "for how long it slides", 0.0, 4.0, 1.0, root=2),
     )
     reference = "Kinematics of a string that is paid out"
-    symmetries = (carried("grasp", "pose"),)
+    invariants = (carried("grasp", "pose"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         way = "out of" if values["speed"] > 0 else "into"
         speed, until = 1e3 * abs(values["speed"]), values["onset"] + values["duration"]
         return f"the string slides {way} the gripper at {speed:.1f} mm/s from {values['onset']:.2f} to {until:.2f} s"

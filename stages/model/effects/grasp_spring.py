@@ -11,14 +11,13 @@ class GraspSpring(StringEffect):
         Parameter("grasp_stiffness", "N m/(rad kg)", "spring moment at the grasp", 1.0e-3, 5.0, 1.0e-3, "k_ph", 1),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_ph"
-    symmetries = (
+    invariants = (
         odd("grasp_moment", "angle"),
         nothing_at_zero("grasp_moment", "angle"),
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"the grasp holds the string's direction with {values['grasp_stiffness']:.3g} N m/(rad kg)"
 
     @staticmethod

@@ -12,8 +12,7 @@ class Gravity(StringEffect):
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_g"
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return "gravity pulls straight down"
 
     @classmethod

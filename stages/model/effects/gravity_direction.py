@@ -6,16 +6,15 @@ from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffe
 
 
 class GravityDirection(StringEffect):
-    """What must be added to the paper's weight to turn it, counter-clockwise."""
+    """A rotation of gravity, counter-clockwise, as the force to be added to the paper's weight."""
 
     name = "gravity_direction"
     parameters = (Parameter("tilt", "rad", "angle of gravity from straight down", -0.3, 0.3, 0.0),)
     reference = "Rotation of a vector"
-    symmetries = (nothing_at_zero("acceleration", "sine", "versine"),)
+    invariants = (nothing_at_zero("acceleration", "sine", "versine"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         side = "right" if values["tilt"] > 0 else "left"
         return f"gravity leans {np.degrees(abs(values['tilt'])):.1f} degrees to the {side}: the base is not level"
 

@@ -11,15 +11,14 @@ class HingeDamper(StringEffect):
         Parameter("bending_damping", "N m s/(rad kg)", "damper between segments", 3.0e-7, 0.67, 3.0e-7, "c_h", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_h"
-    symmetries = (
+    invariants = (
         odd("moment", "rate"),
         nothing_at_zero("moment", "rate"),
         resists("moment"),
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"bending is damped by {values['bending_damping']:.3g} N m s/(rad kg)"
 
     @staticmethod

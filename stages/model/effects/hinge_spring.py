@@ -11,14 +11,13 @@ class HingeSpring(StringEffect):
         Parameter("bending_stiffness", "N m/(rad kg)", "spring between segments", 8.0e-3, 4.0e2, 8.0e-3, "k_h", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_b"
-    symmetries = (
+    invariants = (
         odd("moment", "curvature"),
         nothing_at_zero("moment", "curvature"),
     )
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"the string bends with a stiffness of {values['bending_stiffness']:.3g} N m/(rad kg)"
 
     @staticmethod

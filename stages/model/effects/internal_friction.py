@@ -23,14 +23,13 @@ class InternalFriction(StringEffect):
     """
 
     name = "internal_friction"
-    told = True
+    excluded = True
     parameters = (Parameter("friction", "m3/s2", "dry friction moment over mass per length", 0.0, 0.05, 0.0),)
     reference = "Coulomb friction, regularised; Dahl, Solid friction damping of mechanical vibrations (1976)"
-    symmetries = (even("hinge_drag", "rate"), nothing_at_zero("hinge_drag", "friction"), never_negative("hinge_drag"))
+    invariants = (even("hinge_drag", "rate"), nothing_at_zero("hinge_drag", "friction"), never_negative("hinge_drag"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         share = beside_weight(values["friction"])
         return f"bending has dry friction: {share:.1f} % of the moment that holds 100 mm of it out level"
 

@@ -11,11 +11,10 @@ class JointGain(HandEffect):
     name = "joint_gain"
     parameters = (Parameter("gain", "1", "what joints turn more than reported, as a share", -0.2, 0.2, 0.0),)
     reference = "Scale error of an encoder or a gear"
-    symmetries = (odd("joints", "angles"), follows("joints", "angles"))
+    invariants = (odd("joints", "angles"), follows("joints", "angles"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         more = "more" if values["gain"] > 0 else "less"
         return f"the joints turn {100 * abs(values['gain']):.1f} % {more} than the arm reports"
 

@@ -14,11 +14,10 @@ class LensDistortion(CameraEffect):
         Parameter("radial", "1", "outward shift at the image's left and right edge, as a share", -0.2, 0.2, 0.0),
     )
     reference = "Brown, Close-range camera calibration (1971): first radial term"
-    symmetries = (turns_about_centre("seen"),)
+    invariants = (turns_about_centre("seen"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         kind = "pincushion" if values["radial"] > 0 else "barrel"
         share = 100 * abs(values["radial"])
         return f"the lens distorts ({kind}): points at the image's edge are seen {share:.1f} % off their distance"

@@ -17,11 +17,10 @@ class MaxwellSlip(StringEffect):
         Parameter("slip", "1/m", "curvature from rest at which it slips", 5e-3, 2.0, 0.1),
     )
     reference = "Iwan, A distributed-element model for hysteresis and its steady-state dynamic response (1966)"
-    symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
+    invariants = (odd("held", "held", "change"), odd("held_moment", "held"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         share = beside_weight(values["cap"])
         return f"bending sticks and slips, with {share:.1f} % of the moment that holds 100 mm of it out level"
 

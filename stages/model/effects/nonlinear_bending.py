@@ -15,11 +15,10 @@ class NonlinearBending(StringEffect):
     name = "nonlinear_bending"
     parameters = (Parameter("hardening", "m2", "relative rise of stiffness with squared curvature", -5e-3, 5e-3, 0.0),)
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), V-D: large bending has nonlinear properties"
-    symmetries = (even("hinge_stiffness", "curvature"), nothing_at_zero("hinge_stiffness", "curvature"))
+    invariants = (even("hinge_stiffness", "curvature"), nothing_at_zero("hinge_stiffness", "curvature"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         kind = "stiffens" if values["hardening"] > 0 else "softens"
         share = 100 * NonlinearBending.hinge_stiffness(20.0, 1.0, values["hardening"])
         return f"bending {kind} with curvature: the moment at a radius of 50 mm is {share:+.0f} % off the linear one"

@@ -11,11 +11,10 @@ class PixelScale(CameraEffect):
     name = "pixel_scale"
     parameters = (Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),)
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
-    symmetries = (odd("seen", "points"),)
+    invariants = (odd("seen", "points"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         size = "large" if values["excess"] > 0 else "small"
         return f"the camera's scale is off: everything is reported {100 * abs(values['excess']):.2f} % too {size}"
 

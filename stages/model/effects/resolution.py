@@ -15,8 +15,7 @@ class Resolution(ModelChange):
     reference = "Order of convergence of the lumped chain, tests/convergence"
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return "the model has too few mass points for this string"
 
     @classmethod

@@ -15,11 +15,10 @@ class RestCurvature(StringEffect):
         Parameter("slope", "1/m2", "rise of the curvature at rest along the string", -100.0, 100.0, 0.0),
     )
     reference = "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of a rod"
-    symmetries = (odd("rest_curvature", "curvature", "slope"),)
+    invariants = (odd("rest_curvature", "curvature", "slope"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         side = "left" if values["curvature"] > 0 else "right"
         radius = 1e3 / max(abs(values["curvature"]), 1e-9)
         along = f", and {values['slope'] / 10:+.2g}/m more every 100 mm" if values["slope"] else ""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stringcast.stages.model.effect import Axes, Camera, CameraEffect, Parameter, Quantity, Values, line, unmoved
+from stringcast.stages.model.effect import Axes, Camera, CameraEffect, Parameter, Quantity, Values, line, reduces_to
 
 
 class RollingShutter(CameraEffect):
@@ -16,11 +16,10 @@ class RollingShutter(CameraEffect):
         Parameter("stamped", "1", "row exposed at the frame's time, from the top, over the height", 0.0, 1.0, 0.5),
     )
     reference = "Meingast, Geyer and Sastry, Geometric models of rolling-shutter cameras (2005)"
-    symmetries = (unmoved("seen", "points", "velocity"),)
+    invariants = (reduces_to("seen", "points", "velocity"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         order = "top to bottom" if values["readout"] > 0 else "bottom to top"
         return f"the shutter rolls: rows are exposed from {order} within {1e3 * abs(values['readout']):.2f} ms"
 

@@ -11,7 +11,7 @@ class StandardLinearSolid(StringEffect):
     """
 
     name = "standard_linear_solid"
-    told = True
+    excluded = True
     parameters = (
         Parameter("stiffness", "m4/s2", "bending stiffness over mass per length that relaxes", 0.0, 3.0, 0.0),
         Parameter("relaxation", "s", "time in which it relaxes", 3e-3, 3.0, 0.1),
@@ -19,11 +19,10 @@ class StandardLinearSolid(StringEffect):
     reference = (
         "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of Viscoelasticity (1982), 1.6"
     )
-    symmetries = (odd("held", "held", "change"), odd("held_moment", "held"))
+    invariants = (odd("held", "held", "change"), odd("held_moment", "held"))
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"bending relaxes: {values['stiffness']:.2g} m4/s2 of its stiffness within {values['relaxation']:.2g} s"
 
     @staticmethod

@@ -11,15 +11,14 @@ class TimeOffset(ClockEffect):
     name = "time_offset"
     parameters = (Parameter("offset", "s", "arm's clock less the camera's", -0.05, 0.05, 0.0),)
     reference = "Change of the origin of time"
-    symmetries = (follows("times", "t"),)
+    invariants = (follows("times", "t"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         order = "ahead of" if values["offset"] > 0 else "behind"
         return f"the arm's clock is {1e3 * abs(values['offset']):.1f} ms {order} the camera's"
 
     @staticmethod
     def times(t: np.ndarray, offset: Quantity) -> np.ndarray:
-        """The same moments on the arm's clock."""
+        """Times on the arm's clock."""
         return t + offset

@@ -11,11 +11,10 @@ class TipMass(StringEffect):
     name = "tip_mass"
     parameters = (Parameter("ratio", "1", "mass at the tip over that of the string", 0.0, 1.0, 0.0),)
     reference = "Newton's second law for a point mass at the end of a string"
-    symmetries = (nothing_at_zero("tip_mass", "ratio"),)
+    invariants = (nothing_at_zero("tip_mass", "ratio"),)
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         return f"a mass of {100 * values['ratio']:.1f} % of the string's sits at the tip"
 
     @classmethod

@@ -27,8 +27,7 @@ class Wind(StringEffect):
     reference = "Galilean invariance of air resistance"
 
     @staticmethod
-    def words(values: Values) -> str:
-        """What is so."""
+    def describe(values: Values) -> str:
         speed = np.hypot(values["along_x"], values["along_y"])
         eighth = round(np.arctan2(values["along_y"], values["along_x"]) / (np.pi / 4)) % 8
         return f"air flows through the workspace at {speed:.2f} m/s, {WAYS[eighth]}"

@@ -27,7 +27,7 @@ def trial_figure(seen: Seen) -> Figure:
 
 
 def trial_words(seen: Seen) -> str:
-    """The same in words."""
+    """A description of the trial."""
     begins = [
         f"{who} at {onset:.2f} s"
         for who, onset in (("the hand", seen.hand_onset), ("the string", seen.string_onset))

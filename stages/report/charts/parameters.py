@@ -57,7 +57,7 @@ def cause(effect: type[Effect], values: Mapping[str, float]) -> Picture:
     axes = figure.subplots()
     effect.plot(axes, values)
     _in_theme(axes)
-    return vector(figure, f"The law of {effect.name.replace('_', ' ')}: {effect.words(values)}.")
+    return vector(figure, f"The law of {effect.name.replace('_', ' ')}: {effect.describe(values)}.")
 
 
 def _in_theme(axes: Axes) -> None:

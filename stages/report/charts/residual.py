@@ -126,7 +126,7 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
 
 
 def _bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
-    """What the colours mean, below all panels."""
+    """The key of colours, below all panels."""
     place = (0.15, 0.46 / figure.get_figheight(), 0.8, 0.09 / figure.get_figheight())
     bar = figure.colorbar(drawn, cax=figure.add_axes(place), orientation="horizontal", extend="both")
     above = [tick for tick in (1, 3, 10, 30, 100, 300, 1000) if tick <= end]
@@ -150,7 +150,7 @@ def parts(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
 
 
 def _end(record: DiagnosisRecord) -> float:
-    """Of the colour scale, the same for all trials and models."""
+    """The end of the colour scale, the same for all trials and models."""
     sizes = [np.abs(part) for table in record.trials.values() for part in parts(table, "base").values()]
     return max(LEAST, float(np.quantile(np.concatenate(sizes), 0.99)))
 

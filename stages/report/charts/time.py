@@ -1,4 +1,4 @@
-"""What changes over time, and from cast to cast."""
+"""Charts over time, and from cast to cast."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def missing(record: DiagnosisRecord) -> Picture | None:
 
 
 def latent(record: DiagnosisRecord, trial: str) -> Chart | None:
-    """What is missing in a trial over time: the largest push anywhere on the string, or what acts on all of it."""
+    """The missing force in a trial over time: the largest push anywhere on the string, or what acts on all of it."""
     table = record.diagnosis.missing
     part = table[table["trial"] == trial].fillna({"x": 0.0, "y": 0.0})
     if part.empty:

@@ -59,7 +59,7 @@ def calibration_page(facts: Facts) -> str:
 
 
 def _lead(made: Calibration) -> Markup:
-    """Of how many pictures, and where the camera is."""
+    """The number of pictures, and where the camera is."""
     outcome, used = made.outcome.iloc[0], int((made.views["reason"] == "").sum()) - 1
     pictures = f"{used} of {len(made.views) - 1} pictures of the tilted board were used, "
     pictures += f"{outcome['width']} × {outcome['height']} px."

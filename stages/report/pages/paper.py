@@ -215,7 +215,7 @@ def failed(record: PaperRecord) -> Section | None:
 
 
 def silent() -> Section:
-    """What the paper leaves open."""
+    """The values that the paper leaves open."""
     rows = [tuple(said if isinstance(said, Markup) else sentence(said) for said in row) for row in SILENT]
     return Section("Where the paper is silent, and what we chose", [Card("", [Table(("the paper", "here"), rows)])])
 
@@ -231,7 +231,7 @@ def numbers(record: PaperRecord) -> Section:
 
 
 def _of(name: str) -> Markup | str:
-    """What a number is of: a symbol such as k_h, or words."""
+    """The quantity that a number belongs to: a symbol such as k_h, or words."""
     return symbol(name) if name[1:2] == "_" and len(name) < 5 else name
 
 

@@ -73,7 +73,7 @@ def finding(record: SweepRecord) -> str:
 
 
 def _varied(record: SweepRecord) -> str:
-    """What was varied, and how sure means are."""
+    """The settings that were varied, and how sure means are."""
     varied = f"Varied: {', '.join(record.factors)}." if record.factors else "No setting was varied."
     seeds = f"Each with {record.seeds} seed{'s' * (record.seeds != 1)}."
     sure = "Bars and brackets are 95 % intervals of means over the seeds; with few seeds they are wide."

@@ -1,4 +1,4 @@
-"""Laws about laws: what an effect declares of itself and tests hold it to.
+"""Invariants: properties of a law that an effect declares and tests check on samples.
 
 Each is checked on samples: `error` takes the law's arguments as arrays (a sample an entry) and
 says how far the law is from keeping its word, as a share of the law's size.
@@ -17,7 +17,7 @@ Given = Mapping[str, Any]
 TURN = 0.7  # [rad] by which directions are tried
 
 
-class Symmetry(ABC):
+class Invariant(ABC):
     """law: name of the law it is about. sentence: what holds."""
 
     law: str
@@ -29,7 +29,7 @@ class Symmetry(ABC):
 
 
 @dataclass(frozen=True)
-class Equivariant(Symmetry):
+class Equivariant(Invariant):
     """before: done to the arguments; after: what is then done to the value."""
 
     law: str
@@ -45,7 +45,7 @@ class Equivariant(Symmetry):
 
 
 @dataclass(frozen=True)
-class Dissipative(Symmetry):
+class Dissipative(Invariant):
     """The law takes energy and never gives any: value times rates has one sign. sign: 1 for inner forces, which
     resist what stretches and bends, -1 for loads, which act on what moves."""
 
@@ -62,7 +62,7 @@ class Dissipative(Symmetry):
 
 
 @dataclass(frozen=True)
-class NeverNegative(Symmetry):
+class NeverNegative(Invariant):
     """The value has one sign."""
 
     law: str
@@ -74,7 +74,7 @@ class NeverNegative(Symmetry):
 
 
 @dataclass(frozen=True)
-class Unmoved(Symmetry):
+class ReducesTo(Invariant):
     """The value is one argument where others are zero."""
 
     law: str
@@ -88,33 +88,33 @@ class Unmoved(Symmetry):
         return float(np.abs(law(still) - given[self.name]).max() / np.abs(given[self.name]).max())
 
 
-def odd(law: str, *names: str) -> Symmetry:
+def odd(law: str, *names: str) -> Invariant:
     """The value changes sign with these arguments, all together."""
     return Equivariant(law, f"{law} is odd in {', '.join(names)}", _negated(names), lambda value, given: -value)
 
 
-def even(law: str, *names: str) -> Symmetry:
+def even(law: str, *names: str) -> Invariant:
     """The value stays when these arguments change sign, all together."""
     return Equivariant(law, f"{law} is even in {', '.join(names)}", _negated(names), lambda value, given: value)
 
 
-def never_negative(law: str) -> Symmetry:
+def never_negative(law: str) -> Invariant:
     """What a drag must be to take energy and never give any."""
     return NeverNegative(law, f"{law} is never negative")
 
 
-def nothing_at_zero(law: str, *names: str) -> Symmetry:
+def nothing_at_zero(law: str, *names: str) -> Invariant:
     """The value is zero where these arguments are."""
     zero: Callable[[Given], Given] = lambda given: {name: 0 * given[name] for name in names}  # noqa: E731
     return Equivariant(law, f"{law} is zero at zero {', '.join(names)}", zero, lambda value, given: 0 * value)
 
 
-def unmoved(law: str, name: str, *others: str) -> Symmetry:
+def reduces_to(law: str, name: str, *others: str) -> Invariant:
     """Where the other arguments are zero, the value is this argument."""
-    return Unmoved(law, f"{law} is {name} where {', '.join(others)} are zero", name, others)
+    return ReducesTo(law, f"{law} is {name} where {', '.join(others)} are zero", name, others)
 
 
-def turns(law: str, *vectors: str) -> Symmetry:
+def turns(law: str, *vectors: str) -> Invariant:
     """No direction is special: turn these vectors (names less their x and y), and the value turns with them."""
 
     def before(given: Given) -> Given:
@@ -136,7 +136,7 @@ def brakes(law: str, *velocity: str) -> Dissipative:
     return Dissipative(law, velocity, -1)
 
 
-def follows(law: str, name: str) -> Symmetry:
+def follows(law: str, name: str) -> Invariant:
     """No origin is special: shift this argument as a whole, and the value shifts with it."""
     shift = 0.37
     return Equivariant(
@@ -144,14 +144,14 @@ def follows(law: str, name: str) -> Symmetry:
     )
 
 
-def carried(law: str, name: str) -> Symmetry:
+def carried(law: str, name: str) -> Invariant:
     """No place is special: carry poses (..., 3) elsewhere, turned, and the value is carried along."""
     return Equivariant(
         law, f"{law} is carried with {name}", lambda g: {name: _carried(g[name])}, lambda value, given: _carried(value)
     )
 
 
-def turns_about_centre(law: str) -> Symmetry:
+def turns_about_centre(law: str) -> Invariant:
     """Turn points and velocities about the middle of the image, and what is seen turns with them."""
 
     def turned(points: np.ndarray, centre: np.ndarray) -> np.ndarray:

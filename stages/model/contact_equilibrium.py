@@ -37,13 +37,13 @@ RISE = 0.5  # of the energy's slope where the step begins: so steeply it may ris
 NEAR = 1e-9  # [m] over which the change of a force is asked: what is hard is hardly entered
 
 
-def leaning(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def contact_equilibrium(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angles [rad] (continuous from the grasp) and lengths [m] of the segments at rest, (C, n - 1) each.
 
     material: (C, P). pose: (C, 3) of the grasp.
     """
     angles = guessed(string, material, pose[:, 2])
-    now = _Leaning(Chain.of(string, material), pose, angles, plain(string, material))
+    now = _Strings(Chain.of(string, material), pose, angles, plain(string, material))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
         some = now.only(moving)
@@ -56,7 +56,7 @@ def leaning(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.
     return now.angles, now.lengths
 
 
-def _share(here: _Leaning, step: np.ndarray) -> np.ndarray:
+def _share(here: _Strings, step: np.ndarray) -> np.ndarray:
     """How much of a step (C, 2 n - 2) to take, (C,): all of it, or about as far as the energy falls.
 
     Not less either: only a string that touches knows of what it touches. By false position, of which each end counts
@@ -80,14 +80,14 @@ def _share(here: _Leaning, step: np.ndarray) -> np.ndarray:
     return share
 
 
-def _fall(here: _Leaning, step: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _fall(here: _Strings, step: np.ndarray, share: np.ndarray) -> np.ndarray:
     """How steeply the energy falls along a step where so much of it is taken, (C,)."""
     there = here.moved(np.arange(len(step)), share[:, None] * step)
     return np.sum(there.left * step, axis=1)
 
 
 @dataclass(frozen=True)
-class _Leaning:
+class _Strings:
     """Strings that are on their way to rest. pose: (C, 3). angles, lengths: (C, n - 1)."""
 
     chain: Chain
@@ -95,16 +95,17 @@ class _Leaning:
     angles: np.ndarray
     lengths: np.ndarray
 
-    def only(self, which: np.ndarray) -> _Leaning:
+    def only(self, which: np.ndarray) -> _Strings:
         """Some of them."""
-        return _Leaning(self.chain.only(which), *(part[which] for part in (self.pose, self.angles, self.lengths)))
+        return _Strings(self.chain.only(which), *(part[which] for part in (self.pose, self.angles, self.lengths)))
 
-    def moved(self, which: np.ndarray, step: np.ndarray) -> _Leaning:
-        """With some of them turned and stretched. step: (K, 2 n - 2), angles first."""
+    def moved(self, which: np.ndarray, step: np.ndarray) -> _Strings:
+        """The strings with those in `which` turned and stretched. step: (K, 2 n - 2), angles first [rad], then lengths
+        [m]."""
         angles, lengths = self.angles.copy(), self.lengths.copy()
         angles[which] += step[:, : angles.shape[1]]
         lengths[which] += step[:, angles.shape[1] :]
-        return _Leaning(self.chain, self.pose, angles, lengths)
+        return _Strings(self.chain, self.pose, angles, lengths)
 
     @cached_property
     def drawn(self) -> tuple[np.ndarray, np.ndarray]:
@@ -139,13 +140,13 @@ class _Leaning:
 
     @cached_property
     def tension(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the segments, and its slope with the stretch, (C, n - 1) each."""
+        """Tension of the segments [m2/s2] and its slope with the stretch, (C, n - 1) each."""
         of = (self.chain.string, self.chain.material)
         return sloped(*of, "tension", "stretch", self.stretch, {"rate": np.zeros((1, 1))})
 
     @cached_property
     def left(self) -> np.ndarray:
-        """What the balances of moments and of pulls still leave, (C, 2 n - 2)."""
+        """Residual of the balances of moments and of tensions, (C, 2 n - 2)."""
         moment, _ = self.moments
         turning = moment[:, 1:] - moment[:, :-1] + self.lengths * np.sum(self.force * self.normal, axis=-1)
         pulling = np.sum(self.force * self.tangent, axis=-1) - self.tension[0]
