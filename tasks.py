@@ -79,7 +79,7 @@ def mark(*files: Path) -> Path:
 
 
 def digest(*files: Path) -> str:
-    """Of some files, this Python and this clone."""
+    """A hash of files, this Python's version and this clone's place."""
     return hashlib.sha256(b"".join([sys.version.encode(), bytes(ROOT), *(f.read_bytes() for f in files)])).hexdigest()
 
 

@@ -63,7 +63,7 @@ MOTION_OUTCOME = Table(
         Column("target_y", "m", "centre of the target box"),
         Column("target_w", "m", "full width of the target box"),
         Column("target_h", "m", "full height of the target box"),
-        Column("chance", "1", "foretold chance of hitting; only where it was asked", optional=True),
+        Column("chance", "1", "predicted chance of hitting; only where it was asked", optional=True),
         Column("chance_low", "1", "lower end of its 95 % interval", optional=True),
         Column("chance_high", "1", "upper end", optional=True),
     ),

@@ -26,7 +26,7 @@ def as_called(text: str) -> str:
 
 
 def by_the_other_method(config: Mapping[str, Any]) -> str:
-    """What casts by the other method, behind the program's name; empty where a run is none of the paper's."""
+    """The arguments of a run by the other method; empty where a run is none of the paper's."""
     other, name = config.get("other_method"), config["name"]
     if not other or not (CONF / "experiment" / f"{name}.yaml").exists() or name == "robust":
         return ""

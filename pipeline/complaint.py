@@ -1,4 +1,4 @@
-"""What a person is told, and the shell, where a command cannot be carried out."""
+"""Error messages on the terminal, and exit statuses, where a command cannot be carried out."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def interrupted(by: KeyboardInterrupt) -> int:
 
 
 def refusal(error: BaseException) -> str:
-    """What Hydra says, with the nearest setting there is."""
+    """Hydra's message, with the nearest setting there is."""
     said = str(error).strip().splitlines()[0]
     key = re.match(r"Could not override '([^']+)'", said)
     if re.match("no viable|mismatched|missing|extraneous|token recognition", said):

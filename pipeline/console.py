@@ -1,4 +1,4 @@
-"""What a person sees on the terminal: progress while it runs, a summary at the end."""
+"""The terminal: progress while a run goes on, a summary at its end."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def summary(result: Result, config: Mapping[str, Any]) -> Group:
 
 
 def learned(result: Result) -> list[RenderableType]:
-    """What was learned of the string: the parameters that its casts determine, with their intervals."""
+    """The parameters that the casts determine, with their intervals."""
     if result.estimate is None:
         return []
     known = result.estimate.parameters
@@ -70,7 +70,7 @@ def learned(result: Result) -> list[RenderableType]:
 
 
 def answer(result: Result, stage: StageSpec) -> Group:
-    """What a stage found: its sentence and its table."""
+    """The sentence and the table of a stage's result."""
     told = stage.summary(result.answer)
     said = Panel(Group(Text(result.sentence), "", listed(told.table)), title=f"[bold]{escape(told.title)}")
     return Group(said, Text(str(page(result)), overflow="fold"))
@@ -93,7 +93,7 @@ def page(result: Result) -> Path:
 
 
 def faults(result: Result) -> list[str]:
-    """What went wrong, cast by cast: on the way to the arm, and with obstacles."""
+    """Faults cast by cast: on the way to the arm, and with obstacles."""
     links = {i.number: i.done["trial"].link.iloc[0] for i in result.iterations if "trial" in i.done}
     late = {n: f"it is not to be trusted: {link['reason']}" for n, link in links.items() if not link["valid"]}
     touched = {i.number: i.verdict.touched for i in result.iterations if i.verdict is not None and i.verdict.touched}

@@ -36,7 +36,7 @@ Where = Callable[[str], str]
 
 
 class Mode(ABC):
-    """What a run does with its stages: `mode` in its settings."""
+    """A loop over stages: `mode` in the settings of a run."""
 
     @property
     def growing(self) -> Mapping[str, Sequence[str]]:

@@ -33,10 +33,13 @@ ABOUT = """\
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a person says of the bench. length: of the string [m]. links, base: of the arm [m]. at: how far along the
-    string each point is [m], by its name. fit_clock: lay the clocks over one another by the motion. moving: the string
-    swings already when trials begin. turn: added to the hand's direction [rad]. fps, px_per_m, origin_px: of films."""
+class BenchHints:
+    """The user's description of the bench.
+
+    length: of the string [m]. links, base: of the arm [m]. at: how far along the string each point is [m], by its name.
+    fit_clock: lay the clocks over one another by the motion. moving: the string swings already when trials begin. turn:
+    added to the hand's direction [rad]. fps, px_per_m, origin_px: of films.
+    """
 
     length: float | None = None
     links: tuple[float, ...] = ()
@@ -51,7 +54,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Brought:
+class Imported:
     """A dataset that is not written yet. hand: the table of the hand's motion, ARM or GRASP, and its rows. points: rows
     of POINTS. films: video files by trial. about: dataset.yaml. notes: what was worked out, for people."""
 
@@ -73,66 +76,68 @@ class Brought:
         ]
 
 
-def brought(what: Gathered, told: Told) -> Brought:
+def imported(what: Gathered, bench: BenchHints) -> Imported:
     """The dataset that recordings make. Raises DataError naming the option where something must be said."""
     notes: list[str] = []
-    grasp = _grasp(what, told)
+    grasp = _grasp(what, bench)
     as_joints = len(what.joints) == JOINTS
     motion = what.motion[["trial", "t", *what.joints]] if as_joints else grasp
-    points, length = _along(what, grasp, told, notes)
-    if told.fit_clock:
+    points, length = _along(what, grasp, bench, notes)
+    if bench.fit_clock:
         points = _laid_over(points, grasp, length, notes)
     about: dict[str, Any] = {"format": FORMAT, "string": {"length": length}}
-    about |= {"arm": {"links": list(told.links), "base": list(told.base)}} if as_joints else {}
-    about |= {"camera": _camera(what, told)} if what.films else {}
-    about |= {"initial": "moving"} if told.moving else {}
-    return Brought(ARM if as_joints else GRASP, motion, points, what.films, about, notes)
+    about |= {"arm": {"links": list(bench.links), "base": list(bench.base)}} if as_joints else {}
+    about |= {"camera": _camera(what, bench)} if what.films else {}
+    about |= {"initial": "moving"} if bench.moving else {}
+    return Imported(ARM if as_joints else GRASP, motion, points, what.films, about, notes)
 
 
-def _grasp(what: Gathered, told: Told) -> pd.DataFrame:
+def _grasp(what: Gathered, bench: BenchHints) -> pd.DataFrame:
     """Poses of the grasp, as measured or by the arm's links."""
     named = what.motion[["trial", "t"]]
     if not what.joints:
-        return named.assign(**{axis: what.motion[axis] for axis in "xy"}, theta=what.motion["theta"] + told.turn)
+        return named.assign(**{axis: what.motion[axis] for axis in "xy"}, theta=what.motion["theta"] + bench.turn)
     count = len(what.joints)
-    if len(told.links) != count:
-        there = f"{len(told.links)} links are named" if told.links else "its links are not"
+    if len(bench.links) != count:
+        there = f"{len(bench.links)} links are named" if bench.links else "its links are not"
         raise DataError(
             f"there are the angles of {count} joint{'s' * (count > 1)}, and {there}. Say how long they are, base "
             f"first: --links {','.join((LINKS * count)[:count])} --base 0,0. Where some do not turn in the plane, name "
             "those that do: --map q1=<column> --map q2=<column>."
         )
-    return pd.concat([named, grasp_of(what.motion, np.array(told.links), np.array(told.base))], axis=1)
+    return pd.concat([named, grasp_of(what.motion, np.array(bench.links), np.array(bench.base))], axis=1)
 
 
-def _along(what: Gathered, grasp: pd.DataFrame, told: Told, notes: list[str]) -> tuple[pd.DataFrame, float]:
+def _along(what: Gathered, grasp: pd.DataFrame, bench: BenchHints, notes: list[str]) -> tuple[pd.DataFrame, float]:
     """Points with arc lengths, and the string's length [m]: as said, or as it hangs at rest."""
     points = what.points
     if points.empty:
-        return POINTS.empty().assign(trial=""), _said_length(told)
+        return POINTS.empty().assign(trial=""), _given_length(bench)
     names = list(points["point"].unique())
-    for name in told.at:
+    for name in bench.at:
         if name not in names:
             raise DataError(f"--at {name}=...: there is no such point. There are {', '.join(map(repr, names))}.")
     if "s" in points:
-        return _columns(points), told.length or _noted(float(points["s"].max()), "the largest s", notes)
-    hanging = {} if told.moving else arc_lengths(points, grasp)
-    at = dict(told.at) or ({names[0]: told.length} if len(names) == 1 and told.length else hanging)
+        return _columns(points), bench.length or _noted(float(points["s"].max()), "the largest s", notes)
+    hanging = {} if bench.moving else arc_lengths(points, grasp)
+    at = dict(bench.at) or ({names[0]: bench.length} if len(names) == 1 and bench.length else hanging)
     if not at:
-        _said_length(told)
+        _given_length(bench)
         raise DataError("it is not said how far along the string points are. Say it, in metres: --at tip=0.30.")
-    length = told.length or (max(told.at.values()) if told.at else _noted(max(at.values()), "it hangs at rest", notes))
-    if not told.at and len(at) > 1:
+    length = bench.length or (
+        max(bench.at.values()) if bench.at else _noted(max(at.values()), "it hangs at rest", notes)
+    )
+    if not bench.at and len(at) > 1:
         at = {name: s * length / max(at.values()) for name, s in at.items()}
         places = ", ".join(f"{name or 'point'} {s:.3f} m" for name, s in at.items())
         notes.append(f"points are taken to lie along the string as it hangs at rest: {places}. Say it with --at")
     return _columns(with_arc_lengths(points, at)), length
 
 
-def _said_length(told: Told) -> float:
-    if told.length is None:
+def _given_length(bench: BenchHints) -> float:
+    if bench.length is None:
         raise DataError("the string's length is not said. Measure it from the grasp to the tip: --length 0.30.")
-    return told.length
+    return bench.length
 
 
 def _noted(length: float, why: str, notes: list[str]) -> float:
@@ -141,7 +146,7 @@ def _noted(length: float, why: str, notes: list[str]) -> float:
 
 
 def _columns(points: pd.DataFrame) -> pd.DataFrame:
-    """Those of our format."""
+    """The columns of our format."""
     optional = [name for name in ("sigma", "valid") if name in points]
     whole = points[["trial", "t", "s", "x", "y", *optional]]
     return whole.assign(valid=whole["valid"].fillna(True).astype(bool)) if "valid" in optional else whole
@@ -172,10 +177,10 @@ def _any_arm() -> Arm:
     return Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
 
 
-def _camera(what: Gathered, told: Told) -> dict[str, Any]:
+def _camera(what: Gathered, bench: BenchHints) -> dict[str, Any]:
     """dataset.yaml's camera, of films."""
-    fps = told.fps or what.fps
-    said = {"fps": fps, "px_per_m": told.px_per_m, "origin_px": told.origin_px and list(told.origin_px)}
+    fps = bench.fps or what.fps
+    said = {"fps": fps, "px_per_m": bench.px_per_m, "origin_px": bench.origin_px and list(bench.origin_px)}
     options = {"fps": "--fps 240", "px_per_m": "--px-per-m 340", "origin_px": "--origin-px 251.5,387.5"}
     missing = [options[name] for name, value in said.items() if not value]
     if missing:
@@ -184,7 +189,7 @@ def _camera(what: Gathered, told: Told) -> dict[str, Any]:
     return {**said, "width": width, "height": height}
 
 
-def written(what: Brought, folder: Path, files: Sequence[Path], command: str) -> None:
+def written(what: Imported, folder: Path, files: Sequence[Path], command: str) -> None:
     """Write a dataset as a folder that is not there yet. command: that makes it again."""
     disk.make_folder(folder)
     origin = {"step": "import", "files": {file.name: content_hash(file) for file in files}, "command": command}

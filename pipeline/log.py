@@ -1,7 +1,5 @@
-"""What a run decided, and why: time-stamped lines of Python's `logging`, in run.log and with -v on the terminal.
-
-Whoever decides says so to the logger of its module; who is not asked is silent.
-"""
+"""The log of a run: decisions and their reasons, time-stamped, by Python's `logging`, in run.log and with -v on the
+terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What settings mean, and in which unit: the comments of the files in `conf`, by the settings' full names."""
+"""Meaning and unit of settings: the comments of the files in `conf`, by the settings' full names."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def _named_as_option(word: str) -> str:
 
 
 def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str, list[str]]]:
-    """What is wrong with a word, and what stands for it."""
+    """The fault of a word, and the words that were meant."""
     name, given, value = word.partition("=")
     if setting := _named_as_option(word):
         value = value or next(iter(following), "")
@@ -91,7 +91,7 @@ def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str,
 
 
 def _valued(word: str, name: str, value: str) -> Iterator[tuple[str, list[str]]]:
-    """What is wrong with a setting and its value."""
+    """The fault of a setting with a value, and the words that were meant."""
     plain = name.lstrip("+")
     if (now := new_name(plain)) != plain:
         yield f"{word}: this setting is called {now} now.", [f"{now}={value}"]
@@ -117,7 +117,7 @@ def _metres(number: float) -> float:
 
 
 def _unknown(word: str, plain: str, value: str) -> Iterator[tuple[str, list[str]]]:
-    """Of a setting that there is none of, by its first name."""
+    """The fault of an unknown setting, and the nearest known one, by its first name."""
     top, dot, inner = plain.partition(".")
     near = _nearest(top, [*_settings(), *_groups()])
     fault = f"{word}: there is no setting '{top}'."
@@ -150,7 +150,7 @@ def _mode(steps: str) -> str:
 
 
 def _bare(word: str, first: bool) -> Iterator[tuple[str, list[str]]]:
-    """Of a word that sets nothing."""
+    """The fault of a word without a value, and the words that were meant."""
     if Path(word).is_dir():
         yield f"{word}: a folder of trials is a setting.", [f"trials={word}"]
     elif first and word == "run":
@@ -168,7 +168,7 @@ def _bare(word: str, first: bool) -> Iterator[tuple[str, list[str]]]:
 
 
 def _option(name: str, value: str) -> Iterator[tuple[str, list[str]]]:
-    """Of a group of settings with an option that there is none of."""
+    """The fault of an unknown option of a group, and the nearest known one."""
     there = _options(name.lstrip("+"))
     if there and value not in (*there, "null") and not (CONF / name.lstrip("+") / value).with_suffix(".yaml").exists():
         near = _nearest(value, there)

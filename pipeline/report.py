@@ -37,7 +37,7 @@ def write_page(experiment: Experiment, stage: StageSpec, made: Any, sentence: st
 
 
 def casting(experiment: Experiment, result: Result) -> Record:
-    """What the page of casts is made from."""
+    """The data of the page of casts."""
     estimates = [i.done.get("estimate") for i in result.iterations]
     return Record(
         experiment.config["name"],
@@ -55,13 +55,13 @@ def casting(experiment: Experiment, result: Result) -> Record:
 
 
 def following(ahead: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """What a page says can be done next. ahead: why, and the words behind the program's name."""
+    """The commands that a page offers, as this program is called. ahead: why, and the arguments."""
     always = ("Compute every step again and compare, to the bit", f"verify {HERE}")
     return [(why, f"{called_as()} {words}") for why, words in (*ahead, always)]
 
 
 def after_casts(result: Result, config: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Of casts, or of estimation alone."""
+    """The commands to offer after casts, or after estimation alone."""
     ahead = [("What does the simulation get wrong in these trials, and why?", f"+experiment=diagnose trials={HERE}")]
     if result.estimate is not None and result.estimate.parameters["low"].isna().all():
         words = f"+experiment=estimate estimate=least_squares trials={HERE}"
@@ -74,7 +74,7 @@ def after_casts(result: Result, config: Mapping[str, Any]) -> list[tuple[str, st
 
 
 def after_diagnosis(made: Diagnosis, config: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """By its verdict."""
+    """The commands to offer after a diagnosis, by its verdict."""
     look = ("Look at the measurements: what is usable, what looks wrong", f"check {config['trials']}")
     decide = ("Perform the motion that tells the look-alikes apart", f"+experiment=decide trials={config['trials']}")
     cast = ("Cast with the model that this diagnosis made", f"+experiment=stringB extended={HERE}")
@@ -88,7 +88,7 @@ AFTER = {"diagnose": after_diagnosis}  # what can be done after a stage, by its 
 
 
 def made_by(experiment: Experiment) -> dict[str, Any]:
-    """What a page says it was made with."""
+    """The provenance that a page shows."""
     return {"seed": experiment.seed, "code": code(), "packages": versions(PACKAGES)}
 
 

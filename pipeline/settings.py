@@ -37,7 +37,7 @@ def composed(overrides: Sequence[str] = ()) -> Any:
 
 @functools.cache
 def _composed(overrides: tuple[str, ...]) -> Any:
-    """The same, to be looked at only: Hydra takes 0.1 s, and each job of a study asks for the same."""
+    """The cached settings, not to be changed: Hydra takes 0.1 s, and each job of a study asks for the same."""
     refuse_twice(overrides)
     with initialize_config_dir(str(CONF), version_base="1.3"):
         return OmegaConf.to_container(compose("config", list(overrides)))

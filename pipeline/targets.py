@@ -1,4 +1,4 @@
-"""What a setting `_target_` may name, role by role.
+"""The names that a setting `_target_` may hold, role by role.
 
 Settings come from other people's folders too (`trials=`, `extended=`, `calibrated=`, `resume`, `index` ...), so a name
 is looked up here before anything is imported. Names are those within the package `stringcast`. An arm, a camera or a
@@ -61,5 +61,5 @@ MOVED = {  # what settings of stored runs still call by an old name
 
 @cache
 def roles() -> dict[str, tuple[str, ...]]:
-    """What may fill each role, by the name of the settings that choose it."""
+    """The allowed names for each role, by the name of the settings that choose it."""
     return {**SHELL, **{stage.name: stage.by for stage in stages().values()}}

@@ -37,10 +37,9 @@ class Input(ABC):
 
 
 class This(Input):
-    """Of the same iteration. Raises LookupError where there is none."""
+    """The artifact of the same iteration. Raises LookupError where there is none."""
 
     def found(self, name: str, iterations: Sequence[Mapping[str, Any]]) -> tuple[int, Any] | None:
-        """As of `Input`."""
         if name not in iterations[-1]:
             raise LookupError(f"no stage before it makes `{name}`")
         return len(iterations), iterations[-1][name]
@@ -50,13 +49,13 @@ class Last(Input):
     """The latest of an earlier iteration, if there is one."""
 
     def found(self, name: str, iterations: Sequence[Mapping[str, Any]]) -> tuple[int, Any] | None:
-        """As of `Input`."""
         earlier = enumerate(iterations[:-1], start=1)
         return next(((number, made[name]) for number, made in reversed([*earlier]) if name in made), None)
 
 
 class Setup(Protocol):
-    """What every stage of a run may look at beside artifacts. own: effects whose values differ from trial to trial."""
+    """The part of a run that every stage may use beside artifacts. own: effects whose values differ from trial to
+    trial."""
 
     @property
     def model(self) -> Model: ...
@@ -85,7 +84,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a person is told on the terminal: a heading, a sentence, and a table."""
+    """The terminal's summary of an artifact: a heading, a sentence, and a table."""
 
     title: str
     sentence: str
@@ -93,7 +92,7 @@ class Summary:
 
 
 def _tables(made: Any) -> Summary:
-    """Of a stage that says nothing of itself: how many rows it made."""
+    """The summary of a stage without one of its own: the number of rows it made."""
     counts = {name: len(getattr(made, name)) for name in made.TABLES}
     rows = pd.DataFrame({"table": counts.keys(), "rows": counts.values()})
     return Summary(type(made).__name__, f"Made {', '.join(counts)}.", rows)

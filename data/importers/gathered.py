@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from stringcast.data.importers.columns import Meaning, meaning, unit_in
-from stringcast.data.importers.reader import Column, Reader, Said, Taken, listed, trial_name
+from stringcast.data.importers.reader import Column, ColumnHints, Reader, Taken, listed, trial_name
 from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 
@@ -40,17 +40,17 @@ class Gathered:
         return sorted((c for c in self.motion if re.fullmatch(r"q\d+", c)), key=lambda c: int(c[1:]))
 
 
-def gathered(recordings: Sequence[Recording], said: Said) -> Gathered:
+def gathered(recordings: Sequence[Recording], hints: ColumnHints) -> Gathered:
     """All recordings together, each trial under one name. Raises DataError where something is missing or unclear."""
-    _refuse_unknown(recordings, said)
+    _refuse_unknown(recordings, hints)
     taken: list[Taken] = []
     left: dict[Path, list[str]] = {}
     moved: list[tuple[Recording, pd.DataFrame]] = []
     seen: list[tuple[Recording, pd.DataFrame]] = []
     for recording in recordings:
         if recording.film is None:
-            columns = _columns(recording, said)
-            motion, points = _parts(recording, columns, said, taken)
+            columns = _columns(recording, hints)
+            motion, points = _parts(recording, columns, hints, taken)
             moved += [(recording, motion)] if motion is not None else []
             seen += [(recording, points)] if points is not None else []
             counted = {one.column for one in taken if one.file == recording.file}
@@ -72,10 +72,10 @@ def gathered(recordings: Sequence[Recording], said: Said) -> Gathered:
     return Gathered(motion, points, films, list(unique.values()), left, fps)
 
 
-def _refuse_unknown(recordings: Sequence[Recording], said: Said) -> None:
+def _refuse_unknown(recordings: Sequence[Recording], hints: ColumnHints) -> None:
     """Refuse roles that there are none of, and columns that no file has."""
     there = list(dict.fromkeys(str(name) for recording in recordings for name in recording.table))
-    for role, text in said.columns.items():
+    for role, text in hints.columns.items():
         if not ROLES.fullmatch(role):
             raise DataError(f"--map {role}={text}: '{role}' is no name of ours. Write one of {ROLES_ARE}.")
         if not any(_found(text, recording) for recording in recordings):
@@ -99,10 +99,10 @@ def _found(text: str, recording: Recording) -> tuple[str, float, float] | None:
     return None
 
 
-def _columns(recording: Recording, said: Said) -> list[Column]:
+def _columns(recording: Recording, hints: ColumnHints) -> list[Column]:
     """The columns of a recording that mean something, those first that a person named."""
     asked: dict[str, Column] = {}
-    for role, text in said.columns.items():
+    for role, text in hints.columns.items():
         found = _found(text, recording)
         if found:
             name, sign, shift = found
@@ -139,13 +139,13 @@ def _hand_by_its_angle(columns: Sequence[Column]) -> list[Column]:
 
 
 def _parts(
-    recording: Recording, columns: Sequence[Column], said: Said, taken: list[Taken]
+    recording: Recording, columns: Sequence[Column], hints: ColumnHints, taken: list[Taken]
 ) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
     """The hand's motion and the string's points of a recording, in our units; None for what it does not hold."""
     kinds = {column.meaning.kind for column in columns}
     if not {"joint", "hand", "point"} & kinds:
         return None, None
-    reader = Reader(recording, said, taken)
+    reader = Reader(recording, hints, taken)
     about = pd.DataFrame({"t": reader.times(columns)}, index=recording.table.index)
     trial = next((column for column in columns if column.meaning.kind == "trial"), None)
     about["trial"] = reader.names(trial) if trial else recording.name
@@ -154,7 +154,7 @@ def _parts(
     if motion is not None:
         motion = pd.concat([about, motion], axis=1)
     if points is not None:
-        late = about["t"].iloc[points.index].to_numpy() + said.clock
+        late = about["t"].iloc[points.index].to_numpy() + hints.clock
         points = points.assign(t=late, trial=about["trial"].iloc[points.index].to_numpy())
     return motion, points
 

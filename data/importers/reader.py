@@ -19,7 +19,7 @@ LIKELY = 0.6  # of a tracker's own likelihood: below it says that it guesses (De
 
 
 @dataclass(frozen=True)
-class Said:
+class ColumnHints:
     """The user's description of the files, beyond what the names of columns tell.
 
     columns: our name to theirs, with a sign before it and a shift behind it, as in q2: -elbow_deg+90. unit: of lengths,
@@ -80,7 +80,7 @@ class Reader:
     """Turns columns of a recording into numbers of ours, and notes in `taken` how each was understood."""
 
     recording: Recording
-    said: Said
+    hints: ColumnHints
     taken: list[Taken]
 
     def numbers(self, column: Column, role: str, unit: str, factor: float, how: str) -> np.ndarray:
@@ -108,7 +108,7 @@ class Reader:
         if found:
             column = min(found, key=lambda c: (c.how != "--map", len(c.meaning.name.split())))
             return self._clock(column)
-        fps = self.said.fps or self.recording.fps
+        fps = self.hints.fps or self.recording.fps
         if fps is None:
             raise DataError(
                 f"{self.recording.file}: no column holds times; there are {listed(self.recording)}. Name it with "
@@ -117,7 +117,7 @@ class Reader:
         frame = next((column for column in columns if column.meaning.kind == "frame"), None)
         if frame is None:
             return np.arange(len(self.recording.table)) / fps
-        return self.numbers(frame, "t", f"frames, {fps:g} a second", 1 / fps, "--fps" if self.said.fps else "file")
+        return self.numbers(frame, "t", f"frames, {fps:g} a second", 1 / fps, "--fps" if self.hints.fps else "file")
 
     def _clock(self, column: Column) -> np.ndarray:
         """A column of times [s]: numbers in the unit that its name says or its steps tell, or dates."""
@@ -154,21 +154,21 @@ class Reader:
         """A column of lengths [m], or of pixels."""
         unit, how = self.unit(column), column.how
         if not column.meaning.unit:
-            how = "--unit" if self.said.unit else how
+            how = "--unit" if self.hints.unit else how
         if unit == "px":
             return self.numbers(column, role, unit, 1.0, how)
         return self.numbers(column, role, unit, LENGTHS[unit], how)
 
     def unit(self, column: Column) -> str:
         """The unit of a column of lengths: from its name, else as the user gave it for the file, else metres."""
-        said = self.said.unit
+        said = self.hints.unit
         return column.meaning.unit or said.get(self.recording.file.name) or said.get("") or "m"
 
     def angle(self, column: Column, role: str) -> np.ndarray:
         """A column of angles [rad]."""
         unit, how = column.meaning.unit, column.how
-        if not unit and self.said.degrees is not None:
-            unit, how = ("deg" if self.said.degrees else "rad"), "--deg" if self.said.degrees else "--rad"
+        if not unit and self.hints.degrees is not None:
+            unit, how = ("deg" if self.hints.degrees else "rad"), "--deg" if self.hints.degrees else "--rad"
         if not unit:
             raw = np.abs(pd.to_numeric(self.recording.table[column.name], errors="coerce").to_numpy(dtype=float))
             far = float(np.nanquantile(raw, 0.9)) if np.isfinite(raw).any() else 0.0
@@ -181,7 +181,7 @@ class Reader:
         if joints:
             ordered = sorted(joints, key=lambda c: int(c.meaning.name))
             degrees = [c for c in ordered if not c.meaning.unit]  # in degrees all or none
-            reader = self if not degrees else replace(self, said=self._degrees_of(degrees))
+            reader = self if not degrees else replace(self, hints=self._degrees_of(degrees))
             angles = {f"q{n}": reader.angle(column, f"q{n}") for n, column in enumerate(ordered, 1)}
             return pd.DataFrame(angles, index=self.recording.table.index)
         hand = {c.meaning.axis: c for c in columns if c.meaning.kind == "hand"}
@@ -192,13 +192,13 @@ class Reader:
         places = {name: axis.sign * self.length(hand[axis.name], name) for name, axis in (("x", right), ("y", up))}
         return pd.DataFrame({**places, "theta": self._theta(hand, right, up)}, index=self.recording.table.index)
 
-    def _degrees_of(self, columns: Sequence[Column]) -> Said:
+    def _degrees_of(self, columns: Sequence[Column]) -> ColumnHints:
         """The user's description with degrees for all these columns if one of them turns further than a joint can
         [rad]."""
-        if self.said.degrees is not None:
-            return self.said
+        if self.hints.degrees is not None:
+            return self.hints
         raw = self.recording.table[[c.name for c in columns]].apply(pd.to_numeric, errors="coerce").abs()
-        return replace(self.said, degrees=True) if float(raw.quantile(0.9).max()) > TURNED else self.said
+        return replace(self.hints, degrees=True) if float(raw.quantile(0.9).max()) > TURNED else self.hints
 
     def _theta(self, hand: Mapping[str, Column], right: Axis, up: Axis) -> np.ndarray:
         """Direction in which the string leaves the hand [rad]: of a column, or where a quaternion turns x."""
@@ -213,13 +213,15 @@ class Reader:
         return np.unwrap(np.arctan2(up.sign * axis[up.name], right.sign * axis[right.name]))
 
     def plane(self, columns: Sequence[Column]) -> tuple[Axis, Axis]:
-        """Which of the directions are ours: those that are there, or of three those that were said or y up."""
-        if self.said.plane:
-            right, up = (Axis(part.lstrip("-"), -1.0 if part[0] == "-" else 1.0) for part in self.said.plane.split(","))
+        """The directions of x and y: those that are there, or of three those that the user gave, or y up."""
+        if self.hints.plane:
+            right, up = (
+                Axis(part.lstrip("-"), -1.0 if part[0] == "-" else 1.0) for part in self.hints.plane.split(",")
+            )
             return right, up
         there = [a for a in "xyz" if any(c.meaning.axis == a for c in columns if c.meaning.kind in ("hand", "point"))]
         if len(there) < 3:
-            down = self.said.down and any(c.meaning.kind == "point" for c in columns)
+            down = self.hints.down and any(c.meaning.kind == "point" for c in columns)
             return Axis(there[0]), Axis(there[1], -1.0 if down else 1.0)
         raise DataError(
             f"{self.recording.file}: places have three coordinates, a cast has two. Say which is to the right and "
@@ -259,7 +261,7 @@ class Reader:
 
     def _on_the_plane(self, xy: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Pixels, counted down from the top, as metres."""
-        scale, origin = self.said.px_per_m, self.said.origin_px
+        scale, origin = self.hints.px_per_m, self.hints.origin_px
         if scale is None or origin is None:
             raise DataError(
                 f"{self.recording.file}: places are in pixels. Say how many are a metre and where the world's origin "

@@ -57,5 +57,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What there is to ask."""
+    """The names that the package offers."""
     return [*__all__, "__version__"]

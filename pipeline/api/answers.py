@@ -1,4 +1,4 @@
-"""What trials tell: a diagnosis, or an estimation alone."""
+"""Answers from trials: a diagnosis, or an estimate alone."""
 
 from __future__ import annotations
 
@@ -36,7 +36,10 @@ MM = 1e3
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """What the simulation gets wrong, and why. made: every table of the diagnosis. experiment: that it was asked of."""
+    """The discrepancy between simulation and trials, and its causes.
+
+    made: every table of the diagnosis. experiment: model, data and settings of the diagnosis.
+    """
 
     made: Diagnosis
     experiment: Experiment
@@ -137,11 +140,8 @@ class Estimated:
 
 
 def diagnose(trials: Trials, *settings: str) -> Diagnosed:
-    """What does the simulation get wrong in these trials, and why? Takes a minute or more, and shows how far it is.
-
-    settings: words as on the command line, such as "string.points=15". Raises StringcastError for data that cannot be
-    used.
-    """
+    """Diagnose the discrepancy between the simulation and these trials. Takes a minute or more, and shows its
+    progress."""
     here, data = _ready(trials, ("+experiment=diagnose", *settings))
     with progress_bar("diagnose") as progress:
         given = (here.model, list(data.trials.values()), data.rejected, held_out(data), here.obstacles)

@@ -1,4 +1,4 @@
-"""What is known of a string: the model that a diagnosis or an estimation made, for all that comes after."""
+"""A string that is known: the model that a diagnosis or an estimation made, for all that comes after."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class KnownString:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What is known of each parameter, by name: a number, or a value with its interval."""
+        """The known parameters by name: a number, or a value with its interval."""
         return dict(self.settings.get("known", {}))
 
     def mjcf(self, mass: float, step: float = 5e-4) -> str:

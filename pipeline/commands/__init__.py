@@ -1,9 +1,4 @@
-"""What can be asked beside a run itself: `python -m pipeline <command> ...`; each has its own --help.
-
-A command is a module of this folder: its docstring's first line says what it does, `main(arguments)` does it and
-returns the exit status: 0 is yes or done, 1 is no, 2 means that it could not be answered. Those that ask what made a
-file are functions of `provenance.py`.
-"""
+"""Commands beside a run itself: `python -m pipeline <command> ...`; each has its own --help."""
 
 from __future__ import annotations
 
@@ -38,7 +33,7 @@ PROVENANCE = frozenset({"verify", "why", "diff", "lineage"})
 
 
 class Arguments(argparse.ArgumentParser):
-    """Of a command: what is wrong with them is said in one line, as everywhere."""
+    """A parser of a command's arguments whose errors are one line, as everywhere."""
 
     def error(self, message: str) -> NoReturn:
         """Raise UserError."""
@@ -75,7 +70,7 @@ def _function(name: str) -> str:
 
 
 def _first_line(name: str) -> str:
-    """What a command does, without loading it."""
+    """The first line of a command's description, without loading the command."""
     tree = ast.parse(Path(__file__).with_name(f"{_module(name)}.py").read_text(encoding="utf-8"))
     functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
     return (ast.get_docstring(functions[name] if name in PROVENANCE else tree) or "").splitlines()[0]

@@ -29,7 +29,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Of the command's arguments."""
+    """The parser of the command's arguments."""
     made = Arguments("python -m pipeline board", description=__doc__, allow_abbrev=False)
     made.add_argument("file", type=Path, help="PDF to write")
     made.add_argument("settings", nargs="*", help="as for a run, such as board=a1 or board.square=0.03")

@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Of the command's arguments."""
+    """The parser of the command's arguments."""
     made = Arguments("python -m pipeline check", description=__doc__, allow_abbrev=False)
     made.add_argument("folder", type=Path, help="measured data, or a run's folder")
     made.add_argument("settings", nargs="*", default=[], help="as for a run, such as string.length=0.4 or arm=mine")
@@ -78,7 +78,7 @@ def measured(folder: Path, overrides: Sequence[str]) -> Measured:
 
 
 def page(there: Measured, found: Mapping[str, Any]) -> str:
-    """What was found, as a page with pictures."""
+    """The findings as a page with pictures, HTML."""
     check_page = import_module("stringcast.stages.report.pages.check").check_page  # which takes a second to load
     ahead = [
         (
@@ -93,7 +93,7 @@ def page(there: Measured, found: Mapping[str, Any]) -> str:
 
 
 def unreadable(folder: Path, reason: str) -> dict[str, Any]:
-    """What is known of data that cannot be read. reason: `file: field is so. Remedy.`, as all errors are written."""
+    """The overview of data that cannot be read. reason: `file: field is so. Remedy.`, as all errors are written."""
     file, _, rest = reason.partition(": ")
     ends = [at.start() for at in re.finditer(r"\. (?=[A-Z])", rest)]
     end = next((at for at in ends if rest[:at].count("(") == rest[:at].count(")")), len(rest))

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Of the command's arguments."""
+    """The parser of the command's arguments."""
     made = Arguments("python -m pipeline draw", description=__doc__, allow_abbrev=False)
     made.add_argument("seed", type=natural, help="from which string, casts and cause are drawn")
     made.add_argument("folder", type=Path, help="for the measured data")

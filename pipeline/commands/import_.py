@@ -19,13 +19,13 @@ from rich.text import Text
 from stringcast.data.importers.columns import LENGTHS
 from stringcast.data.importers.files import recordings
 from stringcast.data.importers.gathered import Gathered, gathered
-from stringcast.data.importers.reader import Said, Taken
+from stringcast.data.importers.reader import ColumnHints, Taken
 from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 from stringcast.data.store import whole
 from stringcast.pipeline.called import called_as
 from stringcast.pipeline.commands import Arguments, check
-from stringcast.pipeline.importing import Brought, Told, brought, written
+from stringcast.pipeline.importing import BenchHints, Imported, imported, written
 from stringcast.pipeline.mistakes import FARTHEST
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.terminal import Terminal
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Of the command's arguments."""
+    """The parser of the command's arguments."""
     made = Arguments(
         *("python -m pipeline import", None, __doc__, EXAMPLES),
         allow_abbrev=False,
@@ -136,13 +136,13 @@ def pair(text: str) -> tuple[float, float]:
 
 def understood(
     read: Sequence[Recording], asked: argparse.Namespace, console: Terminal
-) -> tuple[Gathered, Brought, Measured]:
-    """What the files are taken to be: where a wrong unit, direction or clock would explain why they cannot be so, that
-    is asked on a terminal, and else taken where nobody said otherwise. `asked` is changed by it."""
+) -> tuple[Gathered, Imported, Measured]:
+    """The recordings with their interpretation. Where a wrong unit, direction or clock would explain why data cannot be
+    right, that is asked on a terminal, and else assumed where no option says otherwise. `asked` is changed by it."""
     with TemporaryDirectory() as place:
         for number in range(TRIES):
-            what = gathered(read, said(asked))
-            made = brought(what, told(asked))
+            what = gathered(read, column_hints(asked))
+            made = imported(what, bench_hints(asked))
             folder = Path(place) / str(number)
             change: Change | None
             if made.apart:
@@ -163,7 +163,7 @@ def understood(
 Change = tuple[str, str, Callable[[], object]]  # what seems so, the option that says it, and what it does
 
 
-def _apart(made: Brought, asked: argparse.Namespace) -> Change:
+def _apart(made: Imported, asked: argparse.Namespace) -> Change:
     """Clocks that have nothing in common are laid over one another."""
     if asked.clock is not None:
         raise DataError(f"--clock {asked.clock}: trial {made.apart[0]} of arm and camera are still not of one time.")
@@ -221,8 +221,8 @@ def _agree(why: str, option: str, change: Callable[[], object], asked: argparse.
     change()
 
 
-def said(asked: argparse.Namespace) -> Said:
-    """Of the columns."""
+def column_hints(asked: argparse.Namespace) -> ColumnHints:
+    """The options that describe columns. Raises UserError for a unit or a plane that there is none of."""
     columns = dict(_pairs(asked.map, "--map", "q1=joint_a"))
     unit = dict(text.rsplit("=", 1) if "=" in text else ("", text) for text in asked.unit)
     for name, one in unit.items():
@@ -231,16 +231,16 @@ def said(asked: argparse.Namespace) -> Said:
     if asked.plane and not re.fullmatch(r"-?[xyz],-?[xyz]", asked.plane):
         raise UserError(f"--plane {asked.plane}: it names no two directions. Write such as x,z or --plane=-z,y")
     clock = 0.0 if asked.clock in (None, "fit") else _seconds(asked.clock)
-    return Said(
+    return ColumnHints(
         *(columns, unit, asked.deg, asked.y_down, asked.plane),
         *(asked.fps, clock, asked.px_per_m, asked.origin_px),
     )
 
 
-def told(asked: argparse.Namespace) -> Told:
-    """Of the bench."""
+def bench_hints(asked: argparse.Namespace) -> BenchHints:
+    """The options that describe the bench."""
     at = {name: metres(text) for name, text in _pairs(asked.at, "--at", "tip=0.30")}
-    return Told(
+    return BenchHints(
         *(asked.length, asked.links, asked.base, at, asked.clock == "fit", asked.moving),
         *(radians(asked.turn), asked.fps, asked.px_per_m, asked.origin_px),
     )
@@ -305,7 +305,7 @@ def columns(what: Gathered) -> Table:
 
 
 def _our_unit(one: Taken) -> str:
-    """Of a column's numbers."""
+    """The unit of a column's numbers after import, behind a space; empty for what has none."""
     if one.unit in ("1", "px") or one.role.endswith("valid"):
         return ""
     return {"t": " s", "theta": " rad", "trial": ""}.get(one.role, " rad" if one.role.startswith("q") else " m")

@@ -67,7 +67,7 @@ def index(folder: Path) -> pd.DataFrame:
 
 
 def write(runs: pd.DataFrame, to: Path, folder: Path) -> None:
-    """As a page, Parquet or CSV, by the file's ending. folder: that was listed."""
+    """Write a table of runs as a page, Parquet or CSV, by the file's ending. folder: that was listed."""
     if to.suffix == ".csv":
         store.write_text(to, runs.to_csv(index=False))
     elif to.suffix == ".parquet":
@@ -137,7 +137,7 @@ def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
 
 
 def _steps(run: Path) -> dict[str, Any]:
-    """What its steps say: when, how long, how good, and whether they are fresh."""
+    """The row's columns from a run's steps: when, how long, how good, and whether they are fresh."""
     steps = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
     made = [store.origin_of(sorted(step.glob("*.parquet"))[0]).get("made", {}) for step in steps]
     rates = [

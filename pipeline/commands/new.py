@@ -158,7 +158,7 @@ def arm(name: str) -> tuple[Files, str]:
 
 
 def camera(name: str) -> tuple[Files, str]:
-    """Of a camera: those of the paper's bench, to be changed or measured."""
+    """Settings of a camera: those of the paper's bench, to be changed or measured."""
     return settings("camera", name, "highspeed"), f"+experiment=stringB method=robust camera={name}"
 
 

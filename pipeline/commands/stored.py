@@ -1,4 +1,4 @@
-"""What commands share: the experiment of a stored run, and its steps walked through without making any."""
+"""Stored runs, for commands: their experiment, and their steps walked through without making any."""
 
 from __future__ import annotations
 
@@ -65,7 +65,8 @@ def stored_settings(folder: Path) -> dict[str, Any]:
 
 
 def stored_experiment(folder: Path) -> Experiment:
-    """What a run works with, from its config.json. Raises UserError where there is none, or one of another version."""
+    """The experiment of a stored run, from its config.json. Raises UserError where there is none, or one of another
+    version."""
     path = folder / "config.json"
     try:
         return prepare(stored_settings(folder), lambda block: str(path))

@@ -31,7 +31,6 @@ class Batch(Stepwise):
     first: tuple[str, ...]
 
     def check(self, experiment: Experiment) -> None:
-        """As of `Mode`."""
         known_stages((self.stage, *self.first))
         asked = sorted(name for name, stage in stages().items() if [*stage.inputs] == ["trials"])
         if self.stage not in asked:
@@ -42,11 +41,9 @@ class Batch(Stepwise):
             needs_trials(experiment)
 
     def moves(self, config: Mapping[str, Any]) -> bool:
-        """As of `Mode`."""
         return config["trials"] is None and "execute" in self.first
 
     def work(self, experiment: Experiment, folder: Path, executor: Executor) -> Result:
-        """As of `Stepwise`."""
         history, trials = self.begun(experiment, executor)
         made = history.make(self.stage, trials=trials)
         left = f"Left out: {listed(trials.rejected)}." if trials.rejected else ""

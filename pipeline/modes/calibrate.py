@@ -33,11 +33,10 @@ class Calibrate(Mode):
     """Pictures of the board tilted in all directions, and of one held in the plane of motion, of whatever source."""
 
     def check(self, experiment: Experiment) -> None:
-        """As of `Mode`."""
         needs_none(experiment)
 
     def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:
-        """As of `Mode`; raises UserError for a calibration that cannot be used, after its page is written."""
+        """Calibrate, write the page, then raise UserError for a calibration that cannot be used."""
         stage = stages()["calibrate"]
         board = build(Board, experiment.config["board"], "board", "conf/board")
         tilted = pictures(experiment, "source", TILT, console)
@@ -55,7 +54,7 @@ class Calibrate(Mode):
 
 
 def pictures(experiment: Experiment, name: str, ask: str, console: Terminal) -> list[object]:
-    """Of one of the sources, as configured. ask: what a person is to do before a live camera."""
+    """The pictures of one of the sources, as configured. ask: request to the user before a live camera films."""
     source: Source = chosen(experiment.config[name], name, f"conf/source, as {name}")
     return list(source.stills(experiment.camera, lambda: asked(ask, console)))
 

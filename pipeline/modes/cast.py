@@ -30,19 +30,17 @@ class Cast(Stepwise):
     stages: tuple[str, ...]
 
     def check(self, experiment: Experiment) -> None:
-        """As of `Mode`."""
         needs_none(experiment)
         known_stages(self.stages)
         check_reach(experiment.target, experiment.arm, experiment.string.length)
 
     def moves(self, config: Mapping[str, Any]) -> bool:
-        """As of `Mode`."""
         return config["trials"] is None and "execute" in self.stages
 
     def work(
         self, experiment: Experiment, folder: Path, executor: Executor, before: Sequence[Iteration] = ()
     ) -> Result:
-        """As of `Stepwise`. before: what was cast already, and counts as spent."""
+        """Cast until a trial hits. before: casts made already, which count."""
         history = History(executor, [*before])
         by = allowed(experiment.config["execute"]["_target_"], "execute", "config.json")
         dry = by in DRY_RUNS

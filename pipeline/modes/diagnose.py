@@ -25,11 +25,9 @@ class Diagnose(Batch):
     motions: int
 
     def moves(self, config: Mapping[str, Any]) -> bool:
-        """As of `Mode`."""
         return self.motions > 0
 
     def work(self, experiment: Experiment, folder: Path, executor: Executor) -> Result:
-        """As of `Stepwise`."""
         history, trials = self.begun(experiment, executor)
         stored = len(history.iterations)
         made: Diagnosis = history.make(self.stage, trials=trials)

@@ -28,11 +28,9 @@ class Estimate(Stepwise):
     again: bool
 
     def check(self, experiment: Experiment) -> None:
-        """As of `Mode`."""
         needs_trials(experiment)
 
     def work(self, experiment: Experiment, folder: Path, executor: Executor) -> Result:
-        """As of `Stepwise`."""
         data, used = usable(experiment), experiment.config["trials_used"]
         fitted = [name for name in data.trials if name not in held_out(data)]
         if not fitted:
@@ -53,7 +51,7 @@ class Estimate(Stepwise):
 
 
 def estimated(iterations: Sequence[Iteration], data: dataset.Dataset) -> str:
-    """What estimation from stored trials came to, in a sentence or three."""
+    """The result of an estimation from stored trials, in a sentence or three."""
     estimates = [i.done["estimate"] for i in iterations if "estimate" in i.done]
     predicted = [i.done["prediction"].score.iloc[0] for i in iterations if "prediction" in i.done]
     count, rate = len(iterations) - len(predicted), float(estimates[-1].fit["after"].iloc[0])

@@ -27,7 +27,7 @@ class Stepwise(Mode):
         """All steps in their order. folder: the run's."""
 
     def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:
-        """As of `Mode`. The report comes before run.json, which says that all is there."""
+        """Make the steps, the report, and at last run.json, whose presence says that all is there."""
         if self.moves(experiment.config) and not (folder / ENDED).exists():
             check_devices(experiment)
         with bars(console) as bar:

@@ -33,12 +33,12 @@ ONE_THREAD = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_TH
 
 
 class Job(ABC):
-    """What makes one row of a study, or several, in a process of its own; it can be pickled."""
+    """One job of a study: it makes a row, or several, in a process of its own; it can be pickled."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """Of the file that keeps what it made: one of its own in its study, for good."""
+        """The name of the file that keeps the result: one of its own in its study, for good."""
 
     @abstractmethod
     def __call__(self) -> Any:
@@ -76,15 +76,12 @@ class Study(Mode):
 
     @property
     def growing(self) -> Mapping[str, Sequence[str]]:
-        """As of `Mode`."""
         return {self.BLOCK: self.MORE}
 
     def check(self, experiment: Experiment) -> None:
-        """As of `Mode`."""
         needs_none(experiment)
 
     def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:
-        """As of `Mode`."""
         with bars(console) as bar, bar(experiment.config["name"]) as progress:
             sentence = self.run(experiment, folder, progress)
         console.print(sentence, soft_wrap=True, markup=False)
@@ -114,7 +111,7 @@ def all_made(
     lives: int | None = None,
     progress: Progress = lambda share: None,
 ) -> tuple[dict[str, Any], dict[str, BaseException]]:
-    """What each job made, by its name, whatever the number of processes; and of those that failed, why."""
+    """Results of jobs by their names, and exceptions of those that failed."""
     made = {job.name: kept(job, folder) for job in jobs if place(job, folder).exists()}
     failed: dict[str, BaseException] = {}
     with workers(processes, lives) as pool:
@@ -134,7 +131,7 @@ def place(job: Job, folder: Path) -> Path:
 
 
 def kept(job: Job, folder: Path) -> Any:
-    """What a job made, read from the study's folder if it is there, else made and kept."""
+    """The result of a job, read from the study's folder if it is there, else made and kept."""
     path = place(job, folder)
     if not path.exists():
         write_text(path, json.dumps(job()))

@@ -1,4 +1,4 @@
-"""What Hydra loads of sweeps for every command line; what launches them is loaded for a sweep."""
+"""The part of sweeps that Hydra loads for every command line; what launches them is loaded for a sweep."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class BegunLater(Launcher):
     sweep: ClassVar[Any] = None  # the launcher of this process' sweep
 
     def __init__(self, **settings: Any) -> None:
-        """As the config has it."""
+        """Take the launcher's settings."""
         self.launcher = import_module("stringcast.pipeline.sweep.launcher").LedgerLauncher(**settings)
 
     def setup(self, **given: Any) -> None:
@@ -31,7 +31,7 @@ class BegunLater(Launcher):
 
 
 def folder() -> str:
-    """Of this process' sweep, for errors of which Hydra does not say where it writes; of none where there is none."""
+    """The folder of this process' sweep, for errors of which Hydra does not say where it writes."""
     return "the run's folder" if BegunLater.sweep is None else str(BegunLater.sweep.config.hydra.sweep.dir)
 
 

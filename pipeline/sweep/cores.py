@@ -6,5 +6,5 @@ import os
 
 
 def cores() -> int:
-    """Those it is bound to, where the system tells, else all."""
+    """The number of cores that this process may use, where the system tells, else of all."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""What a sweep leaves: one table and one page for all its jobs."""
+"""The end of a sweep: one table and one page for all its jobs."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class LedgerLauncher:
     time. settings: of the function `by`."""
 
     def __init__(self, by: str, finish: str, retry: bool, ahead: int, **settings: Any) -> None:
-        """As the config has it; `setup` checks it, for Hydra hides what goes wrong here."""
+        """Take the settings unchecked; `setup` checks them, for Hydra hides what goes wrong here."""
         self.by, self.finish, self.retry, self.ahead, self.settings = by, finish, retry, ahead, settings
         self.launched: tuple[Path, Callable[[Path], list[Job]]] | None = None  # the sweep's folder, what finishes it
 
@@ -94,7 +94,7 @@ class LedgerLauncher:
 
 
 def _returned(ledger: Ledger, job: Job) -> JobReturn:
-    """What a sweeper that optimizes looks at."""
+    """The return values of jobs for a sweeper that optimises."""
     path = ledger.place(job.key) / "run.json"
     rows = json.loads(path.read_text(encoding="utf-8"))["iterations"] if path.exists() else []
     rate = rows[-1].get("E_after") if rows else None

@@ -1,13 +1,4 @@
-"""What has become of every job of a sweep: a file a job, so that no kill and no second sweep can spoil it.
-
-    <sweep>/ledger/<key>.json    the job: what was asked, its state, error, attempts, seconds, host
-    <sweep>/ledger/<key>.log     what its attempts said
-    <sweep>/<key>/               its run
-
-A job's key is a hash of all its settings, resolved: however it is spelled, it is the same job. A job is claimed by a
-lock on its log, which its process holds too and the system drops when both have ended, however they end. So a job
-that is called running while nobody holds its lock was interrupted. Only who holds the lock writes the job's file.
-"""
+"""The ledger of a sweep: the state of every job, a file each, so that no kill and no second sweep can spoil it."""
 
 from __future__ import annotations
 

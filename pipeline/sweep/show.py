@@ -1,4 +1,4 @@
-"""What a person sees of a sweep on the terminal."""
+"""A sweep on the terminal."""
 
 from __future__ import annotations
 

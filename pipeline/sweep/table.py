@@ -105,7 +105,7 @@ def _outcome(path: Path, done: bool) -> dict[str, float]:
 
 
 def _parameters(ledger: Ledger, job: Job) -> Iterator[tuple[str, tuple[Column, float]]]:
-    """What the last estimation of a job found, by name; raises DataError where it cannot be read."""
+    """The parameters of a job's last estimation, by name. Raises DataError where it cannot be read."""
     made = sorted(ledger.place(job.key).glob("iterations/*/estimate/parameters.parquet"))
     if job.state != DONE or not made:
         return

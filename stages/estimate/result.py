@@ -95,10 +95,10 @@ def estimate_of(
 
 
 def insensitive(goals: Sequence[Target], search: Search) -> Interval:
-    """What a search on E can say of its best string: which parameters E does not depend on there.
+    """The parameters on which E does not depend at the best string that a search found.
 
-    It cannot say that a parameter is determined: a search narrows by itself, and may end beside
-    a string that is better still. Each parameter is moved through its range, the others held.
+    It cannot be said that a parameter is determined: a search narrows by itself, and may end beside a string that is
+    better still. Each parameter is moved through its range, the others held.
     """
     parameters = goals[0].case.model.parameters
     best = search.chi[search.best]
@@ -136,7 +136,7 @@ def correlated(parameters: Sequence[Parameter], determined: np.ndarray, correlat
 
 
 def bad_fit(rate: float, rms: float, length: float) -> str:
-    """What to say of parameters of a model that does not fit; empty if it does. rms, length [m]."""
+    """A warning about a model that does not fit, whose parameters mean little; empty if it fits. rms, length [m]."""
     if rate >= POOR and rms < FAR * length:
         return ""
     return (

@@ -16,7 +16,7 @@ from stringcast.stages.generate.draws import Draws
 from stringcast.stages.generate.generate import arm_faults, curves_of
 from stringcast.stages.generate.refine import Space
 
-GENTLER = (1.0, 0.5, 0.25)  # of the accelerations: a gentle cast is foretold better
+GENTLER = (1.0, 0.5, 0.25)  # of the accelerations: a gentle cast is predicted better
 AT_ONCE = 128  # movements whose limits are checked together
 TRIES = 100  # such batches of a kind at most
 BEGIN = 3  # draws that the race begins with; each round takes MORE times as many,

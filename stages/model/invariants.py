@@ -99,7 +99,7 @@ def even(law: str, *names: str) -> Invariant:
 
 
 def never_negative(law: str) -> Invariant:
-    """What a drag must be to take energy and never give any."""
+    """The law is never negative, as a drag that takes energy and never gives any."""
     return NeverNegative(law, f"{law} is never negative")
 
 

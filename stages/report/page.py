@@ -171,7 +171,7 @@ class Chart(Part):
 
     @property
     def data(self) -> dict[str, Any]:
-        """What the page's script draws: times in ms, null where there is no value."""
+        """The data of the page's script: times in ms, null where there is no value."""
         return {
             "t": np.round(np.asarray(self.t, float) * MM, 2).tolist(),
             "lines": [

@@ -232,7 +232,7 @@ class SweepRecord:
 
     @cached_property
     def outcomes(self) -> tuple[Outcome, ...]:
-        """What is known of at least one job."""
+        """Results with a value for at least one job."""
         every = (*OUTCOMES, *(parameter(name, *words) for name, words in self.estimated.items()))
         return tuple(outcome for outcome in every if self.done[outcome.name].notna().any())
 

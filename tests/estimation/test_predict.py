@@ -1,4 +1,4 @@
-"""What a fitted model foretells of a trial that nothing was fitted to, and what of that trial it may look at."""
+"""What a fitted model predicts of a trial that nothing was fitted to, and what of that trial it may look at."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -153,7 +153,7 @@ def run(model, folder, trials_used, held_out):
         ("all", [(3, ["a", "c", "d"])]),
     ],
 )
-def test_what_is_held_out_is_foretold_and_not_estimated_from(trials_used, estimated, model, tmp_path):
+def test_what_is_held_out_is_predicted_and_not_estimated_from(trials_used, estimated, model, tmp_path):
     seen, result = run(model, tmp_path, trials_used, ["b"])
     assert [(number, trials) for name, number, trials, _ in seen if name == "estimate"] == estimated
     name, number, trials, estimate = seen[-1]

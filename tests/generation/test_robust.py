@@ -1,4 +1,4 @@
-"""Motions chosen under uncertainty: what is foretold holds, and many strings count for more than one."""
+"""Motions chosen under uncertainty: what is predicted holds, and many strings count for more than one."""
 
 from dataclasses import replace
 
@@ -83,17 +83,17 @@ def blind(model):
     return likeliest(model, TARGET, (), None, None, seed=3, **SETTINGS)
 
 
-def test_the_chance_foretold_is_the_share_that_is_found(model, blind):
+def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
     """By 400 other draws of the prior, from the commands as sent, with a finer look."""
     values = drawn(model, None, NONE, 400, np.random.default_rng(99)).values
     tip = performed(model, blind, values)[:, :, -1]
     found = TARGET.crossed(tip[:, :-1], tip[:, 1:]).any(axis=1).sum()
-    foretold = blind.outcome.iloc[0]
-    assert 0.1 < foretold["chance"] < 0.95
-    spread = np.sqrt(foretold["chance"] * (1 - foretold["chance"]) * (1 / 200 + 1 / 400))
-    assert abs(found / 400 - foretold["chance"]) < 3.3 * spread
-    low, high = binomtest(round(foretold["chance"] * 200), 200).proportion_ci(method="wilson")
-    assert (foretold["chance_low"], foretold["chance_high"]) == pytest.approx((low, high))
+    predicted = blind.outcome.iloc[0]
+    assert 0.1 < predicted["chance"] < 0.95
+    spread = np.sqrt(predicted["chance"] * (1 - predicted["chance"]) * (1 / 200 + 1 / 400))
+    assert abs(found / 400 - predicted["chance"]) < 3.3 * spread
+    low, high = binomtest(round(predicted["chance"] * 200), 200).proportion_ci(method="wilson")
+    assert (predicted["chance_low"], predicted["chance_high"]) == pytest.approx((low, high))
 
 
 def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):

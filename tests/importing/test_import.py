@@ -14,10 +14,10 @@ from stringcast.data import dataset
 from stringcast.data.importers.columns import Meaning, meaning
 from stringcast.data.importers.files import recordings
 from stringcast.data.importers.gathered import gathered
-from stringcast.data.importers.reader import Said
+from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.import_ import parser
-from stringcast.pipeline.importing import Told, brought, written
+from stringcast.pipeline.importing import BenchHints, imported, written
 from stringcast.pipeline.settings import UserError
 
 SAMPLE = ROOT / "data" / "sample"
@@ -146,14 +146,14 @@ def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp
         writer.write(np.zeros((48, 64, 3), np.uint8))
     writer.release()
     robots, _ = logs(tmp_path, sample[:1])
-    told = Told(length=0.3, links=(0.25, 0.2, 0.135), fps=200.0, px_per_m=100.0, origin_px=(32.0, 24.0))
+    told = BenchHints(length=0.3, links=(0.25, 0.2, 0.135), fps=200.0, px_per_m=100.0, origin_px=(32.0, 24.0))
     what = of(*robots, tmp_path / "film.mp4")
-    written(brought(what, told), tmp_path / "mine", robots, "")
+    written(imported(what, told), tmp_path / "mine", robots, "")
     assert (tmp_path / "mine" / "videos" / "t00.mp4").read_bytes() == (tmp_path / "film.mp4").read_bytes()
     camera = yaml.safe_load((tmp_path / "mine" / "dataset.yaml").read_text())["camera"]
     assert (camera["width"], camera["height"], camera["fps"]) == (64, 48, 200.0)
     with pytest.raises(DataError, match=r"Say --fps 240 --px-per-m 340 --origin-px"):
-        brought(what, Told(length=0.3, links=(0.25, 0.2, 0.135)))
+        imported(what, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
 
 
 def table(folder, name, **columns):
@@ -167,7 +167,7 @@ JOINTS = {f"q{j}": np.linspace(0, j, 5) for j in (1, 2, 3)}
 
 
 def of(*files, **said):
-    return gathered(recordings(files), Said(**said))
+    return gathered(recordings(files), ColumnHints(**said))
 
 
 def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
@@ -235,14 +235,14 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
     hung = {
         f"p{n}_{axis}": 0.6 if axis == "x" else -depth for n, depth in ((3, 0.3), (1, 0.1), (2, 0.2)) for axis in "xy"
     }
-    made = brought(of(arm, table(tmp_path, "track.csv", t=T, **hung)), Told(links=(0.3, 0.3)))
+    made = imported(of(arm, table(tmp_path, "track.csv", t=T, **hung)), BenchHints(links=(0.3, 0.3)))
     assert made.hand.name == "grasp"
     np.testing.assert_allclose(made.motion[["x", "y", "theta"]].iloc[0], (0.6, 0, 0), atol=1e-12)
     assert sorted(made.points["s"].unique().round(9)) == [0.1, 0.2, 0.3]
     assert made.about["string"]["length"] == 0.3
     assert any("say --length" in note for note in made.notes)
     with pytest.raises(DataError, match=r"angles of 2 joints, and 3 links are named.*--links 0.25,0.20 "):
-        brought(of(arm, tmp_path / "track.csv"), Told(links=(0.3, 0.3, 0.1)))
+        imported(of(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1)))
 
 
 WRONG = {

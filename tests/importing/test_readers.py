@@ -12,7 +12,7 @@ import pytest
 from stringcast.data.importers import deeplabcut_h5
 from stringcast.data.importers.files import recordings
 from stringcast.data.importers.gathered import gathered
-from stringcast.data.importers.reader import Said
+from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
 
 FRAMES = 5
@@ -60,13 +60,13 @@ def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
     track.to_csv(tmp_path / "tracker.csv", index=False)
     files = recordings([folder, tmp_path / "tracker.csv"])
     names = {"q1": "shoulder_pan", "q2": "-shoulder_lift+90", "q3": "elbow_flex"}
-    what = gathered(files, Said(columns=names))
+    what = gathered(files, ColumnHints(columns=names))
     assert sorted(what.motion["trial"].unique()) == ["t0", "t1"]
     one = what.motion[what.motion["trial"] == "t1"]
     np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))  # they turn so far: degrees
     np.testing.assert_allclose(one["t"], np.arange(FRAMES) / 30)
     with pytest.raises(DataError, match=r"no columns say how the hand moved.*observation.state shoulder_lift.pos"):
-        gathered(files, Said())
+        gathered(files, ColumnHints())
 
 
 def test_ros_messages_are_read_by_topic(tmp_path):
@@ -81,7 +81,7 @@ def test_ros_messages_are_read_by_topic(tmp_path):
             made.write_message("/joint_states", state, {"header": header, **angles})
             made.write_message("/string/tip", point, {"header": header, "point": {"x": 0.1 * n, "y": 9.0, "z": 0.5}})
         made.finish()
-    what = gathered(recordings([tmp_path / "bag.mcap"]), Said(plane="x,z"))
+    what = gathered(recordings([tmp_path / "bag.mcap"]), ColumnHints(plane="x,z"))
     np.testing.assert_allclose(what.motion["q1"], 0.1 * np.arange(FRAMES))
     np.testing.assert_allclose(what.points[["x", "y"]], [[0.1 * n, 0.5] for n in range(FRAMES)])
     np.testing.assert_allclose(what.points["t"] - 1.7e9, 0.01 * np.arange(FRAMES), atol=1e-6)
@@ -104,7 +104,7 @@ def test_json_messages_are_read_by_topic(tmp_path):
                 pose = {"position": {"x": n, "y": 1, "z": 2}, **turned}
                 made.add_message(channel, n * 10**7, json.dumps({"pose": pose}).encode(), n * 10**7)
         made.finish()
-    what = gathered(recordings([tmp_path / "foxglove.mcap"]), Said(plane="x,z"))
+    what = gathered(recordings([tmp_path / "foxglove.mcap"]), ColumnHints(plane="x,z"))
     np.testing.assert_allclose(what.motion[["x", "y", "theta"]], [[n, 2, 0] for n in range(FRAMES)])
     np.testing.assert_allclose(what.points["t"], 0.01 * np.arange(FRAMES))
 

@@ -90,7 +90,7 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
     assert settings(Fit("cables", "red", "viscous", config, tmp_path), tmp_path / "dataset") == person
 
 
-def test_a_study_counts_what_was_fitted_and_what_was_foretold(config, tmp_path, monkeypatch):
+def test_a_study_counts_what_was_fitted_and_what_was_predicted(config, tmp_path, monkeypatch):
     """And makes nothing again that is there."""
     folder = tmp_path / "study"
     quick = composed(["estimate=random_search"])["estimate"] | {"candidates": 8, "batch": 8}

@@ -70,8 +70,8 @@ def test_hits_are_counted_by_run():
     assert np.isnan(needed["all", "paper"])
     learned = tables["learned"].set_index(["case", "method", "after"])["median"].sort_index()
     assert learned["all", "ours", 3] == pytest.approx((0.1 + 0.05) / 2)  # a run that has hit stays as it is
-    foretold = tables["calibration"].iloc[0]
-    assert (foretold["right"], foretold["count"], foretold["foretold"]) == (2, 3, pytest.approx(0.8))
+    predicted = tables["calibration"].iloc[0]
+    assert (predicted["right"], predicted["count"], predicted["foretold"]) == (2, 3, pytest.approx(0.8))
     assert "paper: 0 %, 50 %, 50 % of 2 runs" in sentence(tables)
     for name, table in tables.items():
         TABLES[name].check(table)

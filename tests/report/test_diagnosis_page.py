@@ -465,7 +465,7 @@ def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(word
     assert "What to try next" not in worded(VERDICTS["effect"]())
 
 
-def test_a_trial_that_is_foretold_worse_is_said_to_be(worded):
+def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
     """A plane that one trial alone reaches is no use elsewhere; nor is a false cause. Both explain what they are
     fitted to, so nothing more is claimed."""
     table = held_out()
@@ -475,11 +475,11 @@ def test_a_trial_that_is_foretold_worse_is_said_to_be(worded):
 
     worse = {"rms_extended": [0.0537, 0.0010]}
     said = text(**worse)
-    assert "t00 is foretold worse with the causes than without, 53.7 mm against 3.0 mm. Fitted to it as well" in said
+    assert "t00 is predicted worse with the causes than without, 53.7 mm against 3.0 mm. Fitted to it as well" in said
     assert "or they are not right" in said
     assert "(worse for t00: see below)" in said
     unexplained = text(**worse, rms_known=[0.0029, 0.0010])
-    assert "t00 is foretold worse" in unexplained
+    assert "t00 is predicted worse" in unexplained
     assert "Fitted to it as well" not in unexplained
     for columns in ({}, {"rms_extended": [0.0031, 0.0010]}):
         assert "worse" not in text(**columns)

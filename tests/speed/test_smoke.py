@@ -33,7 +33,7 @@ def test_a_table_of_the_smallest_size_is_printed(monkeypatch, capsys):
     assert "candidates per second" in capsys.readouterr().out
 
 
-def test_an_estimate_is_judged_by_what_it_foretells():
+def test_an_estimate_is_judged_by_what_it_predicts():
     """String B from four casts, by the estimate stage; and one of another string is told from it."""
     found = estimates.row("least_squares", 2)
     assert found["held_out"] < 2e-4

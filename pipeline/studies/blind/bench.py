@@ -31,10 +31,7 @@ FAILED = "failed"
 
 @dataclass(frozen=True)
 class OneBench(Job):
-    """What was hidden on the bench of a seed, and what the diagnosis said of it.
-
-    folder: the study's. draw: the bench of a seed. diagnose: from the dataset's folder to what `diagnosis.json` says.
-    """
+    """A row of the study: the hidden cause of the bench of a seed, and the diagnosis."""
 
     seed: int
     folder: Path
@@ -43,7 +40,6 @@ class OneBench(Job):
 
     @property
     def name(self) -> str:
-        """As of `Job`."""
         return f"{self.seed:05d}"
 
     def __call__(self) -> dict[str, Any]:

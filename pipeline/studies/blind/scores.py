@@ -189,7 +189,8 @@ def _bench(row: Row, told: Set[str]) -> dict[str, object]:
 
 
 def _parameters(row: Row, told: Set[str]) -> list[dict[str, object]]:
-    """Those of true causes that were named with an interval. told: names of those whose interval has two ends."""
+    """Rows of PARAMETERS: those of true causes that were named with an interval. told: names of those whose interval
+    has two ends."""
     true = row["truth"]["parameters"]
     stated = {n: p for cause in row["diagnosis"].get("causes") or [] for n, p in cause.get("parameters", {}).items()}
     return [

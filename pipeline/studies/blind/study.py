@@ -57,26 +57,23 @@ class BlindStudy(Study):
         return [OneBench(asked.first + number, folder, drawn, asks) for number in range(asked.benches)]
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
-        """As of `Study`."""
         return scores([row for _, row in made])
 
     def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-        """As of `Study`."""
         pictures(tables, folder)
 
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        """As of `Study`."""
         return summary(tables)
 
 
 def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What diagnosis.json says of a dataset. config: settings of the run, to which the dataset adds its own."""
+    """The diagnosis.json of a dataset. config: settings of the run, to which the dataset adds its own."""
     said: Mapping[str, Any] = json.loads(diagnosis(folder, config).finding["diagnosis"].iloc[0])
     return said
 
 
 def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
-    """The same with all its tables."""
+    """The diagnosis of a dataset with all its tables."""
     mode = {"_target_": "pipeline.modes.Diagnose", "stage": "diagnose", "read": True, "again": False, "first": []}
     asked = OmegaConf.create({**config, "trials": str(folder), "mode": mode | {"motions": 0}})
     settings = with_inherited_settings(asked, set())

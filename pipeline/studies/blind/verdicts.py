@@ -1,10 +1,4 @@
-"""What a diagnosis answered, and whether that is right: one bench at a time.
-
-A true cause is found when it is named first, or stands in the group of look-alikes that is named first. All of a
-pair or a triple must be named, in causes or groups. All strings of the lab are finer than ten points of Eq. 1 can
-represent; where that is off by more than RESOLVED sigmas, or nobody says how far, `resolution` is true beside whatever
-is hidden and counts neither for nor against an answer.
-"""
+"""The answer of a diagnosis, and whether it is right: one bench at a time."""
 
 from __future__ import annotations
 

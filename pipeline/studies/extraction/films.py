@@ -52,13 +52,13 @@ def take(string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int,
 
 
 def filmed(one: Take, cell: Cell) -> tuple[Footage, Shot]:
-    """What the camera brings back under a condition, and what was really so."""
+    """The film of a cast under a condition, and the true string."""
     shot = staged(one.shot, cell.parts)
     images = film(shot, cell.parts, one.seed)
     return footage_of(Film(shot.t, images, arm=one.told), one.arm), shot
 
 
 def read(one: Take, cell: Cell, extract: Extract) -> tuple[Points, Shot]:
-    """What is read in a take filmed under a condition, and what was really so."""
+    """The points read from a cast filmed under a condition, and the true string."""
     footage, shot = filmed(one, cell)
     return extract(footage, shot.camera), shot

@@ -59,7 +59,7 @@ def strip(folder: Path, name: str, every: int = EVERY) -> tuple[Footage, Camera,
 
 
 def strip_row(folder: Path, name: str) -> dict[str, object]:
-    """What was read in a film of a strip, against what its authors tracked."""
+    """The row of a film of a strip: points read against those that its authors tracked."""
     footage, camera, table = strip(folder, name)
     length = int(name.partition("mm")[0]) / 1e3
     found = extract(footage, camera, string_length=length, **SETTINGS, **STRIP)
@@ -90,7 +90,7 @@ def _agreement(found: Points, table: pd.DataFrame) -> dict[str, float]:
 
 
 def photograph_row(folder: Path, name: str, length: float) -> dict[str, object]:
-    """What is said of a single photograph of a dark cable before a bright arm."""
+    """The row of a single photograph of a dark cable before a bright arm."""
     known = {one["name"]: one for one in json.loads((folder / "frames.json").read_text())}[name]
     hand = np.array(known["P"]) @ np.array(known["O_T_EE"])[:, 3]
     scale = known["K_cam"][0][0] / hand[2]

@@ -43,7 +43,6 @@ class OneCondition(Job):
 
     @property
     def name(self) -> str:
-        """As of `Job`."""
         return f"{self.cell.condition.replace(' ', '_')}-{self.cell.severity}"
 
     def __call__(self) -> list[dict[str, Any]]:
@@ -67,16 +66,13 @@ class ExtractionStudy(Study):
         return [OneCondition(cell, takes, experiment.stages["extract"]) for cell in cells()]
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
-        """As of `Study`."""
         frames = FRAMES.check(pd.DataFrame([row for _, rows in made for row in rows]))
         return {"frames": frames, "shares": shares(frames)}
 
     def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-        """As of `Study`."""
         overview(tables["shares"], folder / "shares.png")
 
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        """As of `Study`."""
         frames = tables["frames"]
         read, wrong = frames["read"].mean(), frames["wrong"].mean()
         return f"{len(frames)} frames: {read:.1%} read, {wrong:.2%} wrong, {1 - read:.1%} refused with the reason."

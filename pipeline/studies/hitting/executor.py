@@ -40,7 +40,7 @@ class PointExecutor:
         return own.get(step.stage.name, self._made)(step)
 
     def real(self, number: int, duration: float) -> Verdict:
-        """What really became of a cast, whatever was seen of it. duration: of its movement [s]."""
+        """The true outcome of a cast, whatever was seen of it. duration: of its movement [s]."""
         t = np.arange(0, duration + FINE, FINE)
         bench = self.benches[number]
         seen = read(bench, t, bench.string_at(t), 0.0)
@@ -76,7 +76,8 @@ class PointExecutor:
 
 
 def measured(bench: Bench, t: np.ndarray, noise: float, rng: np.random.Generator) -> Points:
-    """What extraction would read of a bench's string at times (F,) [s]. noise: of a coordinate, one sigma [m]."""
+    """The points that extraction would read of a bench's string at times (F,) [s]. noise: of a coordinate, one sigma
+    [m]."""
     seen = bench.in_view(bench.string_at, t)
     return read(bench, t, seen + noise * rng.standard_normal(seen.shape), noise)
 

@@ -22,7 +22,7 @@ from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.hand import JointMotion
 
 Config = Mapping[str, Any]
-REFERENCES = 4  # casts on which a model's foretelling is measured, the same for all
+REFERENCES = 4  # casts on which a model's prediction is measured, the same for all
 REFERENCE_T = (0.3, 1.0)  # [s]
 REFERENCE_ALPHA = 75.0  # [rad/s^2]
 
@@ -86,7 +86,7 @@ def lessons(executor: PointExecutor, count: int) -> list[Iteration]:
 
 
 def estimated(executor: PointExecutor, casts: list[Iteration]) -> None:
-    """What the executor's method makes of all lessons is known after the last."""
+    """Estimate the string from all lessons by the executor's method; the last lesson's iteration keeps the result."""
     History(executor, casts).make("estimate", trials=_seen(casts))
 
 
@@ -126,7 +126,7 @@ def _row(iteration: Iteration, number: int, executor: PointExecutor, truth: Refe
 
 
 class References:
-    """Casts that nobody learns from, on which a model foretells the tip."""
+    """Casts that nobody learns from, on which a model predicts the tip."""
 
     def __init__(self, here: Experiment, bench: Bench) -> None:
         self.model, self.curves = here.model, reference_curves(here)
@@ -136,14 +136,14 @@ class References:
         self.tips = bench.model.true(self.motion, values, self.times).tip
 
     def off(self, values: Mapping[str, float]) -> float:
-        """Root mean square distance of the foretold tip from the true one [m]."""
+        """Root mean square distance of the predicted tip from the true one [m]."""
         own = np.repeat(self.model.values(values)[None], REFERENCES, axis=0)
         tips = self.model.true(self.motion, own, self.times).tip
         return float(np.sqrt(np.mean(np.sum((tips - self.tips) ** 2, axis=-1))))
 
 
 def reference_curves(here: Experiment) -> Curves:
-    """The same movements whatever is compared."""
+    """Movements that are the same for all methods compared."""
     rng = np.random.default_rng(0)
     curves = first_curves(here.arm, rng, 64, REFERENCE_T, REFERENCE_ALPHA)
     sampled = curves.sampled(here.arm.tick, REFERENCE_T[1])

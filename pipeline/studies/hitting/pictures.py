@@ -1,4 +1,4 @@
-"""One picture of a hit study: hits over casts, what was learned, and whether chances foretold hold."""
+"""One picture of a hit study: hits over casts, what was learned, and whether predicted chances hold."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
         places = list(axes.ravel())
         for place, case in zip(places, cases, strict=False):
             _hits(place, tables["rates"][tables["rates"]["case"] == case], case)
-        learned, foretold, *empty = places[len(cases) :]
+        learned, predicted, *empty = places[len(cases) :]
         _learned(learned, tables["learned"][tables["learned"]["case"] == ALL])
         if len(tables["calibration"]):
-            _calibration(foretold, tables["calibration"], list(tables["rates"]["method"].unique()))
+            _calibration(predicted, tables["calibration"], list(tables["rates"]["method"].unique()))
         else:
-            empty.append(foretold)  # no method foretells a chance
+            empty.append(predicted)  # no method predicts a chance
         for place in empty:
             place.set_axis_off()
         places[0].legend(loc="lower right")
@@ -51,7 +51,7 @@ def _hits(axes: Axes, rates: pd.DataFrame, case: str) -> None:
 def _learned(axes: Axes, learned: pd.DataFrame) -> None:
     for number, (_, some) in enumerate(learned.groupby("method", sort=False)):
         axes.plot(some["after"], some["median"] * MM, f"{MARKS[number]}-", ms=4)
-    axes.set(xlabel="casts", ylabel="tip on other casts / mm", title="how well it foretells", yscale="log")
+    axes.set(xlabel="casts", ylabel="tip on other casts / mm", title="how well it predicts", yscale="log")
     axes.set_xticks(sorted(learned["after"].unique()))
 
 
@@ -60,5 +60,5 @@ def _calibration(axes: Axes, table: pd.DataFrame, methods: list[str]) -> None:
     for method, some in table.groupby("method", sort=False):
         number = methods.index(method)
         axes.errorbar(some["foretold"], some["share"], bars(some), fmt=MARKS[number], ms=4, color=f"C{number}")
-    axes.set(xlabel="chance foretold", ylabel="share that hit", xlim=(0, 1.03), ylim=(-0.03, 1.05))
-    axes.set_title("do foretold chances hold?")
+    axes.set(xlabel="predicted chance", ylabel="share that hit", xlim=(0, 1.03), ylim=(-0.03, 1.05))
+    axes.set_title("do predicted chances hold?")

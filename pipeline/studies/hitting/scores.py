@@ -1,4 +1,4 @@
-"""Scores of a hit study, as tables: how many runs have hit after so many casts, and whether chances foretold hold."""
+"""Scores of a hit study, as tables: how many runs have hit after so many casts, and whether predicted chances hold."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pandas as pd
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.studies.counts import COUNTS, UNKNOWN_CODE, counted
 
-BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the chance foretold
+BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the predicted chance
 WANTED = 0.95
 ALL = "all"
 _WHICH = (Column("case", "", "string and target; 'all' for all together", "text"), Column("method", "", "", "text"))
@@ -26,7 +26,7 @@ CASTS = Table(
             "believed", "", "so did the measured tip as the method's model sees it, so that it casts no more", "bool"
         ),
         Column("distance", "m", "of the real tip from the box's centre, the least"),
-        Column("chance", "1", "of hitting, foretold; NaN where the method foretells none"),
+        Column("chance", "1", "of hitting, predicted; NaN where the method predicts none"),
         Column("planning", "s", "processor time that planning took"),
         Column("residual", "m", "between simulated and measured string after estimation, root mean square"),
         Column("foretelling", "m", "of the tip on casts nobody learned from, after estimation, root mean square"),
@@ -52,15 +52,15 @@ NEEDED = Table(
 )
 LEARNED = Table(
     "learned",
-    "how well a model foretells the tip on casts nobody learned from, after so many casts",
+    "how well a model predicts the tip on casts nobody learned from, after so many casts",
     (*_WHICH, Column("after", "1", "casts", "int"), Column("median", "m", "over runs; a run that has hit stays")),
 )
 CALIBRATION = Table(
     "calibration",
-    "chances foretold, and what came of them",
+    "predicted chances, and what came of them",
     (
         Column("method", "", "", "text"),
-        Column("from", "1", "chance foretold"),
+        Column("from", "1", "predicted chance"),
         Column("to", "1", ""),
         Column("foretold", "1", "mean"),
         *COUNTS,
@@ -86,7 +86,7 @@ def scores(casts: pd.DataFrame, most: int) -> dict[str, pd.DataFrame]:
 
 
 def _rates(casts: pd.DataFrame, most: int) -> pd.DataFrame:
-    """Of one case and method."""
+    """The rows of RATES of one case and method."""
     first = casts["cast"].where(casts["hit"].astype(bool)).groupby(casts["run"]).min()
     return pd.DataFrame([{"within": within, **counted(first <= within)} for within in range(1, most + 1)])
 
@@ -100,18 +100,18 @@ def _needed(rates: pd.DataFrame) -> pd.DataFrame:
 
 
 def _learned(casts: pd.DataFrame, most: int) -> pd.DataFrame:
-    """Of one case and method."""
+    """The rows of LEARNED of one case and method."""
     wide = casts.pivot_table(index="run", columns="cast", values="foretelling", dropna=False)
     stays = wide.reindex(columns=range(1, most + 1)).ffill(axis=1)
     return pd.DataFrame({"after": stays.columns, "median": stays.median().to_numpy()})
 
 
 def _calibration(casts: pd.DataFrame) -> pd.DataFrame:
-    foretold = casts[casts["chance"].notna()]
-    place = np.clip(np.digitize(foretold["chance"], BINS) - 1, 0, len(BINS) - 2)
+    predicted = casts[casts["chance"].notna()]
+    place = np.clip(np.digitize(predicted["chance"], BINS) - 1, 0, len(BINS) - 2)
     rows = [
         {"method": m, "from": BINS[i], "to": BINS[i + 1], "foretold": some["chance"].mean(), **counted(some["hit"])}
-        for (m, i), some in foretold.groupby(["method", place], sort=False)
+        for (m, i), some in predicted.groupby(["method", place], sort=False)
     ]
     return pd.DataFrame(rows) if rows else CALIBRATION.empty()
 

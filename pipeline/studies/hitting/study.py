@@ -57,7 +57,6 @@ class OneRun(Job):
 
     @property
     def name(self) -> str:
-        """As of `Job`."""
         return f"{self.case}-{self.method}-{self.seed:04d}"
 
     def __call__(self) -> list[dict[str, Any]]:
@@ -76,21 +75,18 @@ class HitStudy(Study):
     BLOCK, MORE = "hits", ("seeds", "first", "processes")
 
     def jobs(self, experiment: Experiment, folder: Path) -> list[OneRun]:
-        """Of each seed all cases, each by all methods."""
+        """The jobs: for each seed all cases, each by all methods."""
         config = experiment.config
         asked = build(Hits, config[self.BLOCK], self.BLOCK, "conf/experiment/hit_study.yaml")
         seeds = range(asked.first, asked.first + asked.seeds)
         return [OneRun(case, way, seed, config) for seed in seeds for case in asked.cases for way in asked.methods]
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
-        """As of `Study`."""
         rows = [{"case": job.case, "method": job.method, "seed": job.seed, **row} for job, rows in made for row in rows]
         return scores(pd.DataFrame(rows), experiment.config[self.BLOCK]["casts"])
 
     def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-        """As of `Study`."""
         picture(tables, folder / "hits.png")
 
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        """As of `Study`."""
         return sentence(tables)

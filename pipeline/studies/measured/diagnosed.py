@@ -80,7 +80,7 @@ def main() -> None:
 
 
 def families() -> list[Family]:
-    """Those of the study, of which the diagnosis sees all there is: nothing is held out, no frame and no point left."""
+    """The families of the study with all of their trials, frames and points: nothing is held out."""
     study = build(Measured, composed(["+experiment=measured_study"])["measured"], "measured", WHERE)
     whole = {name: replace(f, held_out="", every=1, beyond=0.0) for name, f in study.families.items()}
     return list((whole | {"cables": replace(whole["cables"], trials=SLOW)}).values())
@@ -100,7 +100,7 @@ def answer(measured: Path, name: str, family: Family, trials: list[str], out: Pa
 
 
 def said(document: Mapping[str, Any], found: Diagnosis) -> dict[str, Any]:
-    """What a diagnosis says, and how far its models are off."""
+    """The verdict of a diagnosis, and the errors of its models."""
     causes = {cause["effect"]: cause["probability"] for cause in document["causes"]}
     chances = causes | {other["effect"]: other["probability"] for other in document["alternatives"]}
     known = yaml.safe_load(found.finding["extended"].iloc[0])["known"]
@@ -129,7 +129,7 @@ def _released_tip(found: Diagnosis, side: str) -> float:
 
 
 def _number(value: float | None) -> float:
-    """What a document does not say is NaN."""
+    """A number of a document; NaN where it has none."""
     return float("nan") if value is None else value
 
 

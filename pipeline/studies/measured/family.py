@@ -83,6 +83,6 @@ class Family:
         return {} if known is None else {"mass": known["m_cable_kg"], "tip_mass": known["m_tip_kg"]}
 
     def _said(self, trial: str) -> dict[str, str]:
-        """What dataset.yaml says of a trial."""
+        """The fields of dataset.yaml on a trial."""
         said = {"initial": "moving" if re.fullmatch(self.moving, trial) else "rest"}
         return said | ({"role": "held_out"} if re.fullmatch(self.held_out, trial) else {})

@@ -56,7 +56,7 @@ def _tips(axes: Axes, table: pd.DataFrame, strings: list[str], column: str, labe
 
 
 def _colour(table: pd.DataFrame, laws: str) -> str:
-    """Of a set, by its place among those of a string that has it."""
+    """The colour of a set of laws, by its place among those of a string that has it."""
     string = table.loc[table["laws"] == laws, "string"].iloc[0]
     return LIGHT[COLOURS[list(table.loc[table["string"] == string, "laws"]).index(laws) % len(COLOURS)]]
 

@@ -42,11 +42,11 @@ SETS = Table(
 
 
 def scored(here: Experiment, result: Result) -> dict[str, Any]:
-    """What a run came to: the numbers of a row of SETS, without time and names."""
+    """The numbers of a row of SETS from a run, without time and names."""
     assert result.estimate is not None
     said = about(Path(here.config["trials"]))["trials"]
     fitted = [trial for trial in said.values() if "role" not in trial]
-    fit, apart = result.estimate.fit.iloc[0], foretold(result.folder)
+    fit, apart = result.estimate.fit.iloc[0], predicted(result.folder)
     scores = [i.done["prediction"].score for i in result.iterations if "prediction" in i.done]
     tip = apart[apart["s"] == apart.groupby("trial")["s"].transform("max")]
     return {
@@ -62,8 +62,8 @@ def scored(here: Experiment, result: Result) -> dict[str, Any]:
     }
 
 
-def foretold(run: Path) -> pd.DataFrame:
-    """Table PREDICTED of all trials that a run has foretold, empty where it has none."""
+def predicted(run: Path) -> pd.DataFrame:
+    """Table PREDICTED of all trials that a run has predicted, empty where it has none."""
     paths = sorted(run.glob("iterations/*/prediction/predicted.parquet"))
     tables = [store.read_table(PREDICTED, path) for path in paths]
     return pd.concat(tables, ignore_index=True) if tables else PREDICTED.empty()

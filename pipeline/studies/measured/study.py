@@ -21,7 +21,7 @@ from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.pipeline.studies.engine import Job, Study
 from stringcast.pipeline.studies.measured.family import Family
 from stringcast.pipeline.studies.measured.pictures import picture
-from stringcast.pipeline.studies.measured.scores import SETS, foretold, in_words, scored
+from stringcast.pipeline.studies.measured.scores import SETS, in_words, predicted, scored
 from stringcast.pipeline.terminal import Terminal
 
 WHERE = "conf/experiment/measured_study.yaml"
@@ -48,7 +48,6 @@ class Fit(Job):
 
     @property
     def name(self) -> str:
-        """As of `Job`."""
         return f"{self.string}-{self.laws.replace(' ', '_')}"
 
     def __call__(self) -> dict[str, Any]:
@@ -81,7 +80,6 @@ class MeasuredStudy(Study):
     LIVES = 1  # so that a row tells the time of its own fit
 
     def check(self, experiment: Experiment) -> None:
-        """As of `Mode`."""
         needs_trials(experiment)
 
     def jobs(self, experiment: Experiment, folder: Path) -> list[Fit]:
@@ -104,23 +102,21 @@ class MeasuredStudy(Study):
         return fits
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
-        """As of `Study`."""
         names = [column.name for column in SETS.columns]
         return {"sets": SETS.check(pd.DataFrame([row for _, row in made], columns=names))}
 
     def draw(self, tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-        """As of `Study`."""
         sets = tables["sets"]
         fits = zip(sets["string"], sets["laws"], strict=True)
-        picture(sets, {fit: foretold(place_of(folder, *fit)) for fit in fits}, folder / "sets.png")
+        picture(sets, {fit: predicted(place_of(folder, *fit)) for fit in fits}, folder / "sets.png")
 
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        """As of `Study`."""
         return in_words(tables["sets"])
 
 
 def settings(job: Fit, dataset: Path) -> dict[str, Any]:
-    """Of the run that a person begins by hand: +experiment=estimate trials=<dataset> and what the family sets."""
+    """Settings of the run that the command line would begin: +experiment=estimate trials=<dataset> and the family's
+    own."""
     family = job.config["measured"]["families"][job.family]
     own = composed(["+experiment=estimate"]) | family["settings"] | family["sets"][job.laws]
     own |= {"seed": job.config["seed"], "keep": [], "trials": str(dataset)}

@@ -1,4 +1,4 @@
-"""What the study leaves: its tables, its figures, and one page with the paper's numbers beside ours."""
+"""The study's results: tables, figures, and one page with the paper's numbers beside ours."""
 
 from __future__ import annotations
 

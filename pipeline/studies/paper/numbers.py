@@ -1,4 +1,4 @@
-"""What the paper prints, from one file, each number with its place there."""
+"""The numbers that the paper prints, from one file, each with its place there."""
 
 from __future__ import annotations
 

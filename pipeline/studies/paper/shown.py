@@ -1,4 +1,5 @@
-"""What the figures show, as tables: of each experiment one run, neither lucky nor unlucky, and what all runs found."""
+"""The data of the figures, as tables: of each experiment one run, neither lucky nor unlucky, and results of all
+runs."""
 
 from __future__ import annotations
 
@@ -76,10 +77,8 @@ TABLES = (LINES, HANDS, MATCHING, BOXES)
 
 
 def typical(of_runs: pd.DataFrame) -> pd.DataFrame:
-    """Of each experiment the run of the lowest seed that needed the median number of manipulations, of those done.
-
-    of_runs: table RUNS of `scores`. Returns some of its rows.
-    """
+    """The typical run of each experiment: of those done, the one of the lowest seed that needed the median number of
+    manipulations."""
     done = of_runs[of_runs["state"] == "done"].sort_values("seed")
     middle = done.groupby("condition")["hit_at"].transform(lambda hit_at: median(hit_at.to_numpy())["median"])
     return done[done["hit_at"] == middle].groupby("condition", sort=False).head(1)
@@ -137,7 +136,7 @@ def _cast(place: Path, arm: Arm, closest: float) -> dict[str, pd.DataFrame]:
 
 
 def _lines(motion: Motion, seen: Points, t: np.ndarray, joints: np.ndarray, until: float) -> Iterator[pd.DataFrame]:
-    """What is drawn at each moment, each line at the time it has that is nearest to it."""
+    """The lines drawn at each moment, each at its nearest time."""
     for moment, at in enumerate(np.linspace(0, until, MOMENTS)):
         arm = joints[np.argmin(np.abs(t - at))]
         lines = {

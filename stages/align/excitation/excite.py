@@ -161,7 +161,7 @@ def information(model: Model, angles: np.ndarray, speeds: np.ndarray) -> float:
 
 
 def motion_of(arm: Arm, angles: np.ndarray, count: Counter[str]) -> Motion:
-    """The artifact. angles: (K, J). There is no target, and the string's own motion is not foretold."""
+    """The artifact. angles: (K, J). There is no target, and the string's own motion is not predicted."""
     columns = {"t": np.arange(len(angles)) * arm.tick}
     columns |= dict(zip(JOINTS, angles.T, strict=True)) | dict(zip(SPEEDS, arm.commanded(angles).T, strict=True))
     outcome = {c.name: [np.nan] for c in MOTION_OUTCOME.columns}

@@ -73,7 +73,7 @@ BARS = 14  # effects drawn at most, the most promising
 
 
 def screenings(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
-    """What was at work, and the promises then: for nothing, and for each part of what was chosen."""
+    """Promised gains at each step of the search: beside nothing, and beside each part of the causes chosen."""
     chosen = set(record.extension.get("effects", ()))
     tables = record.diagnosis.screening.groupby("context", sort=False)
     return [

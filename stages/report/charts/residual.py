@@ -231,7 +231,7 @@ def size(record: DiagnosisRecord) -> Picture | None:
 
 
 # --- on trials left out of the fit
-def foretold(record: DiagnosisRecord) -> Picture | None:
+def predicted(record: DiagnosisRecord) -> Picture | None:
     """Residual over the whole string and at its tip, trial by trial."""
     table = record.diagnosis.held_out
     if table.empty:

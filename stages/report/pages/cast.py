@@ -148,7 +148,7 @@ def together(record: Record) -> Section | None:
     rates = (
         "Above, how close the tip came to the target's centre. Below, the matching rate E; before estimation it says "
     )
-    rates += "how well the simulation foretold the cast."
+    rates += "how well the simulation predicted the cast."
     parts = [Figure("Way of the hand", way, hands), Figure("Progress", progress(record), rates)]
     return Section("From cast to cast", [Grid(parts)])
 
@@ -255,7 +255,7 @@ def _told(cast: Cast) -> Markup:
         ]
         if np.isfinite(plan.get("chance", np.nan)):
             chances = "{:.2f} ({:.2f} to {:.2f})".format(*plan[["chance", "chance_low", "chance_high"]])
-            said.append(f"The foretold chance of hitting was {chances}.")
+            said.append(f"The predicted chance of hitting was {chances}.")
     else:
         why = "no frame shows the string clearly enough" if len(cast.points.readings) else "there are no frames"
         said = [f"The tip was not read in this cast: {why}."]

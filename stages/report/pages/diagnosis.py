@@ -13,7 +13,7 @@ from matplotlib import style
 from stringcast.stages.model.library import library
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.report.charts.parameters import cause, likeness, screenings
-from stringcast.stages.report.charts.residual import curves, foretold, likelier, maps, size, tip_curves
+from stringcast.stages.report.charts.residual import curves, likelier, maps, predicted, size, tip_curves
 from stringcast.stages.report.charts.string import film, last, proposed, worst
 from stringcast.stages.report.charts.time import latent, missing
 from stringcast.stages.report.page import (
@@ -139,7 +139,7 @@ def causes(record: DiagnosisRecord) -> Section:
 
 
 def _verdict(record: DiagnosisRecord, probabilities: Sequence[float]) -> list[Markup | str]:
-    """What the verdict means, in sentences."""
+    """The meaning of the verdict, in sentences."""
     verdict = record.document["verdict"]
     said: list[Markup | str] = []
     for group in record.document["indistinguishable"]:
@@ -268,7 +268,7 @@ def _compared(record: DiagnosisRecord) -> list[str]:
 
 # --- how it was found -----------------------------------------------------------------------------
 def found(record: DiagnosisRecord) -> Section:
-    """What effects promised, which look alike, and every theory that was fitted."""
+    """The section of promised effects, look-alikes, and every hypothesis that was fitted."""
     promised, theories = screenings(record), _theories(record.diagnosis.theories)
     first = (
         "What each effect would explain to first order, once the string's parameters have done what they can. Blue: "
@@ -318,7 +318,7 @@ def _search(record: DiagnosisRecord, promised: Sequence[tuple[str, Picture]]) ->
 
 
 def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Those that leave least come first; the base model is among the few that are shown."""
+    """The hypotheses with the least cost first; the base model is among the few that are shown."""
     rows = table.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
     late = (rows["causes"] == "") & (np.arange(len(rows)) >= FEW)
     order = np.where(late, FEW - 1.5, np.arange(len(rows)))
@@ -354,7 +354,7 @@ def gained(record: DiagnosisRecord) -> Section:
     )
     further = f"Each trial as predicted from the others. Further left is better; noise alone leaves the mark.{ring}"
     right = "To the right of 0 the extended model is the likelier one on a trial that neither was fitted to."
-    drawn, more = [Figure("Prediction of trials left out", foretold(record), further)], likelier(record)
+    drawn, more = [Figure("Prediction of trials left out", predicted(record), further)], likelier(record)
     drawn += [Figure("Log-likelihood gained", more, right)] if more else []
     return Section(title, [*map(Text, _prediction(record)), Grid(drawn), Card("", [_held_out(record)])])
 
@@ -380,7 +380,7 @@ def _prediction(record: DiagnosisRecord) -> list[Markup | str]:
 
 
 def _worse(record: DiagnosisRecord) -> list[dict[str, Any]]:
-    """Trials that are foretold worse with the causes than without; and whether these explain them if fitted to them."""
+    """Trials that are predicted worse with the causes than without; and whether these explain them once fitted."""
     if len(record.models) == 1:
         return []
     table = record.diagnosis.held_out
@@ -396,7 +396,7 @@ def _worse_in_words(row: Mapping[str, Any]) -> Markup:
         f"Fitted to it as well, they leave {mm(row['rms_known'], 1)}: either it alone shows something of them, as of a "
         "plane that no other reaches, or they are not right. Another trial like it would tell."
     )
-    said = bold(f"{row['trial']} is foretold worse with the causes than without, {than}.")
+    said = bold(f"{row['trial']} is predicted worse with the causes than without, {than}.")
     return joined([said, fitted if row["explained"] else ""])
 
 
@@ -423,7 +423,7 @@ def _held_out(record: DiagnosisRecord) -> Table:
 
 # --- what is left -----------------------------------------------------------------------------------
 def left(record: DiagnosisRecord) -> Section:
-    """What would have to be there to explain what is left, what to try next, and the model to go on with."""
+    """The section of the missing force, of what to try next, and of the model to go on with."""
     document = record.document
     parts: list[Part | None] = [Text(document["unexplained"]["sentence"]), _left_over(record), _next(record)]
     if not document["unexplained"]["sentence"]:
