@@ -15,7 +15,7 @@ SMALL = (
     "+experiment=quick",
     "hardware=emulator",
     "mode.stages=[generate,execute,extract]",
-    "leave=[]",
+    "keep=[]",
     "camera.fps=25",
 )
 

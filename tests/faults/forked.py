@@ -67,7 +67,7 @@ class Sweep:
         *TINY,
         "manipulations=1",
         "mode.stages=[generate,execute,extract]",
-        "leave=[frames]",
+        "keep=[frames]",
         "seed=0,1",
     )
 
