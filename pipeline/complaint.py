@@ -30,9 +30,9 @@ def refusal(error: BaseException) -> str:
     said = str(error).strip().splitlines()[0]
     key = re.match(r"Could not override '([^']+)'", said)
     if re.match("no viable|mismatched|missing|extraneous|token recognition", said):
-        return (
-            f"{_unread(str(error))}: it cannot be read. Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
-        )
+        at = re.search(r"at input '([^']*)'", str(error))
+        unread = next((word for word in sys.argv[1:] if at and at[1] in word), "The command line")
+        return f"{unread}: it cannot be read. Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
     if key is None:
         said = "\n".join(line for line in str(error).splitlines() if line.strip() and "provider" not in line)
         return said.removesuffix("Config search path:").strip()
@@ -52,9 +52,3 @@ def _options_with(name: str) -> list[str]:
     line = re.compile(rf"^{re.escape(inner)}:", re.M)
     files = sorted((CONF / group).glob("*.yaml")) if inner else []
     return [f"{group}={file.stem}" for file in files if line.search(file.read_text(encoding="utf-8"))]
-
-
-def _unread(said: str) -> str:
-    """The word of the command line that Hydra could not read."""
-    found = re.search(r"at input '([^']*)'", said)
-    return next((word for word in sys.argv[1:] if found and found[1] in word), "The command line")

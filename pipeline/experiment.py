@@ -188,7 +188,11 @@ def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict
             )
         values[name] = float(parts[0])
         if measured:
-            ranges[name] = _range(name, parts[0], parts[1], parts[2], where)
+            value, low, high = parts
+            if not (low < high and low <= value <= high):
+                ends = f"low = {low} < high = {high} must enclose value = {value}"
+                raise UserError(f"known.{name} ({where}): {ends}. Change it.")
+            ranges[name] = float(low), float(high)
     return values, ranges
 
 
@@ -201,13 +205,6 @@ def _by_full_name(block: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, told
 
 
-def _range(name: str, value: float, low: float, high: float, where: str) -> tuple[float, float]:
-    """The range of a parameter that was measured."""
-    if not (low < high and low <= value <= high):
-        raise UserError(f"known.{name} ({where}): low = {low} < high = {high} must enclose value = {value}. Change it.")
-    return float(low), float(high)
-
-
 def _string(block: Mapping[str, Any], where: str) -> String:
     """The string model, with the ranges of its parameters."""
     if block.get("precision", FLOAT64) != FLOAT64:
@@ -216,17 +213,11 @@ def _string(block: Mapping[str, Any], where: str) -> String:
     settings = {key: value for key, value in block.items() if key not in apart}
     plain = build(String, settings, "string", where)
     known = {p.name: p for p in plain.parameters}
-    return replace(
-        plain, ranges=_ranges(block["ranges"], known, where), integrator=_integrator(block["integrator"], where)
-    )
-
-
-def _integrator(block: Mapping[str, Any], where: str) -> Any:
-    """The integrator, which has no settings."""
-    kind = loaded(block["_target_"], "string.integrator", where)
-    if len(block) > 1:
-        raise UserError(f"string.integrator = {dict(block)} ({where}): it must hold only `_target_`. Change it.")
-    return kind()
+    integrator = loaded(block["integrator"]["_target_"], "string.integrator", where)
+    if len(block["integrator"]) > 1:
+        asked = dict(block["integrator"])
+        raise UserError(f"string.integrator = {asked} ({where}): it must hold only `_target_`. Change it.")
+    return replace(plain, ranges=_ranges(block["ranges"], known, where), integrator=integrator())
 
 
 def _accurate(string: String, arm: Arm, config: Mapping[str, Any], where: str) -> String:

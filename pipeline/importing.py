@@ -27,6 +27,7 @@ from stringcast.stages.model.arm import Arm
 
 JOINTS = 3  # of an arm whose angles our format holds; the pose of the hand stands for any other
 LINKS = ("0.25", "0.20", "0.135")  # [m] of an example
+NO_ARM = Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)  # unused: poses of the hand are given
 ABOUT = """\
 # Written by `import`. All is in metres, seconds, radians and kilograms; what each name means: data/README.md.
 """
@@ -157,7 +158,7 @@ def _laid_over(points: pd.DataFrame, grasp: pd.DataFrame, length: float, notes: 
     hands = {str(name): rows.drop(columns="trial").sort_values("t") for name, rows in grasp.groupby("trial")}
     empty = READINGS.empty(), MASKS.empty()
     trials = [
-        Seen(Observation(str(name), part.dropna(), *empty, grasp=hands[str(name)]), _any_arm(), length)
+        Seen(Observation(str(name), part.dropna(), *empty, grasp=hands[str(name)]), NO_ARM, length)
         for name, part in points.groupby("trial")
         if str(name) in hands
     ]
@@ -170,11 +171,6 @@ def _laid_over(points: pd.DataFrame, grasp: pd.DataFrame, length: float, notes: 
         who = "in all trials" if same else f"in trial {name}"
         notes.append(f"{shift:+.3f} s are added to the camera's clock {who}, by the motion of hand and string")
     return points.assign(t=points["t"] + points["trial"].map(later).fillna(0.0))
-
-
-def _any_arm() -> Arm:
-    """An arm to which nobody looks: poses of its hand are given."""
-    return Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
 
 
 def _camera(what: Gathered, bench: BenchHints) -> dict[str, Any]:

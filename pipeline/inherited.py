@@ -84,7 +84,8 @@ def refuse_inherited_limits(settings: Any, own: Any, source: str, word: str = "a
 
     settings: of the run; own: as they are configured here. word: how to agree. Raises UserError with what differs.
     """
-    if own["accept_limits"] or not moves_a_real_arm(settings):
+    virtual = allowed(settings["hardware"].get("_target_"), "hardware", "hardware") in VIRTUAL
+    if own["accept_limits"] or virtual or not moves(settings):
         return
     theirs, ours = ({name: leaves(block[name]) for name in MOVING} for block in (settings, own))
     differing = [
@@ -99,12 +100,6 @@ def refuse_inherited_limits(settings: Any, own: Any, source: str, word: str = "a
             f"{source}: a real arm would move by limits and driving that this folder brings along:\n  {listed}\n"
             f"Nothing was moved. Look at them; then give {word}, or name your own (arm=..., hardware=..., execute=...)."
         )
-
-
-def moves_a_real_arm(settings: Any) -> bool:
-    """Whether a run with these settings moves something that can break."""
-    virtual = allowed(settings["hardware"].get("_target_"), "hardware", "hardware") in VIRTUAL
-    return not virtual and moves(settings)
 
 
 def moves(settings: Any) -> bool:

@@ -38,8 +38,10 @@ def refuse_mistakes(words: Sequence[str]) -> None:
         if better and better[0] in NAMES:  # whose own words are its own
             better.append(word)
             continue
-        if _is_taken_along(words, place):
-            continue
+        before = words[place - 1] if place else ""
+        apart = word == "=" or before == "=" or (before.endswith(":") and "=" not in before)
+        if apart or (_named_as_option(before) and "=" not in before):
+            continue  # answered with the word before it: `--experiment stringB`, `seed = 3`
         fault, meant = next(_of(word, words[place + 1 :], first=place == 0), ("", [word]))
         faults += [fault] if fault else []
         better += meant
@@ -49,13 +51,6 @@ def refuse_mistakes(words: Sequence[str]) -> None:
         better.append("trials=data/sample")
     if faults:
         raise UserError(f"{faults[0]} Try: {shlex.join(CALL + better)}" if better != [*words] else faults[0])
-
-
-def _is_taken_along(words: Sequence[str], place: int) -> bool:
-    """Whether a word belongs to the one before it, with which it is answered: `--experiment stringB`, `seed = 3`."""
-    before = words[place - 1] if place else ""
-    apart = words[place] == "=" or before == "=" or (before.endswith(":") and "=" not in before)
-    return apart or (_named_as_option(before) != "" and "=" not in before)
 
 
 def _named_as_option(word: str) -> str:
@@ -69,7 +64,8 @@ def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str,
     name, given, value = word.partition("=")
     if setting := _named_as_option(word):
         value = value or next(iter(following), "")
-        yield f"{word}: {_what(setting)} has no dashes before it.", [_setting(setting, value)]
+        what = "an experiment" if setting == "experiment" else "a setting"
+        yield f"{word}: {what} has no dashes before it.", [_setting(setting, value)]
     elif word.startswith("-") and word.partition("=")[0] not in (*FLAGS, *OF_HYDRA):
         yield (
             f"{word}: there is no such option. A setting has no dashes: name=value. All: python -m pipeline --help",
@@ -80,7 +76,10 @@ def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str,
     elif name == "experiment" and given:
         yield f"{word}: an experiment is added to the settings.", [f"+experiment={value}"]
     elif name == "steps" and given:
-        yield f"{word}: what a run does is its mode now.", [f"mode={_mode(value)}"]
+        names = value.strip("[]").replace(" ", "").split(",")  # such as extract,diagnose
+        last = {"study": "blind_study", "extract": "cast"}.get(names[-1], names[-1])
+        mode = "cast" if "generate" in names else "decide" if "execute" in names else last
+        yield f"{word}: what a run does is its mode now.", [f"mode={mode}"]
     elif not given and _is_setting(word.rstrip(":")) and following and (word.endswith(":") or following[0] == "="):
         value = following[0] if word.endswith(":") else following[1] if len(following) > 1 else ""
         yield f"{word}: name and value belong together.", [_setting(word.rstrip(":"), value)]
@@ -127,11 +126,6 @@ def _unknown(word: str, plain: str, value: str) -> Iterator[tuple[str, list[str]
         yield f"{fault} All of them: python -m pipeline --help", [word]
 
 
-def _what(name: str) -> str:
-    """An experiment, or a setting."""
-    return "an experiment" if name == "experiment" else "a setting"
-
-
 def _setting(name: str, value: str) -> str:
     """A setting as it is given; an experiment is added."""
     return f"{'+' * (name == 'experiment')}{name}={value}"
@@ -140,13 +134,6 @@ def _setting(name: str, value: str) -> str:
 def _is_setting(name: str) -> bool:
     """Whether there is a setting or a group whose first name is this one's."""
     return re.split(r"[./@]", name)[0] in {*_settings(), *_groups(), "hydra"}
-
-
-def _mode(steps: str) -> str:
-    """The mode that did what these steps did, as older versions called it: `[estimate]`, `[extract,diagnose]`."""
-    names = steps.strip("[]").replace(" ", "").split(",")
-    last = {"study": "blind_study", "extract": "cast"}.get(names[-1], names[-1])
-    return "cast" if "generate" in names else "decide" if "execute" in names else last
 
 
 def _bare(word: str, first: bool) -> Iterator[tuple[str, list[str]]]:

@@ -125,20 +125,16 @@ def begin(experiment: Experiment, folder: Path) -> None:
     path = folder / "config.json"
     text = json.dumps(experiment.config, indent=2, sort_keys=True)
     before = path.read_text(encoding="utf-8") if path.exists() else None
-    if before not in (None, text) and not _same_run(experiment, dataset.settings(path), json.loads(text)):
-        raise DataError(
-            f"{folder}: this folder holds a run with other settings (see config.json). "
-            "Leave hydra.run.dir to its default, or repeat the settings of that run."
-        )
+    if before not in (None, text):
+        growing = experiment.mode.growing
+        if _less(modern(dataset.settings(path)), growing) != _less(json.loads(text), growing):
+            raise DataError(
+                f"{folder}: this folder holds a run with other settings (see config.json). "
+                "Leave hydra.run.dir to its default, or repeat the settings of that run."
+            )
     if before != text:
         store.write_text(path, text)
     disk.remove(folder / FAILED)
-
-
-def _same_run(experiment: Experiment, before: Mapping[str, Any], now: Mapping[str, Any]) -> bool:
-    """Whether two settings are of one run, maybe written by another version, or asked for more rows of a study."""
-    growing = experiment.mode.growing
-    return _less(modern(before), growing) == _less(now, growing)
 
 
 def _less(config: Mapping[str, Any], growing: Mapping[str, Sequence[str]]) -> dict[str, Any]:

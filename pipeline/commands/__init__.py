@@ -51,8 +51,8 @@ class Command:
 
 def command(name: str) -> Command:
     """A command, loaded: some draw, which takes a second to load, and neither a run nor the help needs any."""
-    main = getattr(import_module(f"stringcast.pipeline.commands.{_module(name)}"), _function(name))
-    return Command(main, _first_line(name))
+    module = import_module(f"stringcast.pipeline.commands.{_module(name)}")
+    return Command(getattr(module, name if name in PROVENANCE else "main"), _first_line(name))
 
 
 def listed() -> str:
@@ -63,10 +63,6 @@ def listed() -> str:
 def _module(name: str) -> str:
     """A command's module: Python keeps some names for itself."""
     return "provenance" if name in PROVENANCE else f"{name}_" if iskeyword(name) else name
-
-
-def _function(name: str) -> str:
-    return name if name in PROVENANCE else "main"
 
 
 def _first_line(name: str) -> str:

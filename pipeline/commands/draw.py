@@ -19,7 +19,12 @@ def main(arguments: Sequence[str]) -> int:
     asked = parser().parse_args(arguments)
     console = Terminal(stderr=True)
     with console.status("drawing a bench"):
-        bench = draw(asked.seed, *bench_of_conf())
+        blocks = composed()
+        arm, camera = (
+            build(Arm, blocks["arm"], "arm", "conf/arm"),
+            build(Camera, blocks["camera"], "camera", "conf/camera"),
+        )
+        bench = draw(asked.seed, arm, camera)
     bench.write(asked.folder)
     bench.envelope(asked.envelope)
     console.print(
@@ -44,9 +49,3 @@ def natural(text: str) -> int:
     if not text.isdecimal():
         raise ValueError(text)
     return int(text)
-
-
-def bench_of_conf() -> tuple[Arm, Camera]:
-    """Arm and camera as configured."""
-    blocks = composed()
-    return build(Arm, blocks["arm"], "arm", "conf/arm"), build(Camera, blocks["camera"], "camera", "conf/camera")

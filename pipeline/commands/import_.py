@@ -230,7 +230,10 @@ def column_hints(asked: argparse.Namespace) -> ColumnHints:
             raise UserError(f"--unit {name}{'=' * bool(name)}{one}: no unit of lengths. Write mm, cm, m or px.")
     if asked.plane and not re.fullmatch(r"-?[xyz],-?[xyz]", asked.plane):
         raise UserError(f"--plane {asked.plane}: it names no two directions. Write such as x,z or --plane=-z,y")
-    clock = 0.0 if asked.clock in (None, "fit") else _seconds(asked.clock)
+    try:
+        clock = 0.0 if asked.clock in (None, "fit") else float(asked.clock)
+    except ValueError as error:
+        raise UserError(f"--clock {asked.clock}: neither seconds nor fit. Write such as --clock=-0.35") from error
     return ColumnHints(
         *(columns, unit, asked.deg, asked.y_down, asked.plane),
         *(asked.fps, clock, asked.px_per_m, asked.origin_px),
@@ -253,13 +256,6 @@ def _pairs(texts: Sequence[str], option: str, example: str) -> list[tuple[str, s
         if len(words) != 2 or not all(words):
             raise UserError(f"{option} {'='.join(words)}: a name, = and a value are needed, such as {option} {example}")
     return [(name, value) for name, value in pairs]
-
-
-def _seconds(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise UserError(f"--clock {text}: neither seconds nor fit. Write such as --clock=-0.35") from error
 
 
 def command(asked: argparse.Namespace) -> str:
@@ -293,7 +289,9 @@ def columns(what: Gathered) -> Table:
         unit = f" [{one.unit}]" if one.unit else ""
         alike.setdefault((one.column, f"{one.role}{unit}, by {one.how}"), []).append(one)
     for (column, role), those in alike.items():
-        ours = _our_unit(those[0])
+        first = those[0]
+        unit = {"t": " s", "theta": " rad", "trial": ""}.get(first.role, " rad" if first.role.startswith("q") else " m")
+        ours = "" if first.unit in ("1", "px") or first.role.endswith("valid") else unit
         ends = [] if isnan(those[0].low) else [min(one.low for one in those), max(one.high for one in those)]
         cells = [_files([one.file for one in those]), column, role, *(f"{end:.4g}{ours}" for end in ends)]
         table.add_row(*map(Text, cells))
@@ -302,13 +300,6 @@ def columns(what: Gathered) -> Table:
         if names:
             table.add_row(*map(Text, (_files(files), ", ".join(names), "left out")))
     return table
-
-
-def _our_unit(one: Taken) -> str:
-    """The unit of a column's numbers after import, behind a space; empty for what has none."""
-    if one.unit in ("1", "px") or one.role.endswith("valid"):
-        return ""
-    return {"t": " s", "theta": " rad", "trial": ""}.get(one.role, " rad" if one.role.startswith("q") else " m")
 
 
 def _files(files: Sequence[Path]) -> str:

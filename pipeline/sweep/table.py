@@ -46,7 +46,10 @@ def sweep_table(ledger: Ledger, jobs: Sequence[Job]) -> tuple[Table, pd.DataFram
         frame[name] = column
     for name in names:
         frame[name] = [found[job.key].get(name, (None, float("nan")))[1] for job in jobs]
-    settings = tuple(Column(name, "", f"the setting {name}", _kind(frame[name])) for name in given)
+    kinds = {"i": "int", "f": "float"}  # of NumPy's; text for others
+    settings = tuple(
+        Column(name, "", f"the setting {name}", kinds.get(frame[name].dtype.kind, "text")) for name in given
+    )
     return replace(SWEEP, columns=(*SWEEP.columns, *settings, *names.values())), frame
 
 
@@ -58,12 +61,12 @@ def factors(jobs: Sequence[Job]) -> dict[str, list[Any]]:
     given = [dict(override.lstrip("+~").split("=", 1) for override in job.overrides if "=" in override) for job in jobs]
     names = dict.fromkeys(name for one in given for name in one)
     taken = {column.name for column in SWEEP.columns}
-    return {
-        f"setting.{name}" if name in taken else name: _alike(
-            [_value(job, name, one) for job, one in zip(jobs, given, strict=True)]
-        )
-        for name in names
-    }
+    columns: dict[str, list[Any]] = {}
+    for name in names:
+        values = [_value(job, name, one) for job, one in zip(jobs, given, strict=True)]
+        numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+        columns[f"setting.{name}" if name in taken else name] = values if numbers else list(map(str, values))
+    return columns
 
 
 def _value(job: Job, name: str, given: Mapping[str, str]) -> Any:
@@ -72,19 +75,6 @@ def _value(job: Job, name: str, given: Mapping[str, str]) -> Any:
     for part in name.split("."):
         here = here.get(part) if isinstance(here, Mapping) else None
     return here if isinstance(here, bool | int | float | str) else given.get(name, "")
-
-
-def _alike(values: Sequence[Any]) -> list[Any]:
-    """Values of one kind."""
-    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
-    return list(values) if numbers else [str(value) for value in values]
-
-
-def _kind(values: pd.Series) -> str:
-    """Kind of a column of settings: whole numbers, numbers, or text."""
-    if pd.api.types.is_integer_dtype(values):
-        return "int"
-    return "float" if pd.api.types.is_float_dtype(values) else "text"
 
 
 def _row(ledger: Ledger, job: Job) -> dict[str, Any]:

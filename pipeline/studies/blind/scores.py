@@ -146,14 +146,18 @@ def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     parameters = [
         {"seed": seed, **one} for seed, kept in benches[["seed", "values"]].to_numpy() for one in json.loads(kept)
     ]
+    single = benches[~benches["kind"].isin(SEVERAL)]
+    confusion = single.groupby(["kind", "truth", "answer"]).size().rename("count").reset_index()
+    median, p95 = np.percentile(benches["runtime"], [50, 95])
+    runtime = {"median": median, "p95": p95, "longest": benches["runtime"].max(), "at_most": 120.0}
     made = {
         "benches": benches,
         "parameters": pd.DataFrame(parameters) if parameters else PARAMETERS.empty(),
-        "confusion": _confusion(benches),
+        "confusion": confusion,
         "by_size": _by_size(benches),
         "calibration": _calibration(benches),
         "calibration_error": _calibration_error(benches),
-        "runtime": _runtime(benches),
+        "runtime": pd.DataFrame([runtime]),
     }
     made["rates"] = _rates(benches, made["parameters"])
     return {name: TABLES[name].check(frame) for name, frame in made.items()}
@@ -201,11 +205,6 @@ def _parameters(row: Row, told: Set[str]) -> list[dict[str, object]]:
     ]
 
 
-def _confusion(benches: pd.DataFrame) -> pd.DataFrame:
-    single = benches[~benches["kind"].isin(SEVERAL)]
-    return single.groupby(["kind", "truth", "answer"]).size().rename("count").reset_index()
-
-
 def _by_size(benches: pd.DataFrame) -> pd.DataFrame:
     kinds = benches.assign(kind=benches["kind"].replace(RESOLUTION, "effect"))
     sized = kinds[kinds["size"].notna()]
@@ -250,11 +249,6 @@ def calibration_error(p: np.ndarray, right: np.ndarray) -> float:
 def _bin(p: np.ndarray) -> np.ndarray:
     """Bin of each probability."""
     return np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
-
-
-def _runtime(benches: pd.DataFrame) -> pd.DataFrame:
-    median, p95 = np.percentile(benches["runtime"], [50, 95])
-    return pd.DataFrame([{"median": median, "p95": p95, "longest": benches["runtime"].max(), "at_most": 120.0}])
 
 
 Chosen = Callable[[pd.DataFrame], pd.Series]

@@ -71,7 +71,9 @@ def compared(one: Take, cell: Cell, points: Points, shot: Shot) -> pd.DataFrame:
     named = {"condition": cell.condition, "severity": cell.severity, "string": one.string, "cast": one.seed}
     found = pd.DataFrame([off.get(round(float(t), 6), {}) for t in readings["t"]], columns=list(_MEASURES))
     frame = readings[["frame", "reason"]].assign(**named, read=readings["valid"]).join(found)
-    return FRAMES.check(frame.assign(wrong=frame["read"] & _beyond(frame)))
+    far = (frame[["line_px", "place_px", "tip_px"]] > WRONG_PX).any(axis=1)
+    unsure = (frame[["line_sigmas", "tip_sigmas"]] > WRONG_SIGMAS).any(axis=1)
+    return FRAMES.check(frame.assign(wrong=frame["read"] & (far | unsure)))
 
 
 _MEASURES = tuple(c.name for c in FRAMES.columns if "_" in c.name)
@@ -81,7 +83,8 @@ def _off(rows: pd.DataFrame, true: np.ndarray, px_per_m: float) -> dict[str, flo
     """How far one line is off. true: (n, 2) [m]."""
     points, sigma = rows[["x", "y"]].to_numpy(), rows["sigma"].to_numpy() * px_per_m
     share = rows["s"].to_numpy() / rows["s"].iloc[-1]
-    known, fine = _lengths(true), np.linspace(0, 1, 801)
+    along = np.concatenate([[0.0], np.linalg.norm(np.diff(true, axis=0), axis=-1).cumsum()])
+    known, fine = along / along[-1], np.linspace(0, 1, 801)
     curve, places = (np.stack([np.interp(s, known, true[:, i]) for i in (0, 1)], axis=-1) for s in (fine, share))
     line = np.linalg.norm(points[:, None] - curve[None], axis=-1).min(axis=1) * px_per_m
     place = np.linalg.norm(points - places, axis=-1) * px_per_m
@@ -97,20 +100,8 @@ def _off(rows: pd.DataFrame, true: np.ndarray, px_per_m: float) -> dict[str, flo
     }
 
 
-def _lengths(line: np.ndarray) -> np.ndarray:
-    """Arc length along a line over its whole length, (n,)."""
-    s = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=-1).cumsum()])
-    return np.asarray(s / s[-1])
-
-
 def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x))))
-
-
-def _beyond(frame: pd.DataFrame) -> pd.Series:
-    """Off by more than the limits."""
-    far = (frame[["line_px", "place_px", "tip_px"]] > WRONG_PX).any(axis=1)
-    return far | (frame[["line_sigmas", "tip_sigmas"]] > WRONG_SIGMAS).any(axis=1)
 
 
 def shares(frames: pd.DataFrame) -> pd.DataFrame:

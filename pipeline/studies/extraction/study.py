@@ -62,7 +62,11 @@ class ExtractionStudy(Study):
     def jobs(self, experiment: Experiment, folder: Path) -> list[OneCondition]:
         """Every condition at every severity, of the same casts."""
         asked = build(Asked, experiment.config[self.BLOCK], self.BLOCK, WHERE)
-        takes = [one for name, block in asked.strings.items() for one in _takes(experiment, asked, name, block)]
+        seeds = range(experiment.seed, experiment.seed + asked.casts)
+        takes = []
+        for name, block in asked.strings.items():
+            specimen = build(Specimen, block, f"extraction_study.strings.{name}", WHERE)
+            takes += [take(name, specimen, experiment.arm, experiment.camera, asked.frames, seed) for seed in seeds]
         return [OneCondition(cell, takes, experiment.stages["extract"]) for cell in cells()]
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
@@ -85,10 +89,3 @@ def cells() -> list[Cell]:
         for name, severities in CONDITIONS.items()
         for severity, parts in enumerate(severities, start=1)
     ]
-
-
-def _takes(here: Experiment, asked: Asked, name: str, block: Mapping[str, Any]) -> list[Take]:
-    """The casts of one string."""
-    specimen = build(Specimen, block, f"extraction_study.strings.{name}", WHERE)
-    seeds = range(here.seed, here.seed + asked.casts)
-    return [take(name, specimen, here.arm, here.camera, asked.frames, seed) for seed in seeds]

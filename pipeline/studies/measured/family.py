@@ -67,7 +67,11 @@ class Family:
             store.write_table(with_trial(table), rows, to / f"{table.name}.parquet", origin)
         length = {"length": round(float(rows["s"].max()), 4)} | self._weighed(folder, string)
         about = {"format": 1, "name": string, "string": length, **self.about}
-        about["trials"] = {trial: self._said(trial) for trial in trials}
+        about["trials"] = {
+            trial: {"initial": "moving" if re.fullmatch(self.moving, trial) else "rest"}
+            | ({"role": "held_out"} if re.fullmatch(self.held_out, trial) else {})
+            for trial in trials
+        }
         store.write_text(to / "dataset.yaml", yaml.safe_dump(about, sort_keys=False))
 
     def _used(self, points: pd.DataFrame) -> pd.DataFrame:
@@ -81,8 +85,3 @@ class Family:
         path = folder / self.folder / WEIGHED
         known = json.loads(path.read_text(encoding="utf-8")).get(string) if path.is_file() else None
         return {} if known is None else {"mass": known["m_cable_kg"], "tip_mass": known["m_tip_kg"]}
-
-    def _said(self, trial: str) -> dict[str, str]:
-        """The fields of dataset.yaml on a trial."""
-        said = {"initial": "moving" if re.fullmatch(self.moving, trial) else "rest"}
-        return said | ({"role": "held_out"} if re.fullmatch(self.held_out, trial) else {})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -28,7 +28,8 @@ def picture(table: pd.DataFrame, held_out: Mapping[tuple[str, str], pd.DataFrame
         left, right = above.subplots(1, 2, sharex=True, sharey=True)
         _tips(left, table, strings, "tip", "tip in sample, rms / mm")
         _tips(right, table, strings, "held_out_tip", "tip in trials held out, rms / mm")
-        left.plot(MM * _of(table, strings, "authors_tip"), range(len(strings)), "kx", label="their authors' model")
+        authors = table.drop_duplicates("string").set_index("string").loc[strings, "authors_tip"]
+        left.plot(MM * authors.to_numpy(dtype=float), range(len(strings)), "kx", label="their authors' model")
         above.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=6)
         places = trace.subplots(below, ACROSS, squeeze=False).ravel()
         for axes in places[len(trials) :]:
@@ -38,11 +39,6 @@ def picture(table: pd.DataFrame, held_out: Mapping[tuple[str, str], pd.DataFrame
             _over_time(axes, sets, trial)
         figure.savefig(path, dpi=110, facecolor="white")
         plt.close(figure)
-
-
-def _of(table: pd.DataFrame, strings: Sequence[str], column: str) -> np.ndarray:
-    """A number of each string, the same in all its sets."""
-    return table.drop_duplicates("string").set_index("string").loc[list(strings), column].to_numpy(dtype=float)
 
 
 def _tips(axes: Axes, table: pd.DataFrame, strings: list[str], column: str, label: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -90,7 +89,9 @@ def shown(folder: Path, chosen: pd.DataFrame, of_casts: pd.DataFrame) -> dict[st
     for run in chosen.itertuples():
         settings = dataset.settings(folder / run.folder / "config.json")
         arm = build(Arm, settings["arm"], "arm", "config.json")
-        parts[BOXES.name].append(_boxes(settings).assign(condition=run.condition))
+        obstacles = [{"kind": "obstacle", **box} for box in settings["obstacles"]["boxes"]]
+        boxes = pd.DataFrame([{"kind": "target", **settings["target"]}, *obstacles])
+        parts[BOXES.name].append(boxes.assign(condition=run.condition))
         mine = of_casts[(of_casts["condition"] == run.condition) & (of_casts["seed"] == run.seed)]
         for cast in mine.itertuples():
             place = folder / run.folder / "iterations" / f"{cast.manipulation:02d}"
@@ -111,11 +112,6 @@ def parameters(folder: Path, of_runs: pd.DataFrame) -> pd.DataFrame:
     ]
     names = [column.name for column in PARAMETERS.columns]
     return PARAMETERS.check(pd.concat(found)[names]) if found else PARAMETERS.empty()
-
-
-def _boxes(settings: dict[str, Any]) -> pd.DataFrame:
-    obstacles = [{"kind": "obstacle", **box} for box in settings["obstacles"]["boxes"]]
-    return pd.DataFrame([{"kind": "target", **settings["target"]}, *obstacles])
 
 
 def _cast(place: Path, arm: Arm, closest: float) -> dict[str, pd.DataFrame]:

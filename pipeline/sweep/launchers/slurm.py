@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -24,18 +23,9 @@ def launch(
     parameters: of the queue, as submitit takes them: timeout_min, mem_gb, slurm_partition, ...
     """
     submitit = extra("submitit", "slurm")
-    executor = submitit.AutoExecutor(folder=_logs(attempts), cluster=cluster)
+    executor = submitit.AutoExecutor(folder=attempts[0].folder / "ledger" / "slurm", cluster=cluster)
     executor.update_parameters(cpus_per_task=threads, **parameters)
-    jobs = executor.map_array(_call, attempts, [threads] * len(attempts))
+    jobs = executor.map_array(Attempt.__call__, attempts, [threads] * len(attempts))
     keys = {job.job_id: attempt.key for job, attempt in zip(jobs, attempts, strict=True)}
     for job in submitit.helpers.as_completed(jobs, poll_frequency=2):
         yield keys[job.job_id]
-
-
-def _call(attempt: Attempt, threads: int) -> str:
-    return attempt(threads)
-
-
-def _logs(attempts: Sequence[Attempt]) -> Path:
-    """Where the queue's own logs go."""
-    return attempts[0].folder / "ledger" / "slurm"
