@@ -24,7 +24,7 @@ from stringcast.data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READING
 from stringcast.data.errors import printable
 from stringcast.data.films import Shots, filmed, listed, videos
 from stringcast.data.foreign import inside, json_block, leaves, own
-from stringcast.data.images import ImageFiles, Images
+from stringcast.data.images import ImageFiles
 from stringcast.data.rows import Rows, from_csv, sifted
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.data.store import content_hash, read_table, write_table, write_text
@@ -87,9 +87,11 @@ def publish(
     places: the folder of each trial's frames, relative to `folder`. known: what dataset.yaml
     says beside the format. origin: goes into every footer.
     """
+    frames = {name: trial.frames for name, (trial, _) in trials.items()}
+    files = {name: [(places[name] / file).as_posix() for file in frame["file"]] for name, frame in frames.items()}
     tables = {
         ARM: {name: trial.arm for name, (trial, _) in trials.items()},
-        FRAMES: {name: _placed(trial.frames, places[name]) for name, (trial, _) in trials.items()},
+        FRAMES: {name: frame.assign(file=files[name]) for name, frame in frames.items()},
         POINTS: {name: points.points for name, (_, points) in trials.items()},
         READINGS: {name: points.readings for name, (_, points) in trials.items()},
         MASKS: {name: points.masks for name, (_, points) in trials.items()},
@@ -98,10 +100,6 @@ def publish(
         whole = pd.concat([part.assign(trial=name) for name, part in parts.items()], ignore_index=True)
         write_table(with_trial(table), whole, folder / f"{table.name}.parquet", origin)
     write_text(folder / NAME, yaml.safe_dump({"format": FORMAT, **known}, sort_keys=False))
-
-
-def _placed(frames: pd.DataFrame, place: Path) -> pd.DataFrame:
-    return frames.assign(file=[(place / file).as_posix() for file in frames["file"]])
 
 
 def read(folder: Path) -> Dataset:
@@ -125,7 +123,8 @@ def read(folder: Path) -> Dataset:
     parts = [_by_trial(frame) for frame in (motion, points, readings, masks)]
     for name in names:
         begin = clocks.get(name, 0.0)
-        moved, *seen = (_since(part.get(name, empty), begin) for part, empty in parts)
+        own = (part.get(name, empty) for part, empty in parts)
+        moved, *seen = (frame.assign(t=frame["t"] - begin) if begin else frame for frame in own)
         hand = {motion_table.name: moved}
         trial = replace(Observation(name, *seen, **hand), moving=name in moving)
         film = Film(shots[name][0] - begin, shots[name][1], **hand) if name in shots else None
@@ -142,11 +141,6 @@ def _clocks(motion: pd.DataFrame) -> dict[str, float]:
     """A whole second at which the hand's motion begins [s], of trials whose clock began long before them."""
     first = motion.groupby("trial")["t"].min()
     return {str(name): float(np.floor(t)) for name, t in first.items() if abs(t) > LATE}
-
-
-def _since(frame: pd.DataFrame, begin: float) -> pd.DataFrame:
-    """A trial's table with its times counted from there."""
-    return frame.assign(t=frame["t"] - begin) if begin else frame
 
 
 def _seen(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows], need_points: bool) -> list[pd.DataFrame]:
@@ -193,12 +187,9 @@ def _hashes(folder: Path, shots: Mapping[str, Shots]) -> dict[str, str]:
     """SHA-256 of the content of what a dataset is made of, by path in its folder: tables, folders of frames, videos."""
     tables = (ARM, GRASP, POINTS, READINGS, MASKS, FRAMES)
     found = {path for table in tables if (path := _find(folder, table.name))} | set(videos(folder))
-    found |= {(folder / file).parent for _, images in shots.values() for file in _files(images)}
+    stills = (images.files for _, images in shots.values() if isinstance(images, ImageFiles))
+    found |= {(folder / file).parent for files in stills for file in files}
     return {path.relative_to(folder).as_posix(): content_hash(path) for path in sorted(found)}
-
-
-def _files(images: Images) -> tuple[str, ...]:
-    return images.files if isinstance(images, ImageFiles) else ()
 
 
 def settings(path: Path) -> dict[str, Any]:

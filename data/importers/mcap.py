@@ -97,7 +97,8 @@ def _part(message: Any, name: str) -> Any:
 
 def _numbers(message: Any, place: str, depth: int) -> Iterator[tuple[str, float]]:
     """Numbers in a message, by place: `tool0 x [m]` of a position, `tool0 qx` of an orientation."""
-    fields = message if isinstance(message, Mapping) else {f: getattr(message, f) for f in _fields(message)}
+    names = getattr(message, "__slots__", ())  # of a decoded message
+    fields = message if isinstance(message, Mapping) else {name: getattr(message, name) for name in names}
     for name, value in fields.items():
         if isinstance(value, bool) or name in ("header", "covariance") or depth > DEEPEST:
             continue
@@ -108,8 +109,3 @@ def _numbers(message: Any, place: str, depth: int) -> Iterator[tuple[str, float]
             short = {"rotation": "orientation"}.get(name, name)
             inner = place if short in ("pose", "position", "point", "transform", "translation") else f"{place} {short}"
             yield from _numbers(value, inner, depth + 1)
-
-
-def _fields(message: Any) -> list[str]:
-    """Names of a decoded message's fields."""
-    return list(getattr(message, "__slots__", ()))

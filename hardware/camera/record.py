@@ -40,11 +40,12 @@ def recording(film: Film, moved_at: float, delay: float, period: float, most_los
     own = np.flatnonzero(~again)
     stamps = np.array([frame.stamp for frame in film.frames])
     t, schedule = exposed(arrived[own], stamps[own], period)
-    counts = pd.DataFrame({"number": schedule.numbers, "late": schedule.late, "repeats": _runs(own, len(again))})
+    repeats = np.diff(np.append(own, len(again))) - 1
+    counts = pd.DataFrame({"number": schedule.numbers, "late": schedule.late, "repeats": repeats})
     summary = _summary(schedule, film, int(again.sum()))
     summary["remarks"] = "; ".join(film.remarks)
-    early = film.died if t[-1] < film.until - 2 * period else ""
-    fault = _cut(t, early) or _lost(summary, most_lost)
+    died = film.died if t[-1] < film.until - 2 * period else ""
+    fault = f"the camera saw nothing after {t[-1]:.3f} s: {died}" if died else _lost(summary, most_lost)
     return Recording(t, [images[i] for i in own], counts, summary, fault)
 
 
@@ -82,11 +83,6 @@ def _clock(stamps: np.ndarray, arrived: np.ndarray, period: float) -> bool:
     return bool(np.abs(np.median(late[: len(late) // 2]) - np.median(late[len(late) // 2 :])) < period)
 
 
-def _runs(own: np.ndarray, count: int) -> np.ndarray:
-    """How often each own image came again, (len(own),). own: places among `count` frames."""
-    return np.diff(np.append(own, count)) - 1
-
-
 def _summary(schedule: Schedule, film: Film, repeats: int) -> dict[str, float | int | str]:
     """Optional columns of table LINK: frames due until filming could end, what became of them, and how late."""
     numbers, until = schedule.numbers, film.until
@@ -102,11 +98,6 @@ def _summary(schedule: Schedule, film: Film, repeats: int) -> dict[str, float | 
         "frame_jitter_p99": p99,
         "frame_jitter_max": most,
     }
-
-
-def _cut(t: np.ndarray, died: str) -> str:
-    """In words, a film that ended too early."""
-    return f"the camera saw nothing after {t[-1]:.3f} s: {died}" if died else ""
 
 
 def _lost(summary: dict[str, float | int | str], most_lost: float) -> str:

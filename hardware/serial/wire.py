@@ -104,7 +104,11 @@ class SerialWire:
 
     def answers(self) -> Sequence[Answer]:
         """Answers to velocities; greetings and damaged frames are left out."""
-        return [self._answer(report) for report in self._received() if isinstance(report, Report)]
+        return [
+            Answer(report.sequence, self._clock(report.micros), HELD.get(report.state, ""), report.angles)
+            for report in self._received()
+            if isinstance(report, Report)
+        ]
 
     def stop(self) -> None:
         """Three times, for a frame may be lost; then wait for an answer, so that none is in flight."""
@@ -138,9 +142,6 @@ class SerialWire:
             raise HardwareError(
                 f"arm on {self.port}: cannot be opened ({error}). Check hardware.port and the cable."
             ) from error
-
-    def _answer(self, report: Report) -> Answer:
-        return Answer(report.sequence, self._clock(report.micros), HELD.get(report.state, ""), report.angles)
 
     def _clock(self, micros: int) -> float:
         """Device time [s]: 32 bits of microseconds go round every 72 minutes, and answers may change places."""

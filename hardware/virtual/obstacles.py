@@ -35,12 +35,9 @@ class Obstacles:
     @property
     def sizes(self) -> dict[str, float]:
         """The effects' parameters, by qualified name."""
+        alike = {"stiffness": self.stiffness, "friction": self.friction, "loss": self.loss}
         return {
             f"{effect.name}.{name}": size
             for effect, box in zip(self.effects, self.boxes, strict=True)
-            for name, size in self._parameters(box).items()
+            for name, size in {"centre_x": box.x, "centre_y": box.y, "width": box.w, "height": box.h, **alike}.items()
         }
-
-    def _parameters(self, box: Box) -> dict[str, float]:
-        place = {"centre_x": box.x, "centre_y": box.y, "width": box.w, "height": box.h}
-        return place | {"stiffness": self.stiffness, "friction": self.friction, "loss": self.loss}

@@ -72,7 +72,9 @@ def estimate_of(
     """The artifact. before, after: (P,) exponents before and after. draws: (K, P) that the trials leave possible."""
     parameters = goals[0].case.model.parameters
     pair = values_of(parameters, np.stack([before, after]))
-    matching = pd.concat([_matching(goal, pair) for goal in goals], ignore_index=True)
+    scores = [(goal.case, *goal.per_frame(pair)[0]) for goal in goals]
+    frames = [pd.DataFrame({"trial": c.name, "t": c.times, "before": old, "after": new}) for c, old, new in scores]
+    matching = pd.concat(frames, ignore_index=True)
     rms, tip = np.sqrt(np.mean([[goal.case.off(v) for v in pair] for goal in goals], axis=0)).T
     fit = {
         "method": search.method,
@@ -143,11 +145,6 @@ def bad_fit(rate: float, rms: float, length: float) -> str:
         f"The model does not explain this data (E = {rate:.2f}, {rms * 1e3:.0f} mm between the simulated string and "
         "the measured one): its parameters mean little."
     )
-
-
-def _matching(goal: Target, pair: np.ndarray) -> pd.DataFrame:
-    scores, _ = goal.per_frame(pair)
-    return pd.DataFrame({"trial": goal.case.name, "t": goal.case.times, "before": scores[0], "after": scores[1]})
 
 
 def _parameters(

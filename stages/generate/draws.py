@@ -64,8 +64,10 @@ def drawn(
     lag = rng.uniform(0, uncertainty.lag, count)
     tip = uncertainty.tip if estimate is None else float(estimate.fit["rms_after"].iloc[0])
     off = tip * rng.standard_normal((count, 2))
-    values = _prior(model, count, rng) if estimate is None else _posterior(model, estimate, count, rng)
-    return Draws(values, amplitude, lag, off)
+    if estimate is None:
+        return Draws(_prior(model, count, rng), amplitude, lag, off)
+    every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])  # any as likely as another
+    return Draws(every[rng.integers(0, len(every), count)], amplitude, lag, off)
 
 
 def _prior(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -75,9 +77,3 @@ def _prior(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
     for name, place in known.items():
         columns[place] = np.full(count, model.known[name])
     return np.stack(columns, axis=-1)
-
-
-def _posterior(model: Model, estimate: Estimate, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Values (count, P): of the estimate's own draws, any as likely as another."""
-    every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])
-    return every[rng.integers(0, len(every), count)]

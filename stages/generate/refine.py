@@ -61,7 +61,9 @@ def refine(place: Place, space: Space, starts: Curves, draws: Draws, rounds: int
     """The best movement found from each start. All are tried on the same draws: chance does not decide between two."""
     points = space.points(starts)
     best, most = points.copy(), outcome(place, starts, draws).closeness
-    searches = [_search(space, point, seed + number) for number, point in enumerate(points)]
+    settings = {"sigma": STEP, "bounds": space.bounds, "population_size": POPULATION}
+    inside = np.clip(points, *space.bounds.T)
+    searches = [CMA(mean=point, seed=(seed + number) % 2**32, **settings) for number, point in enumerate(inside)]
     for _ in range(rounds):
         asked = [_asked(place, space, search) for search in searches]
         tried = np.concatenate([point[:count] for point, count in asked])
@@ -73,11 +75,6 @@ def refine(place: Place, space: Space, starts: Curves, draws: Draws, rounds: int
             if count and own.max() > most[number]:
                 best[number], most[number] = point[np.argmax(own)], own.max()
     return space.curves(best)
-
-
-def _search(space: Space, point: np.ndarray, seed: int) -> CMA:
-    inside = np.clip(point, *space.bounds.T)
-    return CMA(mean=inside, sigma=STEP, bounds=space.bounds, seed=seed % 2**32, population_size=POPULATION)
 
 
 def _asked(place: Place, space: Space, search: CMA) -> tuple[np.ndarray, int]:

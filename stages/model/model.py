@@ -121,7 +121,7 @@ class Model:
         hand = self.hand(motion, values)
         if initial is not None:
             hand, times = hand.since(initial.t), initial.counted(times)
-        return simulate(self.string, hand, self._of_string(values), times, initial)
+        return simulate(self.string, hand, values[:, : len(self.string.parameters)], times, initial)
 
     def seen(
         self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
@@ -164,9 +164,6 @@ class Model:
         for effect in self.camera_effects:
             now = effect.seen(now, velocity, times, self.camera, **self._given(effect, values, 4))
         return now
-
-    def _of_string(self, values: np.ndarray) -> np.ndarray:
-        return values[:, : len(self.string.parameters)]
 
     def _acts(self, values: np.ndarray) -> Sequence[Act]:
         return [(effect, self._given(effect, values, 3)) for effect in self.hand_effects]

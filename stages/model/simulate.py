@@ -51,7 +51,8 @@ def simulate(
     material = string.material(np.atleast_2d(values))
     position = (times - hand.start) / hand.tick
     last = asked(position)
-    poses, rates = _lasting(hand, int(last.max()) + 1)
+    count = int(last.max()) + 1
+    poses, rates = rested(hand.pose[:, :count], hand.rate[:, :count], max(count - hand.pose.shape[1], 0))
     steps, possible = steps_per_tick(*string.active(material), hand.tick)
     parts = []
     for level in np.unique(steps[possible]):
@@ -98,11 +99,6 @@ def _as_stated(string: String, material: np.ndarray, points: np.ndarray) -> np.n
         return points
     last = string.points - 1
     return between(points, np.minimum((np.arange(string.points) + (longer - 1) * last) / longer, last))
-
-
-def _lasting(hand: HandMotion, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The hand's first so many ticks, with rest added at its end where there are fewer."""
-    return rested(hand.pose[:, :count], hand.rate[:, :count], max(count - hand.pose.shape[1], 0))
 
 
 def _run(

@@ -151,8 +151,8 @@ def test_files_that_are_no_effect_are_refused(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"):
         library()
     (tmp_path / "compass.py").unlink()
-    (tmp_path / "mute.py").write_text(MAGNET.replace('"magnet"', '"mute"').replace("def words", "def said"))
-    with pytest.raises(ValueError, match="the effect lacks words"):
+    (tmp_path / "mute.py").write_text(MAGNET.replace('"magnet"', '"mute"').replace("def describe", "def said"))
+    with pytest.raises(ValueError, match="the effect lacks describe"):
         library()
     (tmp_path / "mute.py").unlink()
     (tmp_path / "wind.py").write_text(MAGNET.replace('"magnet"', '"wind"'))

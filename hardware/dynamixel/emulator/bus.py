@@ -89,15 +89,14 @@ class Servo:
             self.set(BUS_WATCHDOG, TRIPPED)
             self.set(GOAL_VELOCITY, 0)
         follows = self.get(TORQUE_ENABLE) and self.get(OPERATING_MODE) == VELOCITY_MODE
-        self.speed = self._ramped(self.get(GOAL_VELOCITY) * VELOCITY_UNIT) if follows else 0.0
+        most = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP or math.inf  # of zero, anything
+            self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP or math.inf
+        )  # a profile of zero allows anything
+        change = min(max(self.get(GOAL_VELOCITY) * VELOCITY_UNIT - self.speed, -most), most)
+        self.speed = self.speed + change if follows else 0.0
         self.joint.step(self.speed)
         self.set(REALTIME_TICK, int(clock * 1e3) % TICKS)
         self.set(PRESENT_POSITION, 2048 + math.floor(self.joint.encoder / POSITION_UNIT + 0.5))
-
-    def _ramped(self, goal: float) -> float:
-        """The velocity [rad/s] a step later, towards a goal by what the profile allows; zero allows anything."""
-        change = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP or math.inf
-        return self.speed + min(max(goal - self.speed, -change), change)
 
 
 @dataclass

@@ -71,7 +71,9 @@ class Scene:
         parts = []
         for number, cast in enumerate(self.casts):
             acting = only is None or number == only
-            rows = np.stack([model.values({**self.base, **(v if acting else _paper(v))}) for v in values])
+            # Where nothing hidden acts, parameters beyond the paper's, whose names have a dot, are at zero.
+            own = values if acting else [{n: x for n, x in v.items() if "." not in n} for v in values]
+            rows = np.stack([model.values({**self.base, **v}) for v in own])
             parts.append(self._measured(model.seen(cast.happened, rows, cast.frames).points))
         return np.concatenate(parts, axis=1) / self.sigma
 
@@ -138,8 +140,3 @@ def unexplained(field: np.ndarray, columns: np.ndarray) -> np.ndarray:
     q, _ = np.linalg.qr(columns.reshape(len(columns), -1).T)
     flat = field.reshape(len(field), -1)
     return (flat - (flat @ q) @ q.T).reshape(field.shape)
-
-
-def _paper(values: Values) -> dict[str, float]:
-    """Those of the paper's own parameters: the others, whose names have a dot, are at zero."""
-    return {name: value for name, value in values.items() if "." not in name}

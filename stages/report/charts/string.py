@@ -26,14 +26,16 @@ def path(record: Record, cast: Cast) -> Picture | None:
         return None
     figure, axes = _plane_of(record)
     joints = cast.joints(record.arm) * MM
-    for frame, alpha in ((0, 0.35), (_row(cast), 1.0)):
+    closest = cast.verdict.t if np.isfinite(cast.verdict.t) else cast.motion.duration
+    for frame, alpha in ((0, 0.35), (int(np.argmin(np.abs(cast.trial.arm["t"].to_numpy() - closest))), 1.0)):
         axes.plot(*joints[frame].T, "-o", color=LIGHT["soft"], lw=3, ms=4, alpha=alpha)
     axes.plot(*joints[:, -1].T, color=LIGHT["after"], label="hand")
     way = cast.tip(np.arange(0, cast.motion.duration, 0.001)) * MM
     if np.isfinite(way).any():
         axes.plot(*way.T, color=LIGHT["measured"], lw=1, label="string's tip")
     _legend_above(figure, axes)
-    return vector(figure, f"Way of the hand, {mm(_length(joints[:, -1]))} long, and of the tip; {_where(record)}.")
+    length = float(np.hypot(*np.diff(joints[:, -1], axis=0).T).sum() / MM)
+    return vector(figure, f"Path of the hand, {mm(length)} long, and of the tip; {_where(record)}.")
 
 
 def paths(record: Record) -> Picture | None:
@@ -73,16 +75,6 @@ def _legend_above(figure: Figure, axes: Axes) -> None:
     once = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     figure.legend(once.values(), once.keys(), loc="upper left", ncols=6)
     figure.subplots_adjust(top=1 - (0.1 + 0.18 * np.ceil(len(once) / 6)) / SIZE[1])  # [inches]
-
-
-def _row(cast: Cast) -> int:
-    """The measured posture nearest to the closest approach."""
-    at = cast.verdict.t if np.isfinite(cast.verdict.t) else cast.motion.duration
-    return int(np.argmin(np.abs(cast.trial.arm["t"].to_numpy() - at)))
-
-
-def _length(way: np.ndarray) -> float:
-    return float(np.hypot(*np.diff(way, axis=0).T).sum() / MM)
 
 
 def _where(record: Record) -> str:

@@ -111,7 +111,10 @@ def _tiles(record: Record) -> Tiles:
     closest += " in the best cast" if len(record.casts) > 1 else ""
     unread = "No tip was read in any frame, so nobody can say how close it came."
     fit = record.estimates[-1].fit.iloc[0] if record.estimates else None
-    rates, rms = ("not estimated", "not estimated") if fit is None else _before_after(fit)
+    rates = rms = "not estimated"
+    if fit is not None:
+        rates = f"{rate(fit['before'])} → {rate(fit['after'])}"
+        rms = f"{mm(fit['rms_before'], 1)} → {mm(fit['rms_after'], 1)}"
     return Tiles(
         [
             Tile(mm(best.verdict.distance), closest) if best else Tile(UNKNOWN, unread),
@@ -119,12 +122,6 @@ def _tiles(record: Record) -> Tiles:
             Tile(rms, "from the simulated to the measured centre-line, root mean square, before and after"),
         ]
     )
-
-
-def _before_after(fit: Any) -> tuple[str, str]:
-    """Matching rate and residual. fit: row of table FIT."""
-    rates = f"{rate(fit['before'])} → {rate(fit['after'])}"
-    return rates, f"{mm(fit['rms_before'], 1)} → {mm(fit['rms_after'], 1)}"
 
 
 def _row(n: int, cast: Cast) -> list[Any]:
@@ -182,7 +179,12 @@ Known = list[tuple[Parameter, Any]]  # parameters, each with its row of the last
 
 
 def _histories(record: Record, known: Known) -> Small:
-    return Small([(_caption(row), history(parameter, record.estimates)) for parameter, row in known])
+    drawn = []
+    for parameter, row in known:
+        named = joined([symbol(row["symbol"]) if row["symbol"] else "", bold(row["name"].replace("_", " "))])
+        caption = Markup("{} <span>[{}]</span>").format(named, unit(row["unit"]))
+        drawn.append((caption, history(parameter, record.estimates)))
+    return Small(drawn)
 
 
 def _learnt_table(known: Known) -> Table:
@@ -208,11 +210,6 @@ def _parameters(record: Record) -> list[tuple[Parameter, Any]]:
     return [(p, last.loc[p.name]) for p in record.model.parameters if p.name in last.index]
 
 
-def _caption(row: Any) -> Markup:
-    named = joined([symbol(row["symbol"]) if row["symbol"] else "", bold(row["name"].replace("_", " "))])
-    return Markup("{} <span>[{}]</span>").format(named, unit(row["unit"]))
-
-
 def _learnt(parameter: Parameter, row: Any) -> list[Any]:
     """A parameter in the table."""
     bounded = np.isfinite(row["low"]) and np.isfinite(row["high"])
@@ -236,11 +233,13 @@ def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Secti
     undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
     layers = [Layer(name, ON_FRAMES[name], shown=name != "measured") for name in ("before", "after", "measured")]
     shared = [Grid([_closest(record, cast), _animated(record, cast, part)]), Grid(_over_time(record, cast))]
+    about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
+    paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
     parts = [
         Text(_told(cast)),
         *(Text(undrawn.format(name), "missing") for name in unstable),
         Explore(shared, layers),
-        Grid([_where(record, cast, far), _way(record, cast), _attempts(cast), _link_and_frames(cast)]),
+        Grid([_where(record, cast, far), paths, _attempts(cast), _link_and_frames(cast)]),
     ]
     return Section(f"Cast {n}", parts, f"cast-{n}", badge(cast.verdict.hit), "cast")
 
@@ -298,11 +297,6 @@ def _where(record: Record, cast: Cast, far: float) -> Figure:
     about = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
     about += "mean the same in all casts."
     return Figure("Distance of simulated and measured string", residual_map(record, cast, far), about, UNREAD)
-
-
-def _way(record: Record, cast: Cast) -> Figure:
-    about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
-    return Figure("Way of hand and tip", path(record, cast), about, SILENT)
 
 
 def _attempts(cast: Cast) -> Card:

@@ -434,8 +434,10 @@ def left(record: DiagnosisRecord) -> Section:
 
 def _left_over(record: DiagnosisRecord) -> Part:
     """A picture of what is missing, or why there is none."""
-    drawn, strongest = missing(record), _strongest(record.diagnosis.missing)
-    if drawn and record.diagnosis.missing["s"].notna().any():
+    drawn, table = missing(record), record.diagnosis.missing
+    size = float(np.hypot(table["x"].fillna(0), table["y"].fillna(0)).max())
+    strongest = f"{size:.2g} m/s²" if table["s"].notna().any() else mm(size, 1)
+    if drawn and table["s"].notna().any():
         about = (
             "A row for each trial. Each arrow is a push on the string at its place s and time, pointing as in the "
             f"plane (right: +x, up: +y). The longest is {strongest}; gravity is 9.8 m/s². Equally long arrows are "
@@ -449,12 +451,6 @@ def _left_over(record: DiagnosisRecord) -> Part:
         share = percent(record.document["unexplained"]["fraction"])
         return Text(f"The extended model leaves {share} of the base model's systematic misfit unexplained.")
     return Text("Nothing was left that could be told from noise, so no missing force, motion or shift was sought.")
-
-
-def _strongest(table: pd.DataFrame) -> str:
-    """The most that is missing anywhere, with its unit. table: MISSING."""
-    size = float(np.hypot(table["x"].fillna(0), table["y"].fillna(0)).max())
-    return f"{size:.2g} m/s²" if table["s"].notna().any() else mm(size, 1)
 
 
 def _next(record: DiagnosisRecord) -> Part | None:

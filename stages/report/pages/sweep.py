@@ -90,24 +90,16 @@ def tiles(record: SweepRecord) -> Tiles:
     bad = Markup(', <strong class="bad">{} failed</strong>').format(len(record.failed)) if len(record.failed) else ""
     seconds = f"; {record.table['seconds'].sum():.0f} s of computing in their last attempts"
     done = Tile(f"{len(record.done)} of {len(record.table)}", Markup("jobs done{}{}").format(bad, seconds))
-    means = [
-        Tile(
-            mean_with_interval(_overall(record, o)) + (" %" if o.unit == "%" else ""),
-            f"{o.label}, mean of all jobs that are done",
-        )
-        for o in _mapped(record)
-    ]
+    means = []
+    for outcome in _mapped(record):
+        mean: dict[str, Any] = response(record.done.assign(all=0), outcome, ["all"]).iloc[0].to_dict()
+        shown = mean_with_interval(mean) + (" %" if outcome.unit == "%" else "")
+        means.append(Tile(shown, f"{outcome.label}, mean of all jobs that are done"))
     return Tiles([done, *means])
 
 
 def _mapped(record: SweepRecord) -> list[Outcome]:
     return [outcome for outcome in record.outcomes if outcome.name in MAPPED]
-
-
-def _overall(record: SweepRecord, outcome: Outcome) -> Mapping[str, Any]:
-    """Mean of an outcome over all jobs."""
-    mean: dict[str, Any] = response(record.done.assign(everywhere=0), outcome, ["everywhere"]).iloc[0].to_dict()
-    return mean
 
 
 def failed(record: SweepRecord) -> Section | None:
