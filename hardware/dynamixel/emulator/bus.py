@@ -90,8 +90,6 @@ class Servo:
             self.set(GOAL_VELOCITY, 0)
         follows = self.get(TORQUE_ENABLE) and self.get(OPERATING_MODE) == VELOCITY_MODE
         most = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP or math.inf  # of zero, anything
-            self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP or math.inf
-        )  # a profile of zero allows anything
         change = min(max(self.get(GOAL_VELOCITY) * VELOCITY_UNIT - self.speed, -most), most)
         self.speed = self.speed + change if follows else 0.0
         self.joint.step(self.speed)
