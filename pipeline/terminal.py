@@ -15,6 +15,6 @@ class Terminal(Console):
     """A console that spells out control characters in all that is shown on it: words, tables, bars."""
 
     def render(self, *given: Any, **how: Any) -> Iterator[Segment]:
-        """As rich does it; what rich itself says to the terminal is no text."""
+        """Render as rich does, with control characters in texts spelt out; rich's own control codes stay."""
         for segment in super().render(*given, **how):
             yield segment if segment.is_control else Segment(printable(segment.text), segment.style)

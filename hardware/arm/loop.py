@@ -20,12 +20,7 @@ NOISE = 0.02  # [rad] by which an encoder may be off from one answer to the next
 
 @dataclass
 class Log:
-    """Of every tick, all reserved before the loop begins; NaN where nothing came.
-
-    due, sent, acknowledged: host time since `begun` (time.monotonic), (K,) [s]. clock: device time (K,) [s].
-    asked, carried: velocity that was due, and as the wire could carry it, (K, J) [rad/s].
-    expected, angles: joint angles at each tick, as commanded and as measured, (K, J) [rad].
-    """
+    """Arrays of every tick, reserved before the loop begins; NaN where nothing came."""
 
     due: np.ndarray
     asked: np.ndarray
@@ -72,7 +67,7 @@ class Guard:
         return log.held or self._wrong(log)
 
     def _wrong(self, log: Log) -> str:
-        """What the last measured angles betray."""
+        """The fault that the last measured angles reveal; empty if none."""
         at, before = log.last, log.previous
         if at >= 0 and not np.isfinite(log.angles[at]).all():
             return "an encoder reports no number"

@@ -34,7 +34,7 @@ def _distribution(name: str, values: np.ndarray) -> dict[str, float]:
 
 
 def _ticks(log: Log, start: float, missed: np.ndarray) -> pd.DataFrame:
-    """What was commanded, sent, acknowledged and measured, tick by tick."""
+    """Table TICKS: commanded, sent, acknowledged and measured, tick by tick."""
     times = {"t_due": log.due + start, "t_sent": log.sent + start, "t_acknowledged": log.acknowledged + start}
     columns = {"tick": np.arange(len(log.due)), **times, "t_device": log.clock}
     for names, values in ((SPEEDS, log.asked), (SENT, log.carried), (JOINTS, log.angles)):

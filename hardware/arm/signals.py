@@ -20,14 +20,14 @@ class Signals:
         self.before: dict[signal.Signals, Handler] = {}
 
     def watch(self) -> None:
-        """From now on."""
+        """Handle polite signals from now on."""
         try:
             self.before = {number: signal.signal(number, _leave) for number in POLITE}
         except ValueError:
             self.before = {}
 
     def release(self) -> None:
-        """As it was."""
+        """Restore the handlers of before."""
         for number, handler in self.before.items():
             signal.signal(number, handler)
         self.before = {}

@@ -1,4 +1,4 @@
-"""What carries velocities to an arm and brings back its angles: a serial device, a bus of servos."""
+"""The interface of a link to an arm: velocities out, angles back, over a serial device or a bus of servos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a camera is told, and whether it obeys: exposure, gain, white balance and focus that stay."""
+"""Camera controls (exposure, gain, white balance, focus): set, read back, and kept."""
 
 from __future__ import annotations
 

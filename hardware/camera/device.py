@@ -43,7 +43,7 @@ class Device(Source):
 
     @property
     def name(self) -> str:
-        """With its number."""
+        """The device's name with its number."""
         return f"camera {self.number}"
 
     def open(self, camera: Camera) -> Stream:
@@ -91,7 +91,7 @@ class Device(Source):
 
 
 def format_of(camera: Camera) -> Mapping[str, float]:
-    """What the device is asked for."""
+    """The format that is requested from the device."""
     return {"FRAME_WIDTH": camera.width, "FRAME_HEIGHT": camera.height, "FPS": camera.fps}
 
 

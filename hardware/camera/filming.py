@@ -77,7 +77,7 @@ class Filming:
     over: no more frames are kept."""
 
     def __init__(self, stream: Stream) -> None:
-        """It begins at once."""
+        """Begin filming at once."""
         self.stream = stream
         self.died, self.overrun = "", 0
         self.reading, self.left, self.over = True, False, False

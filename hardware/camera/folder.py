@@ -23,7 +23,7 @@ class ImageFolder(Played):
 
     @property
     def name(self) -> str:
-        """With its path."""
+        """The folder's path."""
         return f"images in {self.folder}"
 
     def images(self) -> Sequence[np.ndarray]:

@@ -29,7 +29,7 @@ class Stream(ABC):
 
     @abstractmethod
     def begin(self) -> None:
-        """What is read from now on is exposed from now on."""
+        """Begin: frames read from now on are exposed from now on."""
 
     @abstractmethod
     def read(self) -> Frame | None:
@@ -48,7 +48,7 @@ class Source(ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """What it is called in messages."""
+        """The source's name in messages."""
 
     @abstractmethod
     def open(self, camera: Camera) -> Stream:

@@ -25,7 +25,7 @@ class VideoFile(Played):
 
     @property
     def name(self) -> str:
-        """With its path."""
+        """The file's path."""
         return f"video {self.path}"
 
     def images(self) -> Sequence[np.ndarray]:

@@ -97,7 +97,7 @@ class DynamixelBus:
 
     @property
     def watchdog(self) -> float:
-        """Of every servo [s]."""
+        """The watchdog time of every servo [s]."""
         return self.patience * WATCHDOG_UNIT
 
     def open(self) -> None:
@@ -301,7 +301,7 @@ class DynamixelBus:
         return [bytes(self.reader.data_dict[servo.id]) for servo in self.servos]
 
     def _done(self, act: Any) -> Any:
-        """What the library gives; a broken connection is a HardwareError."""
+        """The result of a call of the library. Raises HardwareError for a broken connection."""
         if self.handler is None or not self.handler.is_open:
             raise HardwareError(f"arm on {self.port}: it is not open.")
         try:

@@ -1,1 +1,1 @@
-"""What emulated arms have in common: joints that hang by wires, and a pseudo-terminal to be spoken to."""
+"""Shared parts of emulated arms: joints that hang by wires, and a pseudo-terminal."""

@@ -33,7 +33,7 @@ class Joint:
 
     @property
     def encoder(self) -> float:
-        """What is measured [rad]."""
+        """The encoder's reading [rad]."""
         return self.angle + self.offset
 
     @property

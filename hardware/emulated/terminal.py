@@ -20,7 +20,7 @@ class UnpluggedError(Exception):
 
 
 class Emulated(Protocol):
-    """What can be spoken to."""
+    """The interface of an emulated device."""
 
     def hear(self, data: bytes) -> None:
         """Bytes from the host. May raise UnpluggedError."""

@@ -14,7 +14,7 @@ LONGEST = 64  # bytes between two delimiters; more cannot be a frame
 
 
 class Kind(IntEnum):
-    """What a frame is. Host to device below 0x80, device to host above."""
+    """The kind of a frame. Host to device below 0x80, device to host above."""
 
     PING = 0x01
     VELOCITY = 0x02
@@ -29,7 +29,7 @@ class Kind(IntEnum):
 
 
 class State(IntEnum):
-    """What the device is about."""
+    """The state of the device."""
 
     FRESH = 0  # just switched on: obeys HELLO only
     IDLE = 1  # at rest, ready
@@ -84,7 +84,7 @@ class Greeting:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the device enforces by itself: its answer to LIMITS. values: largest speed [rad/s] and acceleration
+    """Limits that the device enforces by itself: its answer to LIMITS. values: largest speed [rad/s] and acceleration
     [rad/s^2] of each joint, the host's tick [us], the watchdog [ms]."""
 
     sequence: int

@@ -83,11 +83,11 @@ class RehearsalArm:
             self.emulator.__exit__(kind, error, trace)
 
     def angles(self) -> np.ndarray:
-        """As the device reports them."""
+        """Joint angles that the device reports, (J,) [rad]."""
         return self.device.angles()
 
     def check(self, commands: pd.DataFrame) -> None:
-        """As of a real arm."""
+        """Refuse what a real arm would refuse."""
         self.device.check(commands)
 
     def move_to(self, angles: Sequence[float]) -> None:

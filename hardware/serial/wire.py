@@ -76,7 +76,7 @@ class SerialWire:
         self.watchdog = greeting.watchdog * 1e-3
 
     def limit(self, arm: Arm) -> None:
-        """As LIMITS, with the watchdog that the device greeted with."""
+        """Send LIMITS, with the watchdog that the device greeted with."""
         most = ABOVE * np.array([*arm.speed, *arm.acceleration], dtype=np.float32)
         asked = (*map(float, most), round(arm.tick * 1e6), round(self.watchdog * 1e3))
         limits = self._exchange(Kind.LIMITS, asked)

@@ -35,8 +35,11 @@ EXPOSURES = 5  # moments drawn in one exposure
 
 @dataclass(frozen=True)
 class Specimen:
-    """What is on the bench. parameters: the paper's, per mass point at n = 10. hidden: what is so beyond them, on the
-    string, in the hand, the camera or their clocks: effects by name, each with its parameters."""
+    """The string on a virtual bench.
+
+    length: [m]. parameters: the paper's, per mass point at n = 10. points: of the simulation. hidden: effects beyond
+    them, on the string, in the hand, the camera or their clocks, by name, each with its parameters.
+    """
 
     length: float
     parameters: Mapping[str, float]
@@ -52,7 +55,7 @@ class Specimen:
                 raise ValueError(f"effect '{effect.name}' has no parameter '{unknown.pop()}'. Known are: {known}")
 
     def model(self, arm: Arm, camera: Camera) -> Model:
-        """What really happens: the fine string, and all that is hidden."""
+        """The true model: the fine string, and all that is hidden."""
         return Model(self.string(), arm, camera).with_effects(*named(list(self.hidden)))
 
     @property
@@ -90,12 +93,12 @@ class Bench:
 
     @property
     def model(self) -> Model:
-        """What really happens: the specimen in this arm's hand, among the obstacles."""
+        """The true model: the specimen in this arm's hand, among the obstacles."""
         return self.specimen.model(self.arm, self.camera).with_effects(*self.obstacles.effects)
 
     @property
     def values(self) -> np.ndarray:
-        """Parameters of what really happens, (1, P)."""
+        """The true parameters, (1, P)."""
         return self.model.values({**self.specimen.sizes, **self.obstacles.sizes})[None]
 
     def generator(self, purpose: int) -> np.random.Generator:
@@ -113,7 +116,7 @@ class Bench:
         return self.arm.joints(np.stack([np.interp(times, t, angle) for angle in motion.angles[0].T], axis=-1))
 
     def _motion(self, tick: float) -> JointMotion:
-        """What the joints were made to do, every `tick` [s]."""
+        """The commanded motion of the joints, every `tick` [s]."""
         if self.performed is None:
             raise HardwareError("virtual bench: nothing has been performed. Perform a motion before filming it.")
         return joint_motion(*self.performed, tick=tick)
@@ -150,7 +153,7 @@ class VirtualArm:
         return np.zeros(len(self.bench.arm.links)) if self.bench.pose is None else self.bench.pose
 
     def check(self, commands: pd.DataFrame) -> None:
-        """It bears everything."""
+        """Accept every motion."""
 
     def move_to(self, angles: Sequence[float]) -> None:
         """Be there; the string has settled."""
@@ -185,7 +188,7 @@ class VirtualCamera:
         """Nothing to close."""
 
     def start(self) -> None:
-        """It films whatever is performed next."""
+        """Begin filming."""
 
     def stop(self, moved_at: float) -> Recording:
         """Film what was performed. The bench's clock is the movement's; `moved_at` is not needed."""

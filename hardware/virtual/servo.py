@@ -23,11 +23,7 @@ class Servo:
     step: float = 0.0005
 
     def follow(self, t: np.ndarray, speeds: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """What the joints do under commands held from tick to tick.
-
-        t: (K,) ticks [s], speeds: (K, J) [rad/s]. Returns fine times (M,) and angles (M, J)
-        relative to the start; critically damped second order.
-        """
+        """The joints' motion under commands held from tick to tick."""
         fine = np.arange(t[0], t[-1] + self.step / 2, self.step)
         held = speeds[np.clip(np.searchsorted(t, fine + 1e-9, side="right") - 1, 0, len(t) - 1)]
         held = held * (1 + self.repeatability * rng.standard_normal(speeds.shape[1]))
@@ -40,5 +36,5 @@ class Servo:
         return fine, np.concatenate([np.zeros((1, speeds.shape[1])), np.cumsum(real[:-1], axis=0) * self.step])
 
     def encoder(self, angles: np.ndarray) -> np.ndarray:
-        """What the encoder reports, [rad]."""
+        """The encoder's reading [rad]."""
         return np.round(angles / self.resolution) * self.resolution

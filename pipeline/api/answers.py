@@ -111,7 +111,7 @@ class Estimated:
 
     @property
     def sentence(self) -> str:
-        """What the trials determine and what they do not."""
+        """Which parameters the trials determine and which they do not."""
         return str(self.made.fit["sentence"].iloc[0])
 
     @property
@@ -121,7 +121,7 @@ class Estimated:
 
     @property
     def rms(self) -> float:
-        """Of the distance between measured and simulated points, in sample [m]."""
+        """Root mean square distance between measured and simulated points, in sample [m]."""
         return float(self.made.fit["rms_after"].iloc[0])
 
     @property

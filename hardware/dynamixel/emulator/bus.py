@@ -54,7 +54,7 @@ class Servo:
     speed: float = 0.0
 
     def __post_init__(self) -> None:
-        """As it leaves the works, but for a velocity limit of 60 rad/s."""
+        """Set the factory's values, but for a velocity limit of 60 rad/s."""
         self.set(OPERATING_MODE, 3)
         self.set(VELOCITY_LIMIT, round(60 / VELOCITY_UNIT))
         self.set(PRESENT_POSITION, 2048)
@@ -70,7 +70,7 @@ class Servo:
         self.table[register.address : register.address + register.size] = data
 
     def write(self, address: int, data: bytes) -> int:
-        """As by an instruction; the error of the status packet."""
+        """Write as an instruction does. Returns the error of the status packet."""
         if self.get(TORQUE_ENABLE) and address < LOCKED:
             return ACCESS
         if self.get(BUS_WATCHDOG) == TRIPPED and GOALS[0] <= address < GOALS[1]:
@@ -159,7 +159,7 @@ class Bus:
         return self._answer(packet) if packet.id in self.servos else b""
 
     def _answer(self, packet: Packet) -> bytes:
-        """Of one servo to one instruction."""
+        """The answer of one servo to one instruction."""
         servo = self.servos[packet.id]
         if packet.instruction == PING:
             return status(packet.id, NO_ERROR, MODEL)

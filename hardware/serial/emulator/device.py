@@ -95,7 +95,7 @@ class Device:
         return [Arrival(self.clock + late, piece, fault) for late, piece in through(frame)]
 
     def _exchange(self) -> bytes:
-        """What has arrived is obeyed, what is due leaves."""
+        """Obey the frames that have arrived. Returns the bytes that are due to leave."""
         for _, frame, fault in _taken(self.coming, self.clock):
             answer = self.firmware.obey(frame, self.micros, self.joints.measured)
             through = LINE[fault.removeprefix(BACK)] if fault.startswith(BACK) else whole
@@ -113,7 +113,7 @@ class Device:
 
 
 def _taken(way: list[Arrival], now: float) -> list[Arrival]:
-    """What is due by now, removed from its way."""
+    """Arrivals due by now, removed from the queue."""
     due = [arrival for arrival in way if arrival.when <= now]
     way[:] = [arrival for arrival in way if arrival.when > now]
     return due

@@ -1,4 +1,4 @@
-"""What can go wrong on the line: each fault takes a frame and says which bytes arrive, and how much later [s]."""
+"""Faults on the line: each takes a frame and returns the bytes that arrive, and how much later [s]."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ def whole(frame: bytes) -> list[tuple[float, bytes]]:
 
 
 def drop(frame: bytes) -> list[tuple[float, bytes]]:
-    """It is lost."""
+    """The frame is lost."""
     return []
 
 
 def duplicate(frame: bytes) -> list[tuple[float, bytes]]:
-    """It comes twice."""
+    """The frame arrives twice."""
     return [(0.0, frame), (0.0, frame)]
 
 
@@ -30,7 +30,7 @@ def corrupt(frame: bytes) -> list[tuple[float, bytes]]:
 
 
 def delay(frame: bytes) -> list[tuple[float, bytes]]:
-    """It comes several ticks late."""
+    """The frame arrives several ticks late."""
     return [(LATE, frame)]
 
 

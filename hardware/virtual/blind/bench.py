@@ -20,12 +20,7 @@ from stringcast.hardware.virtual.blind.scene import Scene
 
 @dataclass(frozen=True)
 class BlindBench:
-    """What was measured, and what is in the envelope. kind: effect, none, outside, pair or resolution.
-
-    points: (N, S, 2) measured in all frames of all trials [m]. parameters: of what is hidden, by qualified name.
-    sizes: how far it moves the tip at most, in sigmas, for each name. paper: how far the tip is off, in sigmas, with
-    ten points of Eq. 1 and the base parameters fitted anew. told_sigma: the dataset says how noisy it is.
-    """
+    """The measured data of a bench and its hidden truth. kind: effect, none, outside, pair or resolution."""
 
     seed: int
     kind: str
@@ -39,7 +34,7 @@ class BlindBench:
 
     @property
     def names(self) -> list[str]:
-        """What is hidden."""
+        """Names of the hidden causes."""
         return list(self.sizes)
 
     def write(self, folder: Path) -> None:

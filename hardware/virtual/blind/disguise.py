@@ -27,7 +27,7 @@ def disguised(scene: Scene, data: np.ndarray, least: float) -> bool:
 
 
 def _probed(scene: Scene, now: np.ndarray) -> Iterator[np.ndarray]:
-    """What a little of each library effect moves, (K, N, S, 2): its directions, which can act together."""
+    """Changes of the points under a little of each library effect, (K, N, S, 2); its directions can act together."""
     on_string = [effect for effect in scene.version.library() if issubclass(effect, StringEffect)]
     groups = [group for effect in on_string for group in _probes(effect, scene)]
     model = scene.model(scene.second_order(21), [Contact])

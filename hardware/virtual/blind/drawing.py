@@ -75,7 +75,7 @@ def _kind(case: str, version: Version) -> str:
 
 
 def _effects(case: str, version: Version, rng: np.random.Generator) -> list[type[Effect]]:
-    """What is to be hidden."""
+    """The hidden effects."""
     if case == PAIR:
         library = version.library()
         return [library[i] for i in rng.choice(len(library), 2, replace=False)]
@@ -136,7 +136,7 @@ def _hidden(effect: type[Effect], rng: np.random.Generator, scene: Scene) -> Hid
 
 
 def _sized(scene: Scene, things: Sequence[Hidden], rng: np.random.Generator) -> tuple[np.ndarray, dict[str, float]]:
-    """What would be seen of things of drawn sizes with few points (N, S, 2), and their parameters."""
+    """The points seen with hidden causes of drawn sizes, simulated with few points (N, S, 2), and their parameters."""
     parameters: dict[str, float] = {}
     for thing in things:
         parameters |= thing.at(_share(scene, thing, float(np.exp(rng.uniform(*np.log(SIZES))))))
@@ -182,7 +182,7 @@ def _share(scene: Scene, thing: Hidden, wanted: float) -> float:
 
 
 def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """What is really seen, in sigmas, and what of it the true cause explains with fewer points, (N, S, 2) each."""
+    """The true points in sigmas, and those that the true cause explains with fewer mass points, (N, S, 2) each."""
     effects = [t.effect for t in things]
     only = things[0].only if len(things) == 1 else None
     fine = scene.model(scene.fine, effects)
@@ -199,7 +199,7 @@ def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) 
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Of unit variance, neighbours along the string correlated by a third. shape: (N, S, 2)."""
+    """Noise of unit variance, neighbours along the string correlated by a third. shape: (N, S, 2)."""
     white = rng.standard_normal((shape[0], shape[1] + 1, shape[2]))
     share = 0.382  # of the neighbour's: w / (1 + w^2) = 1/3
     return (white[:, 1:] + share * white[:, :-1]) / np.hypot(1.0, share)

@@ -80,7 +80,7 @@ def _wind(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.nd
 
 
 def _rest_curvature(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
-    """The same all along the string, as in all benches that were recorded."""
+    """A curvature that is uniform along the string, as in all benches that were recorded."""
     return {"curvature": 0.0, "slope": 0.0}, {"curvature": float(rng.choice([-20.0, 20.0])), "slope": 0.0}
 
 

@@ -1,4 +1,4 @@
-"""What would be measured on a bench, and how much of it other base parameters could explain."""
+"""The measurements of a bench, and how much of them other base parameters could explain."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class Scene:
 
     @property
     def fine(self) -> String:
-        """What really hangs there: its own errors must be less than what a diagnosis is sure of."""
+        """The true string, whose own errors must be less than what a diagnosis resolves."""
         return replace(self.second_order(POINTS), largest_step=LARGEST_STEP)
 
     def second_order(self, points: int) -> String:
-        """As `string=fine` of the configuration simulates it, with which sizes are sought: what really hangs takes
+        """The string as `string=fine` simulates it, with which sizes are sought: the true one takes
         a hundred times as long."""
         return String(
             self.length, points, tip_cell=0.5, grasp_cell=0.5, integrator=ImplicitLeapfrog(), largest_step=5e-4
@@ -60,7 +60,7 @@ class Scene:
         return Model(full, self.arm, self.camera).with_effects(*elsewhere)
 
     def performing(self, casts: tuple[Cast, ...]) -> Scene:
-        """The same string in other casts."""
+        """The scene with other casts."""
         return replace(self, casts=casts)
 
     def seen(self, model: Model, values: Sequence[Values], only: int | None = None) -> np.ndarray:
@@ -91,7 +91,7 @@ class Scene:
     def left(
         self, model: Model, data: np.ndarray, free: Sequence[str], start: Values, steps: int, only: int | None = None
     ) -> tuple[np.ndarray, dict[str, float]]:
-        """What is left of data (N, S, 2) once the free parameters are fitted to it by bounded Gauss-Newton steps.
+        """The residual of data (N, S, 2) once the free parameters are fitted to it by bounded Gauss-Newton steps.
 
         Returns residuals in sigmas (N, S, 2), and the values fitted.
         """

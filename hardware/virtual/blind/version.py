@@ -19,7 +19,7 @@ NONE, RESOLUTION, PAIR = "none", "resolution", "pair"
 
 @dataclass(frozen=True)
 class Version:
-    """What a bench may hide. effects: of the library. outside: of `hardware.virtual.outside`."""
+    """The causes that a bench may hide. effects: of the library. outside: of `hardware.virtual.outside`."""
 
     effects: tuple[str, ...]
     outside: tuple[str, ...]

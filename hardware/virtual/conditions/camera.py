@@ -68,7 +68,7 @@ class HotPixels(Condition):
     seed: int = 3
 
     def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
-        """The same pixels, of any brightness."""
+        """The frame with hot pixels of random brightness."""
         place = np.random.default_rng(self.seed).integers(0, frame.size, self.count)
         lit = place[moment.rng.uniform(size=self.count) < 0.5]
         hot = frame.copy()

@@ -1,4 +1,4 @@
-"""What a condition may change, and how a shot is filmed under any number of them."""
+"""Conditions: the base class, and the filming of a shot under any number of them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,7 @@ MOST = 32  # moments drawn in one exposure at most
 
 @dataclass(frozen=True)
 class Shot:
-    """What the camera is about to film.
-
-    wall: (height, width) float32, the background. t: (F,) times of the frames [s]. times: (M,) at which arm and
-    string are known [s], joints: (M, J + 1, 2) and strings: (M, n, 2) where they are then [m].
-    """
+    """A scene that the camera is about to film."""
 
     camera: Camera
     look: Look
@@ -70,7 +66,7 @@ class Condition:
 
 
 def shot_of(bench: Bench, t: np.ndarray) -> Shot:
-    """What was performed on a bench, to be filmed at times t (F,) [s]."""
+    """The shot of the last performed motion on a bench, at times t (F,) [s]."""
     margin = 0.6 / bench.camera.fps
     times = np.arange(t[0] - margin, t[-1] + margin, FINE)
     wall = scenery(bench.camera, bench.look, bench.seed)

@@ -26,7 +26,7 @@ class Across(Condition):
 
 @dataclass(frozen=True)
 class Behind(Across):
-    """The same behind the arm, which hides it."""
+    """The string passing behind the arm, which hides it."""
 
     def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
         """The arm drawn once more."""

@@ -1,8 +1,4 @@
-"""What can be so that the library knows nothing of: for benches whose cause must be called unknown.
-
-A file is one cause, in the form of `stages/model/effects` (see `stages.model.effect`). Its first parameter is its
-size: at zero it is absent. The others are its circumstances, drawn for the trial in which it acts.
-"""
+"""Causes outside the library, for benches whose cause must be called unknown."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class StickingJoint(HandEffect, Outside):
 
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, lasts: Quantity, when: Quantity) -> np.ndarray:
-        """What it has turned since it began to stick is missing while it sticks; smooth over some 10 ms."""
+        """Angles less the turn of the joint while it sticks; smooth over some 10 ms."""
         begun = _at(when[..., 0], t, angles[..., 1])
         edge = 0.003  # [s]
         rise, fall = (0.5 * (1 + np.tanh((t[:, None] - x) / edge)) for x in (when, when + lasts))

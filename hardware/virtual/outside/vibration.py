@@ -35,7 +35,7 @@ class Vibration(HandEffect, Outside):
     def grasp(
         t: np.ndarray, pose: np.ndarray, amplitude: Quantity, frequency: Quantity, towards: Quantity
     ) -> np.ndarray:
-        """It builds up within some 0.1 s."""
+        """The pose with a vibration that builds up within some 0.1 s."""
         after = np.maximum(t[:, None], 0.0)
         swing = amplitude * np.sin(2 * np.pi * frequency * after) * (1 - np.exp(-((after / 0.1) ** 2)))
         return pose + swing * np.concatenate([np.cos(towards), np.sin(towards), 0 * towards], axis=-1)
