@@ -7,7 +7,7 @@ import difflib
 import functools
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -131,10 +131,8 @@ def build(kind: type[Built], block: Mapping[str, Any], place: str, where: str) -
     return _checked(kind, block, place, where)
 
 
-def _has_no_default(field: Any) -> bool:
-    return repr(field.default).startswith("<dataclasses._MISSING") and repr(field.default_factory).startswith(
-        "<dataclasses._MISSING"
-    )
+def _has_no_default(field: Field[Any]) -> bool:
+    return field.default is MISSING and field.default_factory is MISSING
 
 
 def _check_names(given: Mapping[str, Any], wanted: Mapping[str, Any], place: str, where: str) -> None:
