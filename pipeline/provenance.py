@@ -1,7 +1,7 @@
-"""What made a file, and whether it would be made the same now.
+"""Provenance: the origin of a stored step, and whether it would be made the same now.
 
-A footer says settings, seed, inputs, code and packages. Nothing asks a clock: a step is stale if an input's content, a
-setting, a source file or a package is another than its footers say. What has the same content is the same, whenever it
+A footer holds settings, seed, inputs, code and packages. Nothing asks a clock: a step is stale if the content of an
+input, a setting, a source file or a package differs from its footer. What has the same content is the same, whenever it
 was written.
 """
 
@@ -41,7 +41,7 @@ ABSENT = "absent"
 
 # --- what made a file -----------------------------------------------------------------------
 def origin(config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str, str]) -> dict[str, Any]:
-    """Everything needed to make the same again. inputs: content hashes by name."""
+    """The origin of a step: all that is needed to make it again. inputs: content hashes by path."""
     made = {"step": step, "seed": seed, "inputs": dict(inputs), "config": config, "code": code()}
     return made | {"packages": versions(PACKAGES), "python": platform.python_version()}
 
@@ -158,15 +158,15 @@ def _short(file: Path) -> str:
 # --- fresh or stale ---------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Found:
-    """What is on the disk of a step. artifact: None where there is none that can be read. reasons: why it is not to be
-    used as it is; none if it is fresh."""
+    """A step on the disk. artifact: None where there is none that can be read. reasons: why it is stale; empty if it is
+    fresh."""
 
     artifact: Any
     reasons: tuple[str, ...] = ()
 
 
 def look(config: Mapping[str, Any], folder: Path, step: Step) -> Found:
-    """A step's artifact in a run's folder, and what has changed since it was made. config: the run's settings."""
+    """A step in a run's folder, with all that has changed since it was made. config: the run's settings."""
     place = folder / step.place
     if not place.is_dir():
         return Found(None, ("it has not been made yet",))
@@ -212,7 +212,7 @@ def inputs_there(folder: Path, paths: Mapping[str, str], trials: str | None) -> 
 
 
 def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]) -> Iterator[str]:
-    """What differs between two origins, in words. uses: the settings that count."""
+    """Differences of two origins, a line each. uses: the settings that count."""
     if "sources" not in made:
         yield "its files do not say of which sources they were made"
         return
@@ -233,7 +233,7 @@ def pairs(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, An
 
 
 def _renewed(what: str, a: Mapping[str, str], b: Mapping[str, str], words: str) -> Iterator[str]:
-    """What differs of hashes, which say nothing to people."""
+    """Differences of hashes, a line each, without the hashes."""
     for name, one, other in pairs(a, b):
         yield f"{what} {name} {'is new' if one == ABSENT else 'is gone' if other == ABSENT else words}"
 

@@ -1,4 +1,4 @@
-"""What made a file, whether it would be made so now, and what differs: the commands verify, why, diff and lineage."""
+"""Provenance of stored runs: the commands verify, why, diff and lineage."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Outcome:
     lines: list[str] = field(default_factory=list)
 
     def note(self, what: str, faults: list[str], good: str = "the same to the bit") -> None:
-        """What came out of one comparison."""
+        """Note the outcome of one comparison."""
         self.same = self.same and not faults
         self.lines += [f"{what}: {'DIFFERS' if faults else good}", *(f"    {fault}" for fault in faults)]
 
@@ -148,8 +148,8 @@ class State:
 
 
 def states_of(settings: Mapping[str, Any], folder: Path) -> list[State]:
-    """Of all steps of a run, what a stage looks at before it, and what an unfinished run lacks next. settings: the
-    run's."""
+    """States of all steps of a run, each after its inputs, and the step that an unfinished run lacks next. settings:
+    the run's."""
     known = {stage.folder for stage in stages().values()}
     there = (place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known)
     places = sorted(there, key=lambda place: (place.parent.name, _depth(place.name), place.name))
@@ -171,7 +171,7 @@ def _depth(artifact: str) -> int:
 
 
 def _origin(place: Path) -> dict[str, Any]:
-    """What the footer of a step says, as far as it can be read."""
+    """The footer of a step, as far as it can be read."""
     try:
         return store.origin_of(sorted(place.glob("*.parquet"))[0])
     except (DataError, LookupError, *store.UNREADABLE):
@@ -205,7 +205,8 @@ def diff(arguments: list[str]) -> int:
 
 
 def facts(run: Path) -> dict[str, dict[str, Any]]:
-    """What is compared of a run, by name. Raises UserError where there is none, DataError where it has made nothing."""
+    """The parts of a run that `diff` compares, by name. Raises UserError where there is no run, DataError where it has
+    made nothing."""
     path, ended = run / "config.json", run / ENDED
     if not path.is_file():
         raise UserError(f"{run}: there is no run here (it has no config.json). Name a run's folder.")
@@ -229,14 +230,15 @@ def facts(run: Path) -> dict[str, dict[str, Any]]:
 
 
 def differing_files(a: Path, b: Path, leave_out: frozenset[str] = frozenset()) -> list[str]:
-    """What differs between two folders, in words; hidden files and the names in `leave_out` do not count."""
+    """Differences of two folders, a line each; hidden files and the names in `leave_out` do not count."""
     inside = {path.relative_to(home) for home in (a, b) for path in home.rglob("*") if path.is_file()}
     names = [p for p in inside if p.name not in leave_out and not any(part.startswith(".") for part in p.parts)]
     return [f"{name.as_posix()}: {words}" for name in sorted(names) for words in differences(a / name, b / name)]
 
 
 def differences(a: Path, b: Path) -> list[str]:
-    """How the content of two files differs, in words; none if it is the same. The origin in a footer does not count."""
+    """Differences in the content of two files, a line each; none if they are the same. The origin in a footer does not
+    count."""
     for path, which in ((a, "the second"), (b, "the first")):
         if not path.is_file():
             return [f"it is only in {which}"]
@@ -309,9 +311,10 @@ def lineage(arguments: list[str]) -> int:
 
 
 def grown(tree: Tree, place: Path, run: Path, changed: list[str], shown: set[Path | str]) -> Tree:
-    """A tree with what made `place`, and what made that. changed: gets the inputs that are not as they were.
+    """Add the origin of `place` to a tree, and the origins of its inputs. changed: gets the inputs that are not as they
+    were.
 
-    shown: places and words that stand in the tree already; they are not shown twice.
+    shown: places and lines that stand in the tree already; they are not shown twice.
     """
     made = {} if place in shown else _made(place, run)
     words = [line for line in _words(made) if line not in shown] if made else []
@@ -329,9 +332,9 @@ def grown(tree: Tree, place: Path, run: Path, changed: list[str], shown: set[Pat
 
 
 def _made(place: Path, run: Path) -> dict[str, Any]:
-    """What made a file or a step's folder; empty for what is not ours.
+    """The origin of a file or a step's folder; empty for what is not ours.
 
-    What has no footer was drawn from the steps of its folder: a frame from its trial, a report from the last step.
+    A file without a footer was drawn from the steps of its folder: a frame from its trial, a report from the last step.
     """
     if place.suffix == ".parquet":
         files = [place]
@@ -344,7 +347,7 @@ def _made(place: Path, run: Path) -> dict[str, Any]:
 
 
 def _words(made: Mapping[str, Any]) -> list[str]:
-    """Step, seed, its own settings, code and packages, a line each."""
+    """Step, seed, the step's own settings, code and packages, a line each."""
     step = made["step"]
     own = leaves({key: made["config"][key] for key in (step, "seed") if key in made["config"]})
     others = [name for name in stages()[step].uses if name not in (step, "seed")] if step in stages() else []
