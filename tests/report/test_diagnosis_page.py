@@ -305,7 +305,7 @@ def test_the_budget_is_shown_where_there_is_one(worded):
     assert "What nothing explains is 0.0 mm (0.0 mm to 0.1 mm, 95 %); up to 2.0 mm are tolerated." in page.text
     for words in ("tip mass 2.07 mm 1 571", "noise 0.90 mm"):
         assert words in re.sub(r"\s+", " ", page.text)
-    assert "Where the error comes from" not in Page(worded(diagnosed("effect", ["tip_mass"]))).text
+    assert "Error budget" not in Page(worded(diagnosed("effect", ["tip_mass"]))).text
 
 
 def test_an_effect_that_the_library_no_longer_has_is_still_named(worded):

@@ -199,7 +199,7 @@ def budget(record: DiagnosisRecord) -> Section | None:
         for one in sources
     ]
     table = Table(("source", "at the tip", "evidence for it [log]"), rows)
-    return Section("Where the error comes from", [Text(lead), Card("", [table])])
+    return Section("Error budget", [Text(lead), Card("", [table])])
 
 
 # --- what the simulation gets wrong -------------------------------------------------------------
@@ -212,10 +212,10 @@ def wrong(record: DiagnosisRecord) -> Section:
         "not measured. The colours mean the same in all maps."
     )
     much = "Dots beyond the bar are more than noise and the simulation's own error account for."
-    where = [Figure(f"Where and when: {side} model", maps(record, side), about, NOTHING) for side in record.models]
+    where = [Figure(f"Residual maps: {side} model", maps(record, side), about, NOTHING) for side in record.models]
     parts: list[Part] = [
         *map(Text, _compared(record)),
-        Grid([*where, Figure("How much, trial by trial", size(record), much, NOTHING)]),
+        Grid([*where, Figure("Error by trial", size(record), much, NOTHING)]),
     ]
     return Section("What the simulation gets wrong", parts)
 
@@ -274,24 +274,24 @@ def found(record: DiagnosisRecord) -> Section:
         "What each effect would explain to first order, once the string's parameters have done what they can. Blue: "
     )
     first += "named as a cause."
-    drawn = [Figure(f"Promises{f', with {at} at work' if at else ' of all effects'}", p, first) for at, p in promised]
+    drawn = [Figure(f"Predicted gains{f' beside {at}' if at else ' of all effects'}", p, first) for at, p in promised]
     alike = likeness(record)
     if alike:
         about = "1: the two do the same to this data and cannot be told apart; 0: nothing in common."
-        drawn.append(Figure("Who looks like whom", alike, about))
+        drawn.append(Figure("Confounded causes", alike, about))
     more = theories[FEW:]
     tried: list[Part] = [_theories_table(theories[:FEW])]
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
     return Section(
         "How it was found",
-        [Text(_search(record, promised)), Grid(drawn), Card("Theories tried", [*tried, Text(GAINS, "caption")])],
+        [Text(_search(record, promised)), Grid(drawn), Card("Hypotheses fitted", [*tried, Text(GAINS, "caption")])],
     )
 
 
 GAINS = (
-    "Gains are of the log-likelihood over the base model, fitted to these trials and on trials left out of the fit. By "
-    "chance at most: what the best of all effects asked would gain on the noise that these causes leave, in all but "
-    "one of a hundred draws of it. Largest change: what these causes do to a point at most, in standard deviations. "
+    "Gains are of the log-likelihood over the base model, fitted to these trials and on trials left out of the fit. "
+    "Null threshold: the gain of the best of all effects on the noise that these causes leave, in all but one of a "
+    "hundred draws of it. Largest change: what these causes do to a point at most, in standard deviations. "
     "Probability: among sets of as many causes, if one of them is right; the verdict above also weighs that none is. "
     "These gains count the errors of neighbouring points as independent; the next section does not, and its gains are "
     "smaller."
@@ -326,14 +326,14 @@ def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
-    columns = ["causes", "gain, fitted", "gain, left out", "by chance at most", "largest change [σ]"]
+    columns = ["causes", "gain, fitted", "gain, left out", "null threshold (99 %)", "largest change [σ]"]
     columns += ["left unexplained", "probability at its size"]
     return Table(columns, [_theory(row) for row in theories])
 
 
 def _theory(row: Mapping[str, Any]) -> list[Any]:
     asked = [
-        number(gain(row[of])) if np.isfinite(row[of]) else Cell("not asked", "n missing")
+        number(gain(row[of])) if np.isfinite(row[of]) else Cell("not evaluated", "n missing")
         for of in ("held_out_gain", "by_chance")
     ]
     told = [number(f"{row['moved']:.1f}"), number(percent(row["unexplained"])), number(percent(row["probability"]))]
@@ -443,10 +443,10 @@ def _left_over(record: DiagnosisRecord) -> Part:
             f"plane (right: +x, up: +y). The longest is {strongest}; gravity is 9.8 m/s². Equally long arrows are "
             "equally strong in all rows."
         )
-        return Figure("What would have to be there", drawn, about)
+        return Figure("Missing force", drawn, about)
     if drawn:
         much = f"How much would have to be there, along x (to the right) and y (up), at most {strongest}."
-        return Figure("What would have to be there", drawn, f"A row for each trial. {much}")
+        return Figure("Missing force", drawn, f"A row for each trial. {much}")
     if len(record.models) > 1 or not record.diagnosis.causes.empty:
         share = percent(record.document["unexplained"]["fraction"])
         return Text(f"The extended model leaves {share} of the base model's systematic misfit unexplained.")
