@@ -7,7 +7,7 @@ effects of the library.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -172,12 +172,12 @@ def _effects() -> str:
     rows = []
     for effect in sorted(library().values(), key=lambda one: (not any(p.symbol for p in one.parameters), one.name)):
         words = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
-        words += " A diagnosis does not look for it." * effect.told
+        words += " A diagnosis does not look for it." * effect.excluded
         rows += [(f"`{effect.name}`", words, "", "", "")]
         rows += [
             ("", p.meaning, f"`{effect.qualified(p)}`", f"{p.low:g} to {p.high:g}", p.unit) for p in effect.parameters
         ]
-    return _table(("effect", "what is so", "parameter", "range", "unit"), rows)
+    return _table(("effect", "what it is", "parameter", "range", "unit"), rows)
 
 
 def _value(value: Any) -> str:
@@ -186,7 +186,7 @@ def _value(value: Any) -> str:
     return f"`{said}`"
 
 
-def _table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def _table(columns: Sequence[str], rows: Sequence[tuple[str, ...]]) -> str:
     """A table in Markdown, in which a bar would end a cell and what looks like a tag would not be seen."""
     escaped = ([re.sub(r"([|<])", r"\\\1", cell) for cell in row] for row in rows)
     lines = [columns, ("---",) * len(columns), *escaped]
