@@ -340,4 +340,5 @@ def _templates() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     templates.globals |= {"theme": THEME}
+    templates.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
     return templates

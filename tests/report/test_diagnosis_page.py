@@ -271,8 +271,8 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
         assert len(picture["alt"]) > 30
         assert "nan" not in picture["alt"]
         # the ends of the colour scale stand out on light and dark
-        drawn = re.sub(r"<style>.*?</style>|<image[^>]*>|<defs>.*?</defs>", "", drawing(picture), flags=re.DOTALL)
-        left = set(re.findall(r"(?:fill|stroke): (#[0-9a-f]{6})", drawn))
+        drawn = re.sub(r":root{.*?}|<image[^>]*>|<defs>.*?</defs>", "", drawing(picture), flags=re.DOTALL)
+        left = set(re.findall(r"(?:fill|stroke): ?(#[0-9a-f]{6})", drawn))
         assert left <= {"#ffffff", to_hex(ABOVE), to_hex(BELOW)}, f"{picture['alt']}: {left} does not follow the theme"
 
 

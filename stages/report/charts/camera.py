@@ -169,15 +169,16 @@ def _alt(cast: Cast, frame: int) -> str:
 
 # --- the player
 FRAMES = 100  # at most in one page, shared among its casts
-FEWEST = 16  # of one cast
+FEWEST = 10  # of one cast
 SIZE = 440  # [px] of the longer side
 SMALLER = (
     (1.0, 45),
     (1.0, 25),
+    (1.0, 12),
     (0.5, 45),
     (0.5, 25),
 )  # size and quality of WebP, until noise makes no frame larger than
-LARGEST = 6_000  # [bytes]
+LARGEST = 2_500  # [bytes]: 100 frames are 0.33 MB of a page, which shall have 1.5 at most
 STILLS = 6  # below the film
 REST = 0.03  # [s] shown before and after the movement
 

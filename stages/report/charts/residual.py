@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
@@ -27,7 +28,8 @@ NOTHING = (0.55, 0.58, 0.62, 0.35)  # where nothing was measured
 
 
 # --- a cast
-CELLS = 30  # along the string
+STEPS = colormaps["viridis"].resampled(24)  # as many as are told apart; a picture of more is twice as large
+CELLS, COLUMNS = 30, 140  # along the string, and at most in time: a column is two pixels of the page
 
 
 def furthest(record: Record) -> float:
@@ -75,19 +77,22 @@ def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame
 
 
 def _cells(axes: Axes, record: Record, cast: Cast, table: pd.DataFrame, furthest: float) -> None:
-    """Mean distance in cells of arc length and frame; frames not read stay empty."""
+    """Mean distance in cells of arc length and of a frame, or several; frames not read stay empty."""
     half = np.median(np.diff(cast.t)) / 2 if len(cast.t) > 1 else cast.motion.duration
     moments = np.append(cast.t - half, cast.t[-1] + half)
+    if len(cast.t) > COLUMNS:
+        moments = np.linspace(moments[0], moments[-1], COLUMNS + 1)
     edges = np.linspace(0, max(record.string.length, table["s"].max()), CELLS + 1)
     places = (table["s"], cast.t[table["frame"]])
     total, count = (np.histogram2d(*places, (edges, moments), weights=w)[0] for w in (table["away"], None))
     with np.errstate(invalid="ignore"):
         cells = total / count
-    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap="viridis", vmin=0, vmax=furthest * MM)
+    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap=STEPS, vmin=0, vmax=furthest * MM)
     axes.grid(visible=False)
     axes.set_ylabel("arc length [mm]")
     assert axes.figure is not None
-    axes.figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
+    bar = axes.figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
+    bar.solids.set_rasterized(True)
 
 
 def _rms(table: pd.DataFrame, cast: Cast) -> np.ndarray:
