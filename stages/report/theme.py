@@ -93,8 +93,8 @@ def themed(svg: str) -> str:
 
 
 def _short(svg: str) -> tuple[str, str]:
-    """Half as long an SVG: without what nobody sees (names of groups, fonts, turns by nothing, blanks), and with a class
-    for each style that is there more than once. Returns these classes too."""
+    """Half as long an SVG: without what nobody sees (names of groups, fonts, turns by nothing, blanks), and with a
+    class for each style that is there more than once. Returns these classes too."""
     unseen = r'<metadata>.*?</metadata>|(?<=<g) id="[^"]*"|font-family: [^;]*; | transform="rotate\(-?0 [^"]*"'
     svg = re.sub(r"\s*\n\s*", " ", re.sub(unseen, "", svg, flags=re.S)).replace("> <", "><")
     svg = re.sub(r'(?<= )d="[^"]*"', lambda way: re.sub(r" ?([MLQCz]) ?", r"\1", way[0]), svg)
