@@ -92,7 +92,8 @@ def _cells(axes: Axes, record: Record, cast: Cast, table: pd.DataFrame, furthest
     axes.set_ylabel("arc length [mm]")
     assert axes.figure is not None
     bar = axes.figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
-    bar.solids.set_rasterized(True)
+    assert bar.solids is not None
+    bar.solids.set_rasterized(True)  # each step would be a path
 
 
 def _rms(table: pd.DataFrame, cast: Cast) -> np.ndarray:
