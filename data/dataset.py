@@ -19,13 +19,13 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from stringcast.data.about import FORMAT, NAME, about
 from stringcast.data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from stringcast.data.errors import printable
 from stringcast.data.films import Shots, filmed, listed, videos
 from stringcast.data.foreign import inside, json_block, leaves, own
 from stringcast.data.images import ImageFiles
-from stringcast.data.rows import Rows, from_csv, sifted
+from stringcast.data.metadata import FORMAT, NAME, metadata
+from stringcast.data.rows import Rows, cleaned, from_csv
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.data.store import content_hash, read_table, write_table, write_text
 
@@ -56,7 +56,7 @@ class Unusable:
 @dataclass(frozen=True)
 class Dataset:
     """trials: what can be used, by name. films: their frames, where there are any. unusable: why the others
-    cannot. about: dataset.yaml. hashes: of every file that was read, by name. rows: what became of the rows of the
+    cannot. metadata: dataset.yaml. hashes: of every file that was read, by name. rows: what became of the rows of the
     tables that were measured, by file. clocks: what was taken from the times of a trial [s], where its clock began
     long before it."""
 
@@ -64,7 +64,7 @@ class Dataset:
     trials: Mapping[str, Observation]
     films: Mapping[str, Film]
     unusable: Mapping[str, Unusable]
-    about: Mapping[str, Any]
+    metadata: Mapping[str, Any]
     hashes: Mapping[str, str]
     rows: Mapping[str, Rows] = field(default_factory=dict)
     clocks: Mapping[str, float] = field(default_factory=dict)
@@ -108,7 +108,7 @@ def read(folder: Path) -> Dataset:
         raise DataError(f"trials={folder}: this is a file. Name the folder that holds it: {folder.parent}")
     if not folder.is_dir():
         raise DataError(f"trials={folder}: there is no such folder. Name a run's folder or one in the data format.")
-    known = about(folder)
+    known = metadata(folder)
     rows: dict[str, Rows] = {}
     shots = _shots(folder, known, rows)
     motion_table = ARM if _find(folder, "arm") else GRASP
@@ -216,7 +216,7 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
         return frame.sort_values(["trial", "t"], kind="stable").reset_index(drop=True)
     if table is FRAMES:
         frame = frame.assign(file=_in_the_folder(frame["file"], folder, path))
-    kept, rows[path.name] = sifted(whole, frame)
+    kept, rows[path.name] = cleaned(whole, frame)
     return kept.reset_index(drop=True)
 
 

@@ -1,4 +1,4 @@
-"""Rows of measured tables: read from CSV, and sifted so that what cannot be used is counted, with the reason."""
+"""Rows of measured tables: read from CSV, and cleaned so that what cannot be used is counted, with the reason."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pandas as pd
 
 from stringcast.data.artifacts import ARM, GRASP
 from stringcast.data.foreign import csv
+from stringcast.data.outliers import outliers
 from stringcast.data.schema import DataError, Table
-from stringcast.data.spikes import spikes
 
 FAR = 1e9  # a metre in nanometres: nothing measured is further off, in whichever unit it was written
 LATEST = 1e19  # [s], or nanoseconds since 1970, of which there are 2e18
@@ -61,7 +61,7 @@ def from_csv(table: Table, path: Path) -> pd.DataFrame:
     return table.check(frame, str(path))
 
 
-class Sieve:
+class RowFilter:
     """Takes rows out of a table and counts them by reason."""
 
     def __init__(self, frame: pd.DataFrame) -> None:
@@ -75,12 +75,12 @@ class Sieve:
             self.frame = self.frame[~bad]
 
 
-def sifted(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
+def cleaned(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
     """Rows that can be used, in the order of trial and time, and what became of the others.
 
     table: with the leading column `trial`. frame: of that table, as it was read.
     """
-    sieve = Sieve(frame)
+    sieve = RowFilter(frame)
     for column in table.columns:
         if column.kind == "text":
             sieve.drop(f"no {column.name}", sieve.frame[column.name].isna())
@@ -107,9 +107,9 @@ def sifted(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
 
 
 def _jumps(motion: pd.DataFrame, numbers: list[str]) -> pd.Series:
-    """Which rows of a hand's motion, in order, are spikes in their trial."""
+    """Which rows of a hand's motion, in order, are outliers in their trial."""
     values = [name for name in numbers if name != "t"]
     found = pd.Series(False, index=motion.index)
     for _, rows in motion.groupby("trial", sort=False):
-        found[rows.index] = spikes(rows["t"].to_numpy(), np.unwrap(rows[values].to_numpy(), axis=0))
+        found[rows.index] = outliers(rows["t"].to_numpy(), np.unwrap(rows[values].to_numpy(), axis=0))
     return found

@@ -13,11 +13,11 @@ import pandas as pd
 import yaml
 
 from stringcast.data import disk
-from stringcast.data.about import FORMAT, NAME
 from stringcast.data.artifacts import ARM, GRASP, MASKS, POINTS, READINGS, Observation
 from stringcast.data.dataset import OVERLAP, with_trial
 from stringcast.data.images import Video
 from stringcast.data.importers.gathered import Gathered
+from stringcast.data.metadata import FORMAT, NAME
 from stringcast.data.schema import DataError, Table
 from stringcast.data.store import content_hash, write_table
 from stringcast.stages.check.at_rest import arc_lengths, grasp_of, with_arc_lengths
@@ -57,13 +57,13 @@ class BenchHints:
 @dataclass(frozen=True)
 class Imported:
     """A dataset that is not written yet. hand: the table of the hand's motion, ARM or GRASP, and its rows. points: rows
-    of POINTS. films: video files by trial. about: dataset.yaml. notes: what was worked out, for people."""
+    of POINTS. films: video files by trial. metadata: dataset.yaml. notes: what was worked out, for people."""
 
     hand: Table
     motion: pd.DataFrame
     points: pd.DataFrame
     films: Mapping[str, Path]
-    about: dict[str, Any]
+    metadata: dict[str, Any]
     notes: Sequence[str]
 
     @property
@@ -195,5 +195,5 @@ def written(what: Imported, folder: Path, files: Sequence[Path], command: str) -
     for name, film in what.films.items():
         disk.make_folder(folder / "videos")
         shutil.copyfile(film, folder / "videos" / f"{name}{film.suffix}")
-    about = {**what.about, "imported": origin["files"]}
+    about = {**what.metadata, "imported": origin["files"]}
     disk.write(folder / NAME, (ABOUT + yaml.safe_dump(about, sort_keys=False)).encode())

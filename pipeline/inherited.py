@@ -70,7 +70,7 @@ def with_inherited_settings(config: DictConfig, given: set[str]) -> dict[str, An
 
 def _hang(folder: Path, whole: Any) -> None:
     """Hang at the tip of the model's string what dataset.yaml says was weighed there: it is known, and not fitted."""
-    string = dataset.about(folder).get("string", {})
+    string = dataset.metadata(folder).get("string", {})
     if not string.get("tip_mass"):
         return
     ratio = float(string["tip_mass"]) / float(string["mass"])
@@ -145,7 +145,7 @@ def inherited(folder: Path, given: set[str]) -> dict[str, Any]:
         brought = plain({name: known[name] for name in FROM_TRIALS if name in known}, folder / "config.json")
         brought |= {LENGTH: known["string"]["length"]} if "string" in known else {}
     else:
-        about = {group: values for group, values in dataset.about(folder).items() if group in FROM_DATASETS}
+        about = {group: values for group, values in dataset.metadata(folder).items() if group in FROM_DATASETS}
         brought = {
             f"{group}.{key}": value
             for group, values in about.items()

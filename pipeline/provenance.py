@@ -157,7 +157,7 @@ def _short(file: Path) -> str:
 
 # --- fresh or stale ---------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Found:
+class StoredStep:
     """A step on the disk. artifact: None where there is none that can be read. reasons: why it is stale; empty if it is
     fresh."""
 
@@ -165,17 +165,17 @@ class Found:
     reasons: tuple[str, ...] = ()
 
 
-def look(config: Mapping[str, Any], folder: Path, step: Step) -> Found:
+def look(config: Mapping[str, Any], folder: Path, step: Step) -> StoredStep:
     """A step in a run's folder, with all that has changed since it was made. config: the run's settings."""
     place = folder / step.place
     if not place.is_dir():
-        return Found(None, ("it has not been made yet",))
+        return StoredStep(None, ("it has not been made yet",))
     try:
         artifact: Any = store.load(step.stage.makes, place)
         made = [store.origin_of(file) for file in sorted(place.glob("*.parquet"))]
     except DataError as error:
-        return Found(None, (str(error),))
-    return Found(artifact, tuple(changes(made[0], made_now(config, folder, step), step.stage.uses)))
+        return StoredStep(None, (str(error),))
+    return StoredStep(artifact, tuple(changes(made[0], made_now(config, folder, step), step.stage.uses)))
 
 
 def made_now(config: Mapping[str, Any], folder: Path, step: Step) -> dict[str, Any]:

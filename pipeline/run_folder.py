@@ -28,7 +28,7 @@ from stringcast.pipeline.inherited import FROM_DATASETS
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.provenance import Found, look, made_now, origin, performed, repeatable
+from stringcast.pipeline.provenance import StoredStep, look, made_now, origin, performed, repeatable
 from stringcast.pipeline.result import Result, in_numbers
 
 log = logging.getLogger(__name__)
@@ -68,7 +68,7 @@ class RunFolder:
         if not published(self.folder, made_of):
             publish(self.experiment, made_of, self.folder, iterations)
 
-    def _stays(self, found: Found, step: Step) -> bool:
+    def _stays(self, found: StoredStep, step: Step) -> bool:
         """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
         stays = performed(self.experiment.config, self.folder, step.number, step.stage.folder)
         if stays and found.artifact is None:

@@ -13,7 +13,7 @@ import pandas as pd
 import yaml
 
 from stringcast.data import dataset
-from stringcast.data.about import FORMAT, NAME
+from stringcast.data.metadata import FORMAT, NAME
 from stringcast.data.schema import DataError
 
 

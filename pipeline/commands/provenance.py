@@ -58,7 +58,7 @@ def verify(arguments: list[str]) -> int:
 
 
 @dataclass
-class Outcome:
+class Comparison:
     """same: no step is missing, and none came out otherwise. lines: step by step, in words."""
 
     same: bool = True
@@ -70,9 +70,11 @@ class Outcome:
         self.lines += [f"{what}: {'DIFFERS' if faults else good}", *(f"    {fault}" for fault in faults)]
 
 
-def verified(here: Experiment, folder: Path, aside: Path, bar: Callable[[str], AbstractContextManager[Any]]) -> Outcome:
+def verified(
+    here: Experiment, folder: Path, aside: Path, bar: Callable[[str], AbstractContextManager[Any]]
+) -> Comparison:
     """Every step, then what the run wrote from them. aside: an empty folder to compute in."""
-    outcome = Outcome()
+    outcome = Comparison()
 
     def ask(step: Step) -> Any:
         found, place = look(here.config, folder, step), step.place.as_posix()
@@ -94,7 +96,7 @@ def verified(here: Experiment, folder: Path, aside: Path, bar: Callable[[str], A
     return outcome
 
 
-def _ending(here: Experiment, folder: Path, aside: Path, result: Result, outcome: Outcome) -> None:
+def _ending(here: Experiment, folder: Path, aside: Path, result: Result, outcome: Comparison) -> None:
     """The dataset and run.json: drawn from the steps alone, they must say what these say."""
     iterations = [i for i in result.iterations if {"trial", "points"} <= i.done.keys()]
     if here.config["trials"] is None and iterations:
@@ -131,7 +133,7 @@ def why(arguments: list[str]) -> int:
 
 
 @dataclass(frozen=True)
-class State:
+class StepState:
     """A step's folder within its run, and why it is not fresh; no reasons if it is. stays: it is used all the same."""
 
     place: str
@@ -147,19 +149,19 @@ class State:
         return "fresh" if not self.reasons else "stale, but stays: the arm has moved by it" if self.stays else "stale"
 
 
-def states_of(settings: Mapping[str, Any], folder: Path) -> list[State]:
+def states_of(settings: Mapping[str, Any], folder: Path) -> list[StepState]:
     """States of all steps of a run, each after its inputs, and the step that an unfinished run lacks next. settings:
     the run's."""
     known = {stage.folder for stage in stages().values()}
     there = (place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known)
     places = sorted(there, key=lambda place: (place.parent.name, _depth(place.name), place.name))
-    states: dict[str, State] = {}
+    states: dict[str, StepState] = {}
     for place in places:
         above = [states[other] for other in _origin(place).get("inputs", ()) if other in states]
         doubt = (f"{one.place}, an input, is to be made again" for one in above if one.reasons and not one.stays)
         stays = performed(settings, folder, int(place.parent.name), place.name)
         name = place.relative_to(folder).as_posix()
-        states[name] = State(name, (*reasons_of(folder, place, settings), *doubt), stays=stays)
+        states[name] = StepState(name, (*reasons_of(folder, place, settings), *doubt), stays=stays)
     return [*states.values(), *_missing(settings, folder, len({place.parent for place in places}))]
 
 
@@ -178,13 +180,13 @@ def _origin(place: Path) -> dict[str, Any]:
         return {}
 
 
-def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iterator[State]:
+def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iterator[StepState]:
     """The first step of its last iteration that an unfinished cast lacks."""
     names = settings["mode"].get("stages", ())
     places = [place_of(max(iterations, 1), stages()[name].folder) for name in names if name in stages()]
     lacking = [place for place in places if not (folder / place).is_dir()]
     if lacking and not (folder / ENDED).exists():
-        yield State(lacking[0].as_posix(), ("it has not been made yet",), there=False)
+        yield StepState(lacking[0].as_posix(), ("it has not been made yet",), there=False)
 
 
 # --- diff ---------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ class NotMadeError(Exception):
 
 
 @dataclass(frozen=True)
-class Reader:
+class StepReader:
     """The executor that makes nothing: every step is handed to `ask`, which returns its stored artifact."""
 
     ask: Callable[[Step], Any]
@@ -43,7 +43,7 @@ def walk(here: Experiment, folder: Path, ask: Callable[[Step], Any]) -> Result |
             "estimation or a diagnosis."
         )
     try:
-        return here.mode.work(here, folder, Reader(ask))
+        return here.mode.work(here, folder, StepReader(ask))
     except NotMadeError:
         return None
 

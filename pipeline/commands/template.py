@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stringcast.data import disk
-from stringcast.data.about import NAME
 from stringcast.data.artifacts import ARM, GRASP, POINTS
 from stringcast.data.dataset import with_trial
+from stringcast.data.metadata import NAME
 from stringcast.data.schema import Table
 from stringcast.data.store import whole
 from stringcast.pipeline.called import called_as

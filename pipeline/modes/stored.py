@@ -29,7 +29,7 @@ def usable(experiment: Experiment) -> dataset.Dataset:
 
 def held_out(data: dataset.Dataset) -> tuple[str, ...]:
     """Trials that dataset.yaml sets aside."""
-    return tuple(name for name, about in data.about.get("trials", {}).items() if about.get("role") == "held_out")
+    return tuple(name for name, about in data.metadata.get("trials", {}).items() if about.get("role") == "held_out")
 
 
 def history_of(data: dataset.Dataset, executor: Executor) -> History:

@@ -32,7 +32,7 @@ from stringcast.stages.common import Progress
 ONE_THREAD = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
-class Job(ABC):
+class StudyJob(ABC):
     """One job of a study: it makes a row, or several, in a process of its own; it can be pickled."""
 
     @property
@@ -59,7 +59,7 @@ class Study(Mode):
     LIVES: ClassVar[int | None] = None
 
     @abstractmethod
-    def jobs(self, experiment: Experiment, folder: Path) -> Sequence[Job]:
+    def jobs(self, experiment: Experiment, folder: Path) -> Sequence[StudyJob]:
         """All jobs, in the order of their rows. Raises UserError for settings that cannot be used."""
 
     @abstractmethod
@@ -104,7 +104,7 @@ class Study(Mode):
 
 
 def all_made(
-    jobs: Sequence[Job],
+    jobs: Sequence[StudyJob],
     folder: Path,
     processes: int,
     *,
@@ -125,12 +125,12 @@ def all_made(
     return made, failed
 
 
-def place(job: Job, folder: Path) -> Path:
+def place(job: StudyJob, folder: Path) -> Path:
     """The file that keeps what a job made."""
     return folder / "rows" / f"{job.name}.json"
 
 
-def kept(job: Job, folder: Path) -> Any:
+def kept(job: StudyJob, folder: Path) -> Any:
     """The result of a job, read from the study's folder if it is there, else made and kept."""
     path = place(job, folder)
     if not path.exists():

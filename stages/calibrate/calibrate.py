@@ -15,7 +15,7 @@ from stringcast.data.schema import DataError
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.fit import fitted, held_out
 from stringcast.stages.calibrate.judge import Demands, Evidence, reason
-from stringcast.stages.calibrate.plane import Place, in_plane
+from stringcast.stages.calibrate.plane import BoardPlacement, in_plane
 from stringcast.stages.calibrate.tables import tables
 from stringcast.stages.calibrate.views import View, look
 from stringcast.stages.common import Progress
@@ -38,7 +38,7 @@ def calibrate(
     board: Board,
     camera: Camera,
     *,
-    place: Place,
+    place: BoardPlacement,
     views: Annotated[int, Field(ge=SOLVABLE)],
     spread: Annotated[float, Field(gt=0)],
     coverage: Annotated[float, Field(gt=0, le=1)],

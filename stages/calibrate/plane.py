@@ -19,7 +19,7 @@ NAMES = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
 
 
 @dataclass(frozen=True)
-class Place:
+class BoardPlacement:
     """Where the lower left corner of the board's pattern lies in the world [m], and by how much its lower edge is
     turned from the world's x, counter-clockwise [rad]."""
 
@@ -42,7 +42,7 @@ class Plane:
     fit: np.ndarray
 
 
-def in_plane(view: View, board: Board, place: Place, lens: Fitted, camera: Camera) -> Plane:
+def in_plane(view: View, board: Board, place: BoardPlacement, lens: Fitted, camera: Camera) -> Plane:
     """The camera that sees the view's corners where they are. camera: its size, rate and exposure are kept."""
     world = place.world(board.corners[view.corners])
     plain = replace(camera, distortion=0.0, lens=lens.lens)
@@ -72,7 +72,7 @@ def _camera(camera: Camera, values: np.ndarray) -> Camera:
     return replace(camera, px_per_m=scale, origin_px=(u, v), rotation=rotation, tilt=(tilt_x, tilt_y))
 
 
-def _start(lens: Lens, board: Board, view: View, place: Place) -> np.ndarray:
+def _start(lens: Lens, board: Board, view: View, place: BoardPlacement) -> np.ndarray:
     """NAMES (6,) from OpenCV's pose of the board, whose y is down and whose z goes into it."""
     turn, at = pose(lens, board, view)
     rotation = cv2.Rodrigues(turn)[0] @ FACING

@@ -64,7 +64,7 @@ def begun(measured: Measured) -> Iterator[Finding]:
 
 def rate(measured: Measured) -> Iterator[Finding]:
     """Frames that come at another rate than the camera is said to have."""
-    told = (measured.data.about.get("camera") or {}).get("fps")
+    told = (measured.data.metadata.get("camera") or {}).get("fps")
     for seen in measured.telling():
         step = usual(seen.frame_t)
         if told is None or not 0 < step < SLOW:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from stringcast.data.about import NAME, About, ArmBlock, Block, CameraBlock, NoiseBlock, StringBlock, TrialBlock
 from stringcast.data.artifacts import ARM, GRASP, POINTS
+from stringcast.data.metadata import NAME, ArmBlock, Block, CameraBlock, Metadata, NoiseBlock, StringBlock, TrialBlock
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import LOST, Measured, Seen
 from stringcast.stages.check.mistakes import impossible, unknown_arm
@@ -73,7 +73,7 @@ def one_trial(measured: Measured) -> Iterator[Finding]:
 
 def length(measured: Measured) -> Iterator[Finding]:
     """A string whose length is not said, does not reach its points, or that is several strings."""
-    if "length" not in (measured.data.about.get("string") or {}):
+    if "length" not in (measured.data.metadata.get("string") or {}):
         said = f"it is missing; {measured.length:.3f} m is assumed"
         yield Finding(Severity.WARNING, NAME, "string.length", said, "Write string: {length: <metres, grasp to tip>}")
     ends = {seen.name: float(seen.points["s"].max()) for seen in measured.with_points()}
@@ -110,7 +110,7 @@ def hands(measured: Measured) -> Iterator[Finding]:
 
 def camera(measured: Measured) -> Iterator[Finding]:
     """A frame rate that no camera has."""
-    fps = (measured.data.about.get("camera") or {}).get("fps")
+    fps = (measured.data.metadata.get("camera") or {}).get("fps")
     if fps is not None and fps > FASTEST:
         said = f"it is {float(fps):.3g} frames a second, more than any camera takes"
         yield Finding(Severity.WARNING, NAME, "camera.fps", said, "Write how many it took in a second")
@@ -120,7 +120,7 @@ def noise(measured: Measured) -> Iterator[Finding]:
     """Noise that is stated in another unit, or that points do not have."""
     for seen in measured.telling():
         told = stated(seen)
-        place = (NAME, "noise.point_sigma") if "noise" in measured.data.about else (measured.file("points"), "sigma")
+        place = (NAME, "noise.point_sigma") if "noise" in measured.data.metadata else (measured.file("points"), "sigma")
         if told is not None and told > COARSE * seen.length:
             said = f"noise is stated as {told:.3g} m on a string of {seen.length:.3g} m: millimetres, as it seems"
             yield Finding(Severity.ERROR, *place, said, "Multiply it by 0.001", (seen.name,))
@@ -138,8 +138,8 @@ def stated(seen: Seen) -> float | None:
 
 def names(measured: Measured) -> Iterator[Finding]:
     """Keys and columns that are unknown, but nearly known: they count for nothing."""
-    about = measured.data.about
-    yield from _nearly(about, About.model_fields, "")
+    about = measured.data.metadata
+    yield from _nearly(about, Metadata.model_fields, "")
     for block, kind in BLOCKS.items():
         yield from _nearly(about.get(block) or {}, kind.model_fields, f"{block}.")
     for trial, own in about.get("trials", {}).items():
@@ -161,7 +161,7 @@ def _nearly(given: Mapping[Any, Any], known: Any, place: str, file: str = NAME) 
 
 def roles(measured: Measured) -> Iterator[Finding]:
     """Trials that dataset.yaml speaks of and that are not there; trials all held out."""
-    spoken = measured.data.about.get("trials", {})
+    spoken = measured.data.metadata.get("trials", {})
     there = {seen.name for seen in measured.trials}
     for name in sorted(set(spoken) - there - set(measured.data.rejected)):
         yield Finding(Severity.WARNING, NAME, f"trials.{name}", "there is no such trial", "Correct the name")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stringcast.data.about import NAME
+from stringcast.data.metadata import NAME
 from stringcast.stages.check.clocks import SLOW, usual
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import Measured

@@ -240,7 +240,7 @@ def mistakes(measured: Measured) -> Iterator[Finding]:
 def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
     """Strings that cannot be, by trial. Where nobody says how long they are, as long as they were seen to be."""
     looked = {seen.name: views(seen, measured.camera) for seen in measured.with_points()}
-    if "length" not in (measured.data.about.get("string") or {}):
+    if "length" not in (measured.data.metadata.get("string") or {}):
         end = max((both[0].end for both in looked.values()), default=0.0)
         if end > BEYOND * measured.length:
             looked = {name: (replace(a, length=end), replace(b, length=end)) for name, (a, b) in looked.items()}
@@ -249,7 +249,7 @@ def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
 
 def unknown_arm(measured: Measured) -> list[str]:
     """The fields of an arm (links, base) that dataset.yaml lacks although there are joint angles."""
-    told = measured.data.about.get("arm") or {}
+    told = measured.data.metadata.get("arm") or {}
     by_joints = any(seen.joints is not None for seen in measured.trials)
     return [key for key in ("links", "base") if key not in told and by_joints]
 

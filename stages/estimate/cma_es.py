@@ -16,7 +16,7 @@ from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.estimate.least_squares import posterior_samples
 from stringcast.stages.estimate.matching import Matching, matching_rate, targets
-from stringcast.stages.estimate.result import Search, estimate_of, insensitive, start_chi
+from stringcast.stages.estimate.result import Candidates, estimate_of, insensitive, start_chi
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
 
@@ -55,6 +55,6 @@ def estimate(
         tried.append(chi)
         rates.append(rate)
         progress((number + 1) / rounds)
-    found = Search("CMA-ES", np.concatenate(tried), np.concatenate(rates))
+    found = Candidates("CMA-ES", np.concatenate(tried), np.concatenate(rates))
     best = found.chi[found.best]
     return estimate_of(goals, before, best, found, insensitive(goals, found), posterior_samples(goals, best, seed))

@@ -16,7 +16,15 @@ from pydantic import Field
 from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.estimate.matching import Matching, Target, matching_rate, targets
-from stringcast.stages.estimate.result import EDGE, Interval, Search, correlated, estimate_of, start_chi, undetermined
+from stringcast.stages.estimate.result import (
+    EDGE,
+    Candidates,
+    Interval,
+    correlated,
+    estimate_of,
+    start_chi,
+    undetermined,
+)
 from stringcast.stages.inference.covariance import Covariance, covariance
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
@@ -63,7 +71,7 @@ def estimate(
     likelihood, best = refined(given, found)
     goals = [replace(goal, case=trial) for goal, trial in zip(goals, likelihood.trials, strict=True)]
     tried = np.concatenate([tried, best[None]])
-    search = Search("least squares", tried, matching_rate(goals, values_of(model.parameters, tried)))
+    search = Candidates("least squares", tried, matching_rate(goals, values_of(model.parameters, tried)))
     sure = covariance(likelihood, best)
     interval = _interval(model, best, sure, likelihood)
     return estimate_of(goals, before, best, search, interval, _draws(best, sure, seed))

@@ -12,7 +12,7 @@ from stringcast.data.artifacts import Estimate, Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.estimate.least_squares import posterior_samples
 from stringcast.stages.estimate.matching import Matching, matching_rate, targets
-from stringcast.stages.estimate.result import Search, estimate_of, insensitive, start_chi
+from stringcast.stages.estimate.result import Candidates, estimate_of, insensitive, start_chi
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
 
@@ -54,5 +54,5 @@ def estimate(
         chi, rate = np.concatenate([chi, drawn]), np.concatenate([rate, scores])
         if np.nanmax(scores, initial=-np.inf) > np.nan_to_num(best_rate, nan=-np.inf):
             best, best_rate = drawn[int(np.nanargmax(scores))], np.nanmax(scores)
-    search = Search("random search", chi, rate)
+    search = Candidates("random search", chi, rate)
     return estimate_of(goals, before, best, search, insensitive(goals, search), posterior_samples(goals, best, seed))

@@ -23,7 +23,7 @@ EDGE = 0.01  # of the range: a value this close to an end sits on it
 
 
 @dataclass(frozen=True)
-class Search:
+class Candidates:
     """Candidates of a method, in order: chi (C, P) and matching rate E (C,), NaN where the simulation diverged."""
 
     method: str
@@ -65,7 +65,7 @@ def estimate_of(
     goals: Sequence[Target],
     before: np.ndarray,
     after: np.ndarray,
-    search: Search,
+    search: Candidates,
     interval: Interval,
     draws: np.ndarray,
 ) -> Estimate:
@@ -96,7 +96,7 @@ def estimate_of(
     )
 
 
-def insensitive(goals: Sequence[Target], search: Search) -> Interval:
+def insensitive(goals: Sequence[Target], search: Candidates) -> Interval:
     """The parameters on which E does not depend at the best string that a search found.
 
     It cannot be said that a parameter is determined: a search narrows by itself, and may end beside a string that is
@@ -172,7 +172,7 @@ def _parameters(
     )
 
 
-def _candidates(parameters: Sequence[Parameter], search: Search) -> pd.DataFrame:
+def _candidates(parameters: Sequence[Parameter], search: Candidates) -> pd.DataFrame:
     rate = search.matching_rate
     record = np.fmax.accumulate(np.where(np.isnan(rate), -np.inf, rate))
     better = np.concatenate([[True], record[1:] > record[:-1]]) & ~np.isnan(rate)

@@ -54,7 +54,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Across:
+class Profile:
     """Profiles of light across a line, (K,) each.
 
     shift: of the string's middle, sigma: its standard deviation [px]. light: in all [grey levels half pixels]. blind:
@@ -133,7 +133,7 @@ def _evenly(line: np.ndarray) -> np.ndarray:
 
 def _across(
     light: np.ndarray, outline: np.ndarray, line: np.ndarray, normal: np.ndarray, noise: float, half: float
-) -> Across:
+) -> Profile:
     """Profiles across the line at each of its points (K, 2) [px]. normal: (K, 2) unit vectors."""
     reach = max(HALF, 1.8 * half + 2)
     across = np.arange(-reach, reach + 0.25, 0.5)
@@ -147,7 +147,7 @@ def _across(
     lost = dark | (blind & (distance_transform_edt(dark | blind) < CARRIED))
     lost[0], shift[0] = False, 0.0  # the arm says where the string begins
     shift = np.interp(np.arange(len(shift)), np.flatnonzero(~lost), shift[~lost])
-    return Across(shift, centroid(bright, across, lost, noise, half), total, blind, lost)
+    return Profile(shift, centroid(bright, across, lost, noise, half), total, blind, lost)
 
 
 def _onward(line: np.ndarray, half: float, beyond: float) -> np.ndarray:

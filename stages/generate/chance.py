@@ -18,8 +18,8 @@ TOUCHING = 0.5  # of the worth of a draw that touches nothing: of one that touch
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a cast is to go. obstacles: what the arm may not touch at all, and the string not before it hits."""
+class Task:
+    """The task of a cast. obstacles: what the arm may not touch at all, and the string not before it hits."""
 
     model: Model
     target: Box
@@ -49,13 +49,13 @@ class Outcome:
         return np.mean(worth / (1 + self.distance**2), axis=1)
 
 
-def outcome(place: Place, curves: Curves, draws: Draws) -> Outcome:
+def outcome(task: Task, curves: Curves, draws: Draws) -> Outcome:
     """Simulate every motion under every draw. Movements of like duration run together: none waits long for another."""
     count = len(curves.duration)
     made = Outcome(*(np.empty((count, len(draws)), dtype=kind) for kind in (float, float, bool)))
     order = np.argsort(curves.duration, kind="stable")
     for some in np.array_split(order, min(-(-count * len(draws) // TOGETHER), count)):
-        part = _together(place, curves.only(some), draws)
+        part = _together(task, curves.only(some), draws)
         made.distance[some], made.clear[some], made.hit[some] = part.distance, part.clear, part.hit
     return made
 
@@ -76,25 +76,25 @@ def simulated(model: Model, curves: Curves, draws: Draws) -> tuple[np.ndarray, n
     return motion.angles, points
 
 
-def _together(place: Place, curves: Curves, draws: Draws) -> Outcome:
+def _together(task: Task, curves: Curves, draws: Draws) -> Outcome:
     """All at once."""
-    angles, points = simulated(place.model, curves, draws)
+    angles, points = simulated(task.model, curves, draws)
     shape = (len(curves.duration), len(draws))
-    tick, end = place.model.arm.tick, (curves.duration[:, None] - draws.lag).ravel()
+    tick, end = task.model.arm.tick, (curves.duration[:, None] - draws.lag).ravel()
     moving = np.arange(points.shape[1]) * tick <= end[:, None] + 1e-9
     way = between(points[:, :, -1])
     finite = np.isfinite(way).all(axis=(1, 2))
-    arm, string = (each & moving for each in _touching(place, angles, points))
+    arm, string = (each & moving for each in _touching(task, angles, points))
     before = ~np.logical_or.accumulate(arm | string, axis=1)
     clear = (before & moving).sum(axis=1) / moving.sum(axis=1)
     counts = (before & moving)[:, 1:].repeat(2, axis=1)  # pieces of the way, two to a tick
-    away = np.where(counts, _nearest(place.target, way), np.inf).min(axis=1)
-    hit = (place.target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1) & finite & ~arm.any(axis=1)
+    away = np.where(counts, _nearest(task.target, way), np.inf).min(axis=1)
+    hit = (task.target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1) & finite & ~arm.any(axis=1)
     return Outcome(np.where(finite, away, np.inf).reshape(shape), clear.reshape(shape), hit.reshape(shape))
 
 
 def between(tip: np.ndarray) -> np.ndarray:
-    """The tip's way (C, T, 2) with a place between each two, by a cubic: (C, 2 T - 1, 2). The pieces are then straight
+    """The tip's way (C, T, 2) with a point between each two, by a cubic: (C, 2 T - 1, 2). The pieces are then straight
     to 1 mm even at 1000 m/s^2."""
     padded = np.concatenate([2 * tip[:, :1] - tip[:, 1:2], tip, 2 * tip[:, -1:] - tip[:, -2:-1]], axis=1)
     before, first, second, after = (padded[:, k : padded.shape[1] - 3 + k] for k in range(4))
@@ -103,14 +103,14 @@ def between(tip: np.ndarray) -> np.ndarray:
     return way
 
 
-def _touching(place: Place, angles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _touching(task: Task, angles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """At which ticks an obstacle is touched by the arm, and by the string or the tip's way from the tick before; each
     (C, T)."""
     arm, string = np.zeros((2, *points.shape[:2]), dtype=bool)
-    if not place.obstacles:
+    if not task.obstacles:
         return arm, string
-    joints = place.model.arm.joints(angles)
-    for box in place.obstacles:
+    joints = task.model.arm.joints(angles)
+    for box in task.obstacles:
         arm |= box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
         string |= _lies_in(box, points)
         string[:, 1:] |= box.crossed(points[:, :-1, -1], points[:, 1:, -1])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stringcast.stages.generate.chance import Place, between, simulated
+from stringcast.stages.generate.chance import Task, between, simulated
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.draws import Draws
 
@@ -20,20 +20,20 @@ LEAST = 1e-3  # [m] what is seen and simulated is never surer
 RIDGE = 1e-3  # of the exponents' variance: keeps a fit to few draws in hand
 
 
-def predictive_sd(place: Place, curves: Curves, draws: Draws, interest: int) -> np.ndarray:
+def predictive_sd(task: Task, curves: Curves, draws: Draws, interest: int) -> np.ndarray:
     """Predictive standard deviation of the tip at the target on the motion of interest after each motion, (M,) [m].
 
     curves: M motions. interest: the number of one. Infinite for a motion on which a simulation fails.
     """
     sigma = max(LEAST, float(np.sqrt(np.mean(draws.off**2))))
     draws = draws.of_the_string()  # by few draws, what is chance would look like what the string does
-    exponents = _exponents(place, draws)
+    exponents = _exponents(task, draws)
     covariance = exponents.T @ exponents / len(draws) + RIDGE * np.eye(exponents.shape[1])
-    _, points = simulated(place.model, curves.only(np.array([interest])), draws)
-    matters = _slopes(exponents, _at_target(place, points))
+    _, points = simulated(task.model, curves.only(np.array([interest])), draws)
+    matters = _slopes(exponents, _at_target(task, points))
     result = np.full(len(curves.duration), np.inf)
     for number in range(len(curves.duration)):
-        _, points = simulated(place.model, curves.only(np.array([number])), draws)
+        _, points = simulated(task.model, curves.only(np.array([number])), draws)
         if np.isfinite(points).all():
             seen = points[:, ::EVERY, ::-1][:, :, :: points.shape[2] // PLACES].reshape(len(draws), -1)
             slopes = _slopes(exponents, seen) / sigma
@@ -42,16 +42,16 @@ def predictive_sd(place: Place, curves: Curves, draws: Draws, interest: int) -> 
     return result
 
 
-def _exponents(place: Place, draws: Draws) -> np.ndarray:
+def _exponents(task: Task, draws: Draws) -> np.ndarray:
     """(K, P) of the draws, about their mean; parameters that all draws share are left out."""
-    chi = np.stack([p.chi(draws.values[:, i]) for i, p in enumerate(place.model.parameters)], axis=-1)
+    chi = np.stack([p.chi(draws.values[:, i]) for i, p in enumerate(task.model.parameters)], axis=-1)
     return (chi - chi.mean(axis=0))[:, np.ptp(chi, axis=0) > 0]
 
 
-def _at_target(place: Place, points: np.ndarray) -> np.ndarray:
+def _at_target(task: Task, points: np.ndarray) -> np.ndarray:
     """Where each draw's tip is when the middle one is nearest to the target, (K, 2) [m]."""
     way = between(points[:, :, -1])
-    away = place.target.away(way)
+    away = task.target.away(way)
     typical = int(np.argsort(away.min(axis=1), kind="stable")[len(way) // 2])
     return way[:, int(np.argmin(away[typical]))]
 

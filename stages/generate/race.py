@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from stringcast.data.artifacts import Motion
-from stringcast.stages.generate.chance import Place, outcome
+from stringcast.stages.generate.chance import Task, outcome
 from stringcast.stages.generate.curves import Curves, first_curves, joined, next_curves
 from stringcast.stages.generate.draws import Draws
 from stringcast.stages.generate.generate import arm_faults, curves_of
@@ -25,7 +25,7 @@ FEWER = 4  # for a share of 1 / FEWER of the motions
 
 
 def entrants(
-    place: Place, space: Space, previous: Motion | None, fraction: float, count: int, rng: np.random.Generator
+    task: Task, space: Space, previous: Motion | None, fraction: float, count: int, rng: np.random.Generator
 ) -> Curves:
     """Random movements that the arm can make: anywhere, and a quarter of them near the last one.
 
@@ -35,27 +35,27 @@ def entrants(
     draw = [partial(first_curves, arm, rng, AT_ONCE, durations, space.alpha * share) for share in GENTLER]
     if previous is not None:
         last = curves_of(previous)
-        found.append(possible(place, last))
+        found.append(possible(task, last))
         draw.append(partial(next_curves, arm, rng, AT_ONCE, durations, space.alpha, last, fraction))
     for kind in draw:
         own: list[Curves] = []
         while sum(len(c.duration) for c in own) * len(draw) < count and len(own) < TRIES:
-            own.append(possible(place, kind()))
+            own.append(possible(task, kind()))
         found += own
     return joined(found)
 
 
-def possible(place: Place, curves: Curves) -> Curves:
+def possible(task: Task, curves: Curves) -> Curves:
     """The movements that keep every limit of the arm."""
-    angles, speeds = curves.sampled(place.model.arm.tick, float(curves.duration.max()))
-    return curves.only(np.flatnonzero(arm_faults(place.model.arm, place.obstacles, angles, speeds) == ""))
+    angles, speeds = curves.sampled(task.model.arm.tick, float(curves.duration.max()))
+    return curves.only(np.flatnonzero(arm_faults(task.model.arm, task.obstacles, angles, speeds) == ""))
 
 
-def race(place: Place, curves: Curves, draws: Draws) -> Curves:
+def race(task: Task, curves: Curves, draws: Draws) -> Curves:
     """The movements that are left when all `draws` have been seen, the nearest first."""
     count = BEGIN
     while True:
-        closeness = outcome(place, curves, draws.only(slice(count))).closeness
+        closeness = outcome(task, curves, draws.only(slice(count))).closeness
         ranked = curves.only(np.argsort(-closeness, kind="stable"))
         if count >= len(draws):
             return ranked

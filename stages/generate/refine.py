@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from cmaes import CMA
 
-from stringcast.stages.generate.chance import Place, outcome
+from stringcast.stages.generate.chance import Task, outcome
 from stringcast.stages.generate.curves import INTERVALS, Curves, whole_ticks
 from stringcast.stages.generate.draws import Draws
 from stringcast.stages.generate.generate import arm_faults
@@ -57,17 +57,17 @@ class Space:
         return Curves(lowest + start * (highest - lowest), duration, control)
 
 
-def refine(place: Place, space: Space, starts: Curves, draws: Draws, rounds: int, seed: int) -> Curves:
+def refine(task: Task, space: Space, starts: Curves, draws: Draws, rounds: int, seed: int) -> Curves:
     """The best movement found from each start. All are tried on the same draws: chance does not decide between two."""
     points = space.points(starts)
-    best, most = points.copy(), outcome(place, starts, draws).closeness
+    best, most = points.copy(), outcome(task, starts, draws).closeness
     settings = {"sigma": STEP, "bounds": space.bounds, "population_size": POPULATION}
     inside = np.clip(points, *space.bounds.T)
     searches = [CMA(mean=point, seed=(seed + number) % 2**32, **settings) for number, point in enumerate(inside)]
     for _ in range(rounds):
-        asked = [_asked(place, space, search) for search in searches]
+        asked = [_asked(task, space, search) for search in searches]
         tried = np.concatenate([point[:count] for point, count in asked])
-        close = outcome(place, space.curves(tried), draws).closeness
+        close = outcome(task, space.curves(tried), draws).closeness
         parts = np.split(close, np.cumsum([count for _, count in asked])[:-1])
         for number, (search, (point, count), own) in enumerate(zip(searches, asked, parts, strict=True)):
             value = np.concatenate([1 - own, np.full(len(point) - count, 2.0)])
@@ -77,11 +77,11 @@ def refine(place: Place, space: Space, starts: Curves, draws: Draws, rounds: int
     return space.curves(best)
 
 
-def _asked(place: Place, space: Space, search: CMA) -> tuple[np.ndarray, int]:
+def _asked(task: Task, space: Space, search: CMA) -> tuple[np.ndarray, int]:
     """Points (POPULATION, D) that the search asks for, those first that the arm can make, and how many these are."""
     points = np.stack([search.ask() for _ in range(SPARE * POPULATION)])
     curves = space.curves(points)
     sampled = curves.sampled(space.arm.tick, float(curves.duration.max()))
-    fine = arm_faults(space.arm, place.obstacles, *sampled) == ""
+    fine = arm_faults(space.arm, task.obstacles, *sampled) == ""
     order = np.argsort(~fine, kind="stable")[:POPULATION]
     return points[order], int(fine[order].sum())

@@ -17,7 +17,7 @@ from pydantic import Field
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
 from stringcast.data.later import Later
 from stringcast.stages.common import Progress, SettingsGroup, part
-from stringcast.stages.generate.chance import Place, between, outcome, simulated
+from stringcast.stages.generate.chance import Task, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, joined
 from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
 from stringcast.stages.generate.generate import HIT, Drawing, MotionNotFoundError, commands_of, control_points_of
@@ -82,23 +82,23 @@ def generate(
     space = Space(model.arm, *drawing.durations, drawing.alpha)
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
-    place = Place(model, target, obstacles)
+    task = Task(model, target, obstacles)
     draws = drawn(model, estimate, uncertainty, search.strings, rng)
     most = 1 if estimate is None else search.searches  # half of all strings there may be are not hit by any motion
     found: list[Sought] = []
     while len(found) < most and not any(each.share >= ENOUGH for each in found):
-        random = entrants(place, space, previous, drawing.fraction, search.motions, rng)
-        found.append(sought(place, space, random, draws, search.rounds, seed, part(progress, len(found), most)))
+        random = entrants(task, space, previous, drawing.fraction, search.motions, rng)
+        found.append(sought(task, space, random, draws, search.rounds, seed, part(progress, len(found), most)))
     final = joined([each.best for each in found])
-    chosen = choice(place, final, drawn(model, estimate, uncertainty, search.strings, rng), search.exploration)
+    chosen = choice(task, final, drawn(model, estimate, uncertainty, search.strings, rng), search.exploration)
     progress(1.0)
     return stated(
-        place, chosen, drawn(model, estimate, uncertainty, search.validation, rng), sum(each.tried for each in found)
+        task, chosen, drawn(model, estimate, uncertainty, search.validation, rng), sum(each.tried for each in found)
     )
 
 
 def sought(
-    place: Place,
+    task: Task,
     space: Space,
     random: Curves,
     draws: Draws,
@@ -111,28 +111,28 @@ def sought(
         raise MotionNotFoundError(
             "no random motion keeps the arm's limits and clear of the obstacles. Widen them, or lower generate.alpha."
         )
-    best = race(place, random, draws)
+    best = race(task, random, draws)
     progress(0.4)
-    refined = refine(place, space, best.only(slice(FINALISTS)), draws, rounds, seed)
+    refined = refine(task, space, best.only(slice(FINALISTS)), draws, rounds, seed)
     progress(0.9)
-    share = float(outcome(place, refined, draws).hit.mean(axis=1).max())
+    share = float(outcome(task, refined, draws).hit.mean(axis=1).max())
     return Sought(joined([refined, best.only(slice(NEAREST))]), len(random.duration), share)
 
 
-def choice(place: Place, curves: Curves, draws: Draws, exploration: float) -> Curves:
+def choice(task: Task, curves: Curves, draws: Draws, exploration: float) -> Curves:
     """The nearest of some motions, or one that is nearly so and teaches more. exploration: closeness given up."""
-    closeness = outcome(place, curves, draws).closeness
+    closeness = outcome(task, curves, draws).closeness
     best = int(np.argmax(closeness))
     near = np.flatnonzero(closeness >= closeness[best] - exploration)
     if len(near) > 1:
         some = curves.only(near)
-        best = int(near[np.argmin(predictive_sd(place, some, draws, int(np.searchsorted(near, best))))])
+        best = int(near[np.argmin(predictive_sd(task, some, draws, int(np.searchsorted(near, best))))])
     return curves.only(np.array([best]))
 
 
-def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:
+def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
     """The artifact of one movement, with its chance of hitting as these draws find it."""
-    made = outcome(place, curve, draws)
+    made = outcome(task, curve, draws)
     hit, distance = made.hit[0], np.where(made.hit[0] | (made.clear[0] == 1), made.distance[0], np.inf)
     if np.isinf(distance).all():
         raise MotionNotFoundError(
@@ -141,25 +141,25 @@ def stated(place: Place, curve: Curves, draws: Draws, tried: int) -> Motion:
         )
     order = np.lexsort((distance, ~hit))  # those that hit come first, the nearest first
     typical = int(order[hit.sum() // 2])
-    points = simulated(place.model, curve, draws.only(np.array([typical])))[1][0]
+    points = simulated(task.model, curve, draws.only(np.array([typical])))[1][0]
     attempts = pd.DataFrame({"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]})
     return Motion(
-        commands_of(place.model.arm, curve),
+        commands_of(task.model.arm, curve),
         control_points_of(curve),
-        _table(place.model, points),
+        _table(task.model, points),
         ATTEMPTS.check(attempts),
-        MOTION_OUTCOME.check(pd.DataFrame([_outcome(place, curve, points[:, -1], hit) | {"tried": tried}])),
+        MOTION_OUTCOME.check(pd.DataFrame([_outcome(task, curve, points[:, -1], hit) | {"tried": tried}])),
     )
 
 
-def _outcome(place: Place, curve: Curves, tip: np.ndarray, hit: np.ndarray) -> dict[str, float]:
+def _outcome(task: Task, curve: Curves, tip: np.ndarray, hit: np.ndarray) -> dict[str, float]:
     """Table MOTION_OUTCOME. tip: (T, 2) of a string that hits [m]. hit: (K,) of the validation draws."""
-    target, way = place.target, between(tip[None])[0]
+    target, way = task.target, between(tip[None])[0]
     at = int(np.argmin(target.away(way)))
     share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
     return {
         "duration": float(curve.duration[0]),
-        "t_hit": at * place.model.arm.tick / 2,
+        "t_hit": at * task.model.arm.tick / 2,
         **{"tip_x": way[at, 0], "tip_y": way[at, 1]},
         **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
         **{"chance": float(hit.mean()), "chance_low": share.low, "chance_high": share.high},

@@ -11,12 +11,12 @@ from stringcast.data.schema import DataError
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.calibrate import calibrate
 from stringcast.stages.calibrate.fit import FLAGS, fitted, lens_of, projected, values_of
-from stringcast.stages.calibrate.plane import Place
+from stringcast.stages.calibrate.plane import BoardPlacement
 from stringcast.stages.calibrate.views import View, look
 from stringcast.stages.model.camera import FACING, Camera
 
 NOMINAL = Camera(320, 320, 340.0, (1.0, 1.0), 200.0, exposure=0.001)
-PLACE = Place((0.3, 0.1), 0.2)
+PLACE = BoardPlacement((0.3, 0.1), 0.2)
 DEMANDS = {"place": PLACE, "views": 10, "spread": 0.5, "coverage": 0.6, "rms": 0.5, "astray": 3.0}
 FLAT = pose(0.03, -0.05, 0.04, 0.0, 0.05, 0.42)
 

@@ -69,8 +69,8 @@ def dirty():
 def looked_at(folder):
     """As the command does, without composing the configuration anew."""
     data = dataset.read(folder)
-    links = data.about.get("arm", {}).get("links", AS_A_RUN.arm.links)
-    length = data.about.get("string", {}).get("length", 0.3)
+    links = data.metadata.get("arm", {}).get("links", AS_A_RUN.arm.links)
+    length = data.metadata.get("string", {}).get("length", 0.3)
     return replace(AS_A_RUN, data=data, arm=replace(AS_A_RUN.arm, links=tuple(links)), length=length)
 
 

@@ -17,8 +17,8 @@ import yaml
 from rich.console import Console
 
 from stringcast.data import dataset, foreign, store
-from stringcast.data.about import about
 from stringcast.data.images import ImageFiles, Video
+from stringcast.data.metadata import metadata
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import check, index
 from stringcast.stages.check import clocks, contents
@@ -77,21 +77,21 @@ def test_a_bad_dataset_yaml_is_refused_at_once(tmp_path, case):
     (tmp_path / "dataset.yaml").write_text(text)
     begun = time.process_time()
     with pytest.raises(DataError, match=rf"dataset\.yaml[\s\S]*{message}"):
-        about(tmp_path)
+        metadata(tmp_path)
     assert time.process_time() - begun < 5
 
 
 def test_another_encoding_is_told_as_one(tmp_path):
     (tmp_path / "dataset.yaml").write_bytes("string: {length: 0.3}".encode("utf-16"))
     with pytest.raises(DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"):
-        about(tmp_path)
+        metadata(tmp_path)
     (tmp_path / "dataset.yaml").write_bytes("string: {length: 0.3}".encode("utf-8-sig"))
-    assert about(tmp_path) == {"string": {"length": 0.3}}
+    assert metadata(tmp_path) == {"string": {"length": 0.3}}
 
 
 def test_a_scalar_may_stand_for_itself_again(tmp_path):
     (tmp_path / "dataset.yaml").write_text("camera: {width: &side 64, height: *side}")
-    assert about(tmp_path)["camera"] == {"width": 64, "height": 64}
+    assert metadata(tmp_path)["camera"] == {"width": 64, "height": 64}
 
 
 @pytest.mark.parametrize("file", ["dataset.yaml", "grasp.csv", "points.parquet", "videos/a.mp4"])
@@ -273,7 +273,7 @@ def test_what_cannot_be_is_warned_of(tmp_path):
 def test_what_we_write_ourselves_can_be_read(tmp_path):
     known = {"format": 1, "string": {"length": 0.3}, "camera": {"tilt": [0.0, 0.0], "origin_px": [0.0, 0.0]}}
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(known))
-    assert about(tmp_path) == known
+    assert metadata(tmp_path) == known
 
 
 def huge_png(side):

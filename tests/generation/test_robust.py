@@ -12,7 +12,7 @@ from stringcast.data.artifacts import Estimate
 from stringcast.data.schema import DataError
 from stringcast.pipeline.settings import stage
 from stringcast.stages.generate import race
-from stringcast.stages.generate.chance import TOGETHER, Place, between, outcome, simulated
+from stringcast.stages.generate.chance import TOGETHER, Task, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, first_curves, joined, plain_cast
 from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults, curves_of
@@ -99,7 +99,7 @@ def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
 def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
     """As many as anybody wants to state a chance from; and what becomes of the first is as without the others."""
     many = drawn(model, None, NONE, TOGETHER + 3, np.random.default_rng(8))
-    place, curves = Place(model, TARGET, ()), curves_of(blind)
+    place, curves = Task(model, TARGET, ()), curves_of(blind)
     every, few = outcome(place, curves, many), outcome(place, curves, many.only(slice(3)))
     assert every.hit.shape == (1, TOGETHER + 3)
     np.testing.assert_array_equal(every.distance[:, :3], few.distance)
@@ -111,7 +111,7 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
     both = known(SOFT, STIFF)
     draws = drawn(model, both, NONE, 60, np.random.default_rng(5))
     settings = {"attempts": 20000, "batch": 256, "shortest": 0.2, "longest": 0.8, "alpha": 150.0, "fraction": 0.25}
-    place = Place(model, TARGET, ())
+    place = Task(model, TARGET, ())
 
     def chance(motion):
         return outcome(place, curves_of(motion), draws).hit.mean()
@@ -138,7 +138,7 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
     target = Box(0.75, 0.55, 0.06, 0.06)
     motion = likeliest(model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400})
     draws = drawn(model, None, NONE, 60, np.random.default_rng(7))
-    made = outcome(Place(model, target, (wall,)), curves_of(motion), draws)
+    made = outcome(Task(model, target, (wall,)), curves_of(motion), draws)
     points = performed(model, motion, draws.values)
     touched = wall.crossed(points[:, :, :-1], points[:, :, 1:]).any(axis=2)
     before = ~np.logical_or.accumulate(touched, axis=1)
@@ -152,7 +152,7 @@ def test_what_touches_an_obstacle_first_does_not_hit(model):
 
 def test_what_comes_after_a_touch_does_not_count(model):
     """A wall that some strings swing into: how near they came until then, looked at anew."""
-    wall, free = Box(0.6, 0.35, 0.03, 0.3), Place(model, Box(0.75, 0.55, 0.06, 0.06), ())
+    wall, free = Box(0.6, 0.35, 0.03, 0.3), Task(model, Box(0.75, 0.55, 0.06, 0.06), ())
     rng = np.random.default_rng(5)
     curves = first_curves(model.arm, rng, 40, (0.4, 0.6), 100.0)
     draws = drawn(model, known(SOFT), NONE, 1, rng)
@@ -173,7 +173,7 @@ def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
     post = Box(float(x), float(y), 1e-3, 1e-3)
     assert motion.outcome["t_hit"].iloc[0] < motion.duration - 0.02
     draws = drawn(model, known(SOFT), NONE, 4, np.random.default_rng(0))
-    free, barred = (outcome(Place(model, TARGET, boxes), curves_of(motion), draws) for boxes in ((), (post,)))
+    free, barred = (outcome(Task(model, TARGET, boxes), curves_of(motion), draws) for boxes in ((), (post,)))
     assert free.hit.all()
     assert not barred.hit.any()
 
@@ -234,7 +234,7 @@ def test_failures_say_why(model, monkeypatch):
     down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6)))
     draws = drawn(model, None, NONE, 10, np.random.default_rng(0))
     with pytest.raises(MotionNotFoundError, match="each of 10 likely strings touches"):
-        stated(Place(model, TARGET, (curtain,)), down, draws, 1)
+        stated(Task(model, TARGET, (curtain,)), down, draws, 1)
 
 
 def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
@@ -259,7 +259,7 @@ def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
     draws = Draws(values, np.zeros((24, 3)), np.zeros(24), 0.002 * rng.standard_normal((24, 2)))
     swing = plain_cast(model.arm, 0.6)
     down = Curves(np.array([[0.0, -np.pi / 2, 0.0]]), swing.duration, np.zeros_like(swing.control))
-    swung, hung = predictive_sd(Place(model, TARGET, ()), joined([swing, down]), draws, interest=0)
+    swung, hung = predictive_sd(Task(model, TARGET, ()), joined([swing, down]), draws, interest=0)
     tip = simulated(model, swing, draws)[1][:, :, -1]
     assert hung > 0.8 * np.linalg.norm(tip.std(axis=0), axis=-1).min()
     assert swung < 0.2 * hung

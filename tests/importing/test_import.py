@@ -239,7 +239,7 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
     assert made.hand.name == "grasp"
     np.testing.assert_allclose(made.motion[["x", "y", "theta"]].iloc[0], (0.6, 0, 0), atol=1e-12)
     assert sorted(made.points["s"].unique().round(9)) == [0.1, 0.2, 0.3]
-    assert made.about["string"]["length"] == 0.3
+    assert made.metadata["string"]["length"] == 0.3
     assert any("say --length" in note for note in made.notes)
     with pytest.raises(DataError, match=r"angles of 2 joints, and 3 links are named.*--links 0.25,0.20 "):
         imported(of(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1)))

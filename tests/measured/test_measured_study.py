@@ -14,14 +14,14 @@ from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.settings import UserError, build, composed, names_given
 from stringcast.pipeline.studies.measured.diagnosed import families
 from stringcast.pipeline.studies.measured.scores import SETS
-from stringcast.pipeline.studies.measured.study import WHERE, Fit, Measured, MeasuredStudy, settings
+from stringcast.pipeline.studies.measured.study import WHERE, MeasuredSettings, MeasuredStudy, OneFit, settings
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "measured"
 STUDY = "+experiment=measured_study"
 
 
 def asked():
-    return build(Measured, composed([STUDY])["measured"], "measured", WHERE).families
+    return build(MeasuredSettings, composed([STUDY])["measured"], "measured", WHERE).families
 
 
 @pytest.mark.skipif(not MEASURED.exists(), reason="the measured sets are not here")
@@ -36,10 +36,10 @@ def test_every_string_is_read_with_all_its_trials(tmp_path):
             assert sorted(found.trials) == trials
             assert not found.rejected
             length = weighed[name]["L_m"] if name in weighed else 1e-3 * int(name[:-2])
-            assert found.about["string"]["length"] == pytest.approx(length, abs=1e-4)
+            assert found.metadata["string"]["length"] == pytest.approx(length, abs=1e-4)
             moving = {trial: stored.moving for trial, stored in found.trials.items()}
             assert moving == {trial: not trial.startswith("drive") for trial in trials}
-            seen |= {trial: said.get("role") for trial, said in found.about["trials"].items()}
+            seen |= {trial: said.get("role") for trial, said in found.metadata["trials"].items()}
     aside = {trial for trial, role in seen.items() if role == "held_out"}
     assert aside == {t for t in seen if t.startswith("drive")} | {"75mm_2", "75mm_4", "100mm_2", "100mm_4"}
 
@@ -87,7 +87,7 @@ def test_a_set_is_fitted_as_a_person_would_do_it_by_hand(config, tmp_path):
     by_hand += ["string.points=6", "string.largest_step=2e-3"]
     by_hand += [f"estimate.{name}=1" for name in ("starts", "screening", "iterations")]
     person = with_inherited_settings(OmegaConf.create(composed(by_hand)), names_given(by_hand))
-    assert settings(Fit("cables", "red", "viscous", config, tmp_path), tmp_path / "dataset") == person
+    assert settings(OneFit("cables", "red", "viscous", config, tmp_path), tmp_path / "dataset") == person
 
 
 def test_a_study_counts_what_was_fitted_and_what_was_predicted(config, tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from stringcast.data import dataset
-from stringcast.data.about import about
+from stringcast.data.metadata import metadata
 from stringcast.pipeline.commands import check, new, template
 from stringcast.pipeline.settings import CONF, UserError, build
 from stringcast.stages.check.check import findings
@@ -49,7 +49,7 @@ def test_a_template_is_a_dataset_as_soon_as_it_is_filled_in(tmp_path, words, han
     folder = tmp_path / "mine"
     assert template.main([str(folder), *words]) == 0
     assert "check" in capsys.readouterr().out
-    assert about(folder)["string"] == {"length": 0.3}
+    assert metadata(folder)["string"] == {"length": 0.3}
     assert all(
         f"{column} (" in (folder / "dataset.yaml").read_text() for column in ("trial", "theta" if words else "q3", "s")
     )

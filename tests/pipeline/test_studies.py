@@ -9,7 +9,7 @@ import pytest
 
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.studies import engine
-from stringcast.pipeline.studies.engine import Job, Study
+from stringcast.pipeline.studies.engine import Study, StudyJob
 from tests.faults.toy import toy_experiment
 
 DOUBLED = Table("doubled", "a row a job", (Column("x", "1", "what was doubled", "int"), Column("y", "1", "", "int")))
@@ -17,7 +17,7 @@ MADE = []
 
 
 @dataclass(frozen=True)
-class Twice(Job):
+class Twice(StudyJob):
     x: int
 
     @property

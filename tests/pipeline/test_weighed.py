@@ -3,7 +3,7 @@
 import pytest
 from omegaconf import OmegaConf
 
-from stringcast.data.about import about
+from stringcast.data.metadata import metadata
 from stringcast.data.schema import DataError
 from stringcast.pipeline import inherited, settings
 
@@ -39,4 +39,4 @@ def test_where_nothing_hangs_there_nothing_is_said(tmp_path, string):
 def test_what_cannot_be_is_refused(tmp_path, string, words):
     (tmp_path / "dataset.yaml").write_text(f"format: 1\nstring: {string}\n")
     with pytest.raises(DataError, match=words):
-        about(tmp_path)
+        metadata(tmp_path)

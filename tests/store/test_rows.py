@@ -6,9 +6,9 @@ import pytest
 import yaml
 
 from stringcast.data import dataset
-from stringcast.data.about import about
 from stringcast.data.artifacts import ARM, POINTS
 from stringcast.data.dataset import with_trial
+from stringcast.data.metadata import metadata
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_table
 
@@ -155,13 +155,13 @@ def test_spaces_and_a_byte_order_mark_do_no_harm(given):
 def test_dataset_yaml_names_what_is_wrong(tmp_path, said, words):
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(said))
     with pytest.raises(DataError, match=rf"dataset\.yaml: {words}"):
-        about(tmp_path)
+        metadata(tmp_path)
 
 
 def test_keys_that_nobody_knows_are_kept(tmp_path):
     said = {"format": 1, "string": {"length": 0.3, "colour": "red"}, "trials": {1: {"note": "x"}}, "lab": "ours"}
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(said))
-    assert about(tmp_path) == said | {"trials": {"1": {"note": "x"}}}
+    assert metadata(tmp_path) == said | {"trials": {"1": {"note": "x"}}}
     (tmp_path / "dataset.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"):
-        about(tmp_path)
+        metadata(tmp_path)

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from stringcast.data.dataset import read
 from stringcast.data.store import content_hash
 from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
-from stringcast.hardware.virtual.blind.disguise import disguised
+from stringcast.hardware.virtual.blind.aliasing import aliased
 from stringcast.hardware.virtual.blind.hidden import hidden
 from stringcast.hardware.virtual.outside import causes
 from stringcast.hardware.virtual.outside.vibration import Vibration
@@ -176,6 +176,6 @@ def test_a_library_effect_is_a_disguise_and_a_trembling_hand_is_none(scene):
     def seen(cause, sizes):
         return scene.seen(scene.model(scene.second_order(21), [cause]), [sizes])[0]
 
-    assert disguised(scene, seen(CameraRotation, {"camera_rotation.angle": 0.02}), 5.0)
+    assert aliased(scene, seen(CameraRotation, {"camera_rotation.angle": 0.02}), 5.0)
     trembling = {"vibration.amplitude": 2e-3, "vibration.frequency": 15.0, "vibration.towards": 0.5}
-    assert not disguised(scene, seen(Vibration, trembling), 5.0)
+    assert not aliased(scene, seen(Vibration, trembling), 5.0)

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stringcast.hardware.virtual.blind.aliasing import aliased
 from stringcast.hardware.virtual.blind.bench import BlindBench
 from stringcast.hardware.virtual.blind.casts import random_cast
-from stringcast.hardware.virtual.blind.disguise import disguised
 from stringcast.hardware.virtual.blind.hidden import Hidden, hidden
 from stringcast.hardware.virtual.blind.scene import Scene, unexplained
 from stringcast.hardware.virtual.blind.version import LATEST, NONE, PAIR, RESOLUTION, VERSIONS, Version
@@ -54,7 +54,7 @@ def _drawn(seed: int, version: Version, rng: np.random.Generator, arm: Arm, came
     scene = _scene(rng, arm, camera, version, soft=case == RESOLUTION)
     things = tuple(_hidden(effect, rng, scene) for effect in _effects(case, version, rng))
     data, parameters = _sized(scene, things, rng)
-    if _kind(case, version) == "outside" and disguised(scene, data, UNLIKE):
+    if _kind(case, version) == "outside" and aliased(scene, data, UNLIKE):
         raise Redraw
     true, explained = _true(scene, things, parameters)
     sizes = _sizes(scene, things, explained, parameters, MORE)

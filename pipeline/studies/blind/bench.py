@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from stringcast.hardware.virtual.blind import LATEST
 from stringcast.pipeline.provenance import state
-from stringcast.pipeline.studies.engine import Job
+from stringcast.pipeline.studies.engine import StudyJob
 
 
 class Bench(Protocol):
@@ -30,7 +30,7 @@ FAILED = "failed"
 
 
 @dataclass(frozen=True)
-class OneBench(Job):
+class OneBench(StudyJob):
     """A row of the study: the hidden cause of the bench of a seed, and the diagnosis."""
 
     seed: int

@@ -28,7 +28,7 @@ from stringcast.pipeline.studies.engine import Study
 
 
 @dataclass(frozen=True)
-class Asked:
+class BlindSettings:
     """benches: how many, from seed `first`. processes: 0 is one for each core. laboratory: who draws them, the virtual
     lab itself or one of `hardware.virtual.laboratory`. kind: of all of a laboratory's, instead of each seed's own."""
 
@@ -49,7 +49,7 @@ class BlindStudy(Study):
 
     def jobs(self, experiment: Experiment, folder: Path) -> list[OneBench]:
         """A bench for each seed."""
-        asked = build(Asked, experiment.config[self.BLOCK], self.BLOCK, "conf/config.yaml")
+        asked = build(BlindSettings, experiment.config[self.BLOCK], self.BLOCK, "conf/config.yaml")
         drawn: Draw = partial(draw, arm=experiment.arm, camera=experiment.camera)
         if asked.laboratory != OWN:
             drawn = partial(laboratory.drawn, asked.laboratory, kind=asked.kind)

@@ -14,7 +14,7 @@ from stringcast.hardware.virtual import Specimen
 from stringcast.hardware.virtual.conditions import CONDITIONS
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.settings import build
-from stringcast.pipeline.studies.engine import Job, Study
+from stringcast.pipeline.studies.engine import Study, StudyJob
 from stringcast.pipeline.studies.extraction.films import Cell, Extract, Take, read, take
 from stringcast.pipeline.studies.extraction.pictures import overview
 from stringcast.pipeline.studies.extraction.scores import FRAMES, SHARES, compared, shares
@@ -23,7 +23,7 @@ WHERE = "conf/experiment/extraction_study.yaml"
 
 
 @dataclass(frozen=True)
-class Asked:
+class ExtractionSettings:
     """casts: of each string, from the run's seed. frames: of each cast. strings: specimens by name. processes: 0 is one
     for each core."""
 
@@ -34,7 +34,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class OneCondition(Job):
+class OneCondition(StudyJob):
     """A condition at one severity, under which casts are filmed and read. extract: the stage, with its settings."""
 
     cell: Cell
@@ -61,7 +61,7 @@ class ExtractionStudy(Study):
 
     def jobs(self, experiment: Experiment, folder: Path) -> list[OneCondition]:
         """Every condition at every severity, of the same casts."""
-        asked = build(Asked, experiment.config[self.BLOCK], self.BLOCK, WHERE)
+        asked = build(ExtractionSettings, experiment.config[self.BLOCK], self.BLOCK, WHERE)
         seeds = range(experiment.seed, experiment.seed + asked.casts)
         takes = []
         for name, block in asked.strings.items():

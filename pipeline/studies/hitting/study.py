@@ -13,7 +13,7 @@ from pydantic import Field
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.provenance import state
 from stringcast.pipeline.settings import build
-from stringcast.pipeline.studies.engine import Job, Study
+from stringcast.pipeline.studies.engine import Study, StudyJob
 from stringcast.pipeline.studies.hitting.job import casts_of
 from stringcast.pipeline.studies.hitting.pictures import picture
 from stringcast.pipeline.studies.hitting.scores import TABLES, scores, sentence
@@ -47,7 +47,7 @@ class Hits:
 
 
 @dataclass(frozen=True)
-class OneRun(Job):
+class OneRun(StudyJob):
     """A case, a method, a seed. config: settings of the study."""
 
     case: str

@@ -29,7 +29,7 @@ from stringcast.pipeline.settings import build, composed
 from stringcast.pipeline.studies.blind.study import diagnosis
 from stringcast.pipeline.studies.engine import workers
 from stringcast.pipeline.studies.measured.family import Family
-from stringcast.pipeline.studies.measured.study import WHERE, Measured
+from stringcast.pipeline.studies.measured.study import WHERE, MeasuredSettings
 
 FOLDER = ROOT / "data" / "results" / "measured"
 RELEASED = "release_"  # trials to which the authors of the cables fitted their model
@@ -81,7 +81,7 @@ def main() -> None:
 
 def families() -> list[Family]:
     """The families of the study with all of their trials, frames and points: nothing is held out."""
-    study = build(Measured, composed(["+experiment=measured_study"])["measured"], "measured", WHERE)
+    study = build(MeasuredSettings, composed(["+experiment=measured_study"])["measured"], "measured", WHERE)
     whole = {name: replace(f, held_out="", every=1, beyond=0.0) for name, f in study.families.items()}
     return list((whole | {"cables": replace(whole["cables"], trials=SLOW)}).values())
 

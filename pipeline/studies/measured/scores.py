@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data import store
-from stringcast.data.about import about
 from stringcast.data.artifacts import PREDICTED
+from stringcast.data.metadata import metadata
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.result import Result
@@ -44,7 +44,7 @@ SETS = Table(
 def scored(here: Experiment, result: Result) -> dict[str, Any]:
     """The numbers of a row of SETS from a run, without time and names."""
     assert result.estimate is not None
-    said = about(Path(here.config["trials"]))["trials"]
+    said = metadata(Path(here.config["trials"]))["trials"]
     fitted = [trial for trial in said.values() if "role" not in trial]
     fit, apart = result.estimate.fit.iloc[0], predicted(result.folder)
     scores = [i.done["prediction"].score for i in result.iterations if "prediction" in i.done]

@@ -18,7 +18,7 @@ from stringcast.pipeline.modes.stepwise import needs_trials
 from stringcast.pipeline.provenance import origin, state
 from stringcast.pipeline.run import perform
 from stringcast.pipeline.settings import UserError, build, composed
-from stringcast.pipeline.studies.engine import Job, Study
+from stringcast.pipeline.studies.engine import Study, StudyJob
 from stringcast.pipeline.studies.measured.family import Family
 from stringcast.pipeline.studies.measured.pictures import picture
 from stringcast.pipeline.studies.measured.scores import SETS, in_words, predicted, scored
@@ -28,7 +28,7 @@ WHERE = "conf/experiment/measured_study.yaml"
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredSettings:
     """processes: 0 is one for each core. strings: names of those asked for, all if there are none."""
 
     processes: Annotated[int, Field(ge=0)]
@@ -37,7 +37,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Fit(Job):
+class OneFit(StudyJob):
     """A set of effects and the string that it is fitted to. config: settings of the study, folder: its own."""
 
     family: str
@@ -82,10 +82,10 @@ class MeasuredStudy(Study):
     def check(self, experiment: Experiment) -> None:
         needs_trials(experiment)
 
-    def jobs(self, experiment: Experiment, folder: Path) -> list[Fit]:
+    def jobs(self, experiment: Experiment, folder: Path) -> list[OneFit]:
         """All sets of all strings that are asked for, whose datasets are then there."""
         config = experiment.config
-        asked = build(Measured, config[self.BLOCK], self.BLOCK, WHERE)
+        asked = build(MeasuredSettings, config[self.BLOCK], self.BLOCK, WHERE)
         source = Path(config["trials"])
         there = {name: family.strings(source) for name, family in asked.families.items()}
         known = [string for strings in there.values() for string in strings]
@@ -98,7 +98,7 @@ class MeasuredStudy(Study):
         for name, family in asked.families.items():
             for string in (string for string in there[name] if not asked.strings or string in asked.strings):
                 family.write(source, string, there[name][string], folder / "datasets" / string, made)
-                fits += [Fit(name, string, laws, config, folder) for laws in family.sets]
+                fits += [OneFit(name, string, laws, config, folder) for laws in family.sets]
         return fits
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
@@ -114,7 +114,7 @@ class MeasuredStudy(Study):
         return in_words(tables["sets"])
 
 
-def settings(job: Fit, dataset: Path) -> dict[str, Any]:
+def settings(job: OneFit, dataset: Path) -> dict[str, Any]:
     """Settings of the run that the command line would begin: +experiment=estimate trials=<dataset> and the family's
     own."""
     family = job.config["measured"]["families"][job.family]

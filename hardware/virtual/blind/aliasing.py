@@ -16,7 +16,7 @@ PLANES = np.arange(8) * np.pi / 4  # tilts that are tried [rad]
 ONSETS = (0.05, 0.2, 0.35, 0.5)  # of a slip, all together [s]
 
 
-def disguised(scene: Scene, data: np.ndarray, least: float) -> bool:
+def aliased(scene: Scene, data: np.ndarray, least: float) -> bool:
     """Some single effect of the library, with other base parameters, leaves less than `least` sigmas at the tip.
 
     data: (N, S, 2) in sigmas. All is taken to be linear about the true base.

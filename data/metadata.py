@@ -122,7 +122,7 @@ class TrialBlock(Block):
     initial: Literal["rest", "moving"] = UNSET
 
 
-class About(Block):
+class Metadata(Block):
     """The whole file."""
 
     format: Literal[1] = 1
@@ -134,7 +134,7 @@ class About(Block):
     initial: Literal["rest", "moving"] = UNSET
 
 
-def about(folder: Path) -> dict[str, Any]:
+def metadata(folder: Path) -> dict[str, Any]:
     """The content of dataset.yaml as a dict, empty where the file is missing. Raises DataError naming the field and the
     remedy."""
     path = folder / NAME
@@ -144,7 +144,7 @@ def about(folder: Path) -> dict[str, Any]:
     if known.get("format", FORMAT) != FORMAT or isinstance(known.get("format"), bool):
         raise DataError(f"{path}: format is {known['format']!r}; this version reads {FORMAT}. Convert it.")
     try:
-        About.model_validate(known)
+        Metadata.model_validate(known)
     except ValidationError as error:
         raise DataError(f"{path}: {_first(error)}. Correct it; all is in metres, seconds and radians.") from error
     if "trials" in known:

@@ -11,8 +11,8 @@ AROUND = 11  # samples
 BACK = 0.25  # of a spike, by which its neighbours must seem off the other way: of a real motion they are not
 
 
-def spikes(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Which samples are, (K,). t: (K,) increasing times [s]. values: (K, J), continuous."""
+def outliers(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Whether each sample is an outlier, (K,) bool. t: (K,) increasing times [s]. values: (K, J), continuous."""
     found = np.zeros(len(t), dtype=bool)
     if len(t) < 5:
         return found
