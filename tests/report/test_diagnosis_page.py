@@ -328,12 +328,11 @@ def test_nothing_measured_has_a_page(worded):
     assert page.pictures() == []
 
 
-def test_what_was_asked_of_beginnings_alone_is_not_called_nothing(worded):
-    """Leads come before any screening beside the base model, and theories were fitted all the same."""
-    beside = pd.DataFrame([("wind", "tip_mass", 9.0)], columns=["context", "effect", "predicted_gain"])
-    page = Page(worded(diagnosed("unknown", screening=beside, left="What is left looks like a force.")))
-    assert "nothing that was worth a search" not in page.text
-    assert "it was asked of the beginnings of the trials" in page.text
+def test_a_search_is_described_where_there_was_one(worded):
+    said = Page(worded(diagnosed("unknown", left="What is left looks like a force."))).text
+    assert "nothing that was worth a search" not in said
+    assert "the one with most evidence enters" in said
+    assert "without the strongest trial" in said
 
 
 def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):

@@ -91,11 +91,11 @@ def _bars(record: DiagnosisRecord, rows: pd.DataFrame) -> Picture:
     axes = figure.subplots()
     bars = axes.barh(names, values, height=0.7, color=np.where(named, LIGHT["after"], LIGHT["axis"]).tolist())
     axes.bar_label(bars, [gain(value) for value in values], padding=4, fontsize=8, color=LIGHT["soft"])
-    axes.set(xlabel="gain of the log-likelihood promised", xlim=(0, 1.15 * max(values.max(), 1.0)))
+    axes.set(xlabel="predicted gain of the log-likelihood", xlim=(0, 1.15 * max(values.max(), 1.0)))
     axes.grid(visible=False, axis="y")
     axes.invert_yaxis()
     promised = ", ".join(f"{name} {gain(value)}" for name, value in zip(names[:3], values[:3], strict=False))
-    return vector(figure, f"What effects promised to explain, the most promising first: {promised}.")
+    return vector(figure, f"Predicted gains of effects, the largest first: {promised}.")
 
 
 def likeness(record: DiagnosisRecord) -> Picture | None:

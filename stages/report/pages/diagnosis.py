@@ -42,7 +42,7 @@ from stringcast.stages.report.page import (
     number,
 )
 from stringcast.stages.report.records import DiagnosisRecord, Facts, away
-from stringcast.stages.report.theme import MM, STYLE, Picture
+from stringcast.stages.report.theme import MM, STYLE
 from stringcast.stages.report.words import (
     UNKNOWN,
     enumerated,
@@ -270,10 +270,7 @@ def _compared(record: DiagnosisRecord) -> list[str]:
 def found(record: DiagnosisRecord) -> Section:
     """The section of promised effects, look-alikes, and every hypothesis that was fitted."""
     promised, theories = screenings(record), _theories(record.diagnosis.theories)
-    first = (
-        "What each effect would explain to first order, once the string's parameters have done what they can. Blue: "
-    )
-    first += "named as a cause."
+    first = "Gain of the log-likelihood to first order, with the string's parameters refitted. Blue: named as a cause."
     drawn = [Figure(f"Predicted gains{f' beside {at}' if at else ' of all effects'}", p, first) for at, p in promised]
     alike = likeness(record)
     if alike:
@@ -284,37 +281,27 @@ def found(record: DiagnosisRecord) -> Section:
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
     return Section(
         "How it was found",
-        [Text(_search(record, promised)), Grid(drawn), Card("Hypotheses fitted", [*tried, Text(GAINS, "caption")])],
+        [Text(_search(record)), Grid(drawn), Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])],
     )
 
 
-GAINS = (
-    "Gains are of the log-likelihood over the base model, fitted to these trials and on trials left out of the fit. "
-    "Null threshold: the gain of the best of all effects on the noise that these causes leave, in all but one of a "
-    "hundred draws of it. Largest change: what these causes do to a point at most, in standard deviations. "
-    "Probability: among sets of as many causes, if one of them is right; the verdict above also weighs that none is. "
-    "These gains count the errors of neighbouring points as independent; the next section does not, and its gains are "
-    "smaller."
+EVIDENCE = (
+    "Log evidence: logarithm of the Bayes factor over the base model, all sizes of what the model may lack taken into "
+    "account. Without the strongest trial: the same without the trial that says most for the causes; an effect enters "
+    "only with enough of both. Largest change: by these causes at any point, in standard deviations. Left unexplained: "
+    "of the base model's misfit beyond noise, in mean square."
 )
 
 
-def _search(record: DiagnosisRecord, promised: Sequence[tuple[str, Picture]]) -> str:
+def _search(record: DiagnosisRecord) -> str:
     """How causes were looked for."""
-    fitted = (
-        "fitted in full, together with the string's parameters, alone and joined, and the best were asked to predict "
+    if len(record.diagnosis.theories) <= 1 and record.diagnosis.screening.empty:
+        return "The base model left nothing that was worth a search for causes."
+    return (
+        "One cause after another: beside those already in the model every effect of the library is tried to first "
+        "order, the most promising are fitted together with the string's parameters, and the one with most evidence "
+        "enters if it has enough of it whichever trial is left out. What the others make needless leaves again."
     )
-    fitted += "trials left out of the fit."
-    if promised:
-        return (
-            "First every effect of the library was asked what it would explain at best. The promising ones were "
-            f"then {fitted}"
-        )
-    if len(record.diagnosis.theories) > 1:
-        return (
-            f"Promising effects were {fitted} What each promised beside the base model is not shown: it was asked of "
-            "the beginnings of the trials, or of another range of the string's parameters."
-        )
-    return "The base model left nothing that was worth a search for causes."
 
 
 def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -326,18 +313,20 @@ def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
-    columns = ["causes", "gain, fitted", "gain, left out", "null threshold (99 %)", "largest change [σ]"]
-    columns += ["left unexplained", "probability at its size"]
-    return Table(columns, [_theory(row) for row in theories])
+    columns = ("causes", "log evidence", "without the strongest trial", "largest change [σ]", "left unexplained")
+    return Table((*columns, "probability"), [_theory(row) for row in theories])
 
 
 def _theory(row: Mapping[str, Any]) -> list[Any]:
-    asked = [
-        number(gain(row[of])) if np.isfinite(row[of]) else Cell("not evaluated", "n missing")
-        for of in ("held_out_gain", "by_chance")
+    weakest = row["held_out_gain"]
+    return [
+        plain(row["causes"]) if row["causes"] else "base model alone",
+        number(gain(row["fit_gain"])),
+        number(gain(weakest)) if np.isfinite(weakest) else Cell("not evaluated", "n missing"),
+        number(f"{row['moved']:.1f}"),
+        number(percent(row["unexplained"])),
+        number(percent(row["probability"])),
     ]
-    told = [number(f"{row['moved']:.1f}"), number(percent(row["unexplained"])), number(percent(row["probability"]))]
-    return [plain(row["causes"]) if row["causes"] else "base model alone", number(gain(row["fit_gain"])), *asked, *told]
 
 
 # --- what is gained ---------------------------------------------------------------------------------
