@@ -457,10 +457,9 @@ THEORIES = Table(
         Column("mean_square", "1", "of the residual over noise and doubt; 1 or less is noise"),
         Column("fit_gain", "1", "log evidence over the base model"),
         Column("held_out_gain", "1", "the same without the trial that says most; NaN where it was not evaluated"),
-        Column("by_chance", "1", "null threshold (99 %) of diagnoses by rules, of before; else NaN"),
-        Column("moved", "1", "largest change by these causes, in standard deviations"),
-        Column("unexplained", "1", "share of the base model's systematic misfit that is left"),
-        Column("probability", "1", "of this set of causes"),
+        Column("moved", "m", "how far these causes move the tip, root mean square, in the trial where it is most"),
+        Column("unexplained", "1", "share of what the base model lacks at the tip that is left, in mean square"),
+        Column("probability", "1", "of the last cause in its place, all others staying"),
     ),
 )
 SCREENING = Table(
@@ -517,14 +516,13 @@ HELD_OUT = Table(
 )
 MISSING = Table(
     "missing",
-    "what would have to be there to explain what is left",
+    "how far the measured string lies from the extended model beyond noise, where that is more than is tolerated",
     (
-        Column("kind", "", "force, motion of the grasp or shift of the picture", "text"),
         _TRIAL,
         _TIME,
-        Column("s", "m", "arc length from the grasp; NaN where it acts on all of it"),
-        Column("x", "m/s2", "along x; in m for motions and shifts"),
-        Column("y", "m/s2", "along y; in m for motions and shifts"),
+        Column("s", "m", "arc length from the grasp"),
+        Column("x", "m", "along x"),
+        Column("y", "m", "along y"),
     ),
 )
 FORETOLD = Table(

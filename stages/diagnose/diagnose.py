@@ -25,13 +25,13 @@ from stringcast.stages.diagnose.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
 from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, judged, likelier
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
-from stringcast.stages.diagnose.prepared import Prepared, prepared, usable
+from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, prepared, usable
 from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria, Found, searched, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered, tempered
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trimmed_at_contact
-from stringcast.stages.inference.evidence import Fit, evaluated
+from stringcast.stages.inference.evidence import Data, Fit, fitted
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.library import library
 from stringcast.stages.model.model import Model
@@ -130,9 +130,13 @@ def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
 
 
 def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria) -> bool:
-    """Whether trials that were set aside lack more at the tip than is tolerated."""
-    data = found.prepared.others(observations)
-    return bool(unexplained(data, evaluated(data, found.fit.hypothesis, found.fit.chi)).max() > criteria.tolerance)
+    """Whether trials that were set aside lack more at the tip than is tolerated, the model fitted to them as well: what
+    the others leave open of its parameters is no cause."""
+    seen, aside = found.prepared.data, found.prepared.others(observations)
+    data = Data(seen.trials + aside.trials, seen.discrepancies + aside.discrepancies)
+    sizes = np.concatenate([found.fit.sizes, np.zeros(len(aside.trials), dtype=int)])
+    fit = fitted(data, found.fit.hypothesis, found.fit.chi[None], sizes, ROUNDS, MOST)
+    return bool(unexplained(data, fit).max() > criteria.tolerance)
 
 
 def _proposal(
@@ -163,7 +167,7 @@ def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal
         FINDING.check(pd.DataFrame([row])),
         named,
         gains,
-        tables.residuals(data, base, found.fit),
+        tables.residuals(found.prepared, base, found.fit),
         tables.theories(found, budget.by_cause, judgement),
         tables.screening(found),
         tables.likeness(found),

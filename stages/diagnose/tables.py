@@ -10,6 +10,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
 from stringcast.stages.diagnose.judgement import Judgement
+from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria, Found, moved, removed, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered
 from stringcast.stages.inference.evidence import Data, Fit, lacked
@@ -25,16 +26,16 @@ def joined_names(fit: Fit) -> str:
     return " + ".join(sorted(fit.hypothesis.names))
 
 
-def residuals(data: Data, base: Fit, extended: Fit) -> pd.DataFrame:
-    """Table RESIDUALS."""
-    frames = []
+def residuals(prepared: Prepared, base: Fit, extended: Fit) -> pd.DataFrame:
+    """Table RESIDUALS: points as they were measured, and strings without numerical error."""
+    frames, data = [], prepared.data
     plain_and_more = (data.begun(fit.residuals, fit.sizes) for fit in (base, extended))
-    for trial, plain, more in zip(data.trials, *plain_and_more, strict=True):
+    for raw, trial, plain, more in zip(prepared.raw, data.trials, *plain_and_more, strict=True):
         off = trial.sigma[:, None] * plain.reshape(-1, 2)
-        first, then = trial.points + off, trial.points + trial.sigma[:, None] * more.reshape(-1, 2)
+        first, then = raw.points + off, raw.points + trial.sigma[:, None] * more.reshape(-1, 2)
         along = tangents(trial.frame, trial.s, first)
-        table = {"trial": trial.name, "t": trial.times[trial.frame], "s": trial.s, "sigma": trial.sigma}
-        table |= dict(zip(("x", "y"), trial.points.T, strict=True)) | {"doubt": trial.sigma}
+        table = {"trial": trial.name, "t": trial.times[trial.frame], "s": trial.s, "sigma": raw.sigma}
+        table |= dict(zip(("x", "y"), raw.points.T, strict=True)) | {"doubt": trial.sigma}
         table |= dict(zip(("base_x", "base_y", "extended_x", "extended_y"), (*first.T, *then.T), strict=True))
         table["base_tangential"] = -np.sum(off * along, axis=1)
         table["base_normal"] = -(off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1])
@@ -67,7 +68,6 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement) -> pd.
             "mean_square": float(np.mean(np.concatenate(fit.residuals) ** 2)),
             "fit_gain": fit.evidence - base.evidence,
             "held_out_gain": _jackknife(fit, base),
-            "by_chance": float("nan"),
             "moved": float(moved(data, base, fit).max()),
             "unexplained": 1 - removed(data, base, fit),
             "probability": chance.get(name, 0.0),
@@ -165,6 +165,5 @@ def missing(data: Data, fit: Fit, criteria: Criteria) -> pd.DataFrame:
         table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, "x": x, "y": y})
         place = np.ceil(trial.s / trial.s.max() * ARROWS).clip(1, ARROWS)
         moment = np.floor((table["t"] - trial.times[0]) / EVERY)
-        mean_of_each = table.groupby([moment, place]).mean().reset_index(drop=True)
-        frames.append(mean_of_each.assign(kind="displacement of the string", trial=trial.name))
-    return MISSING.check(pd.concat(frames, ignore_index=True)[[c.name for c in MISSING.columns]])
+        frames.append(table.groupby([moment, place]).mean().reset_index(drop=True).assign(trial=trial.name))
+    return MISSING.check(pd.concat(frames, ignore_index=True))

@@ -71,8 +71,7 @@ class Effect(ABC):
     """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
 
     excluded: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, what `align`
-    measures beforehand, or what looks like another that is looked for. of_string: it is of the thing itself, and not of
-    how a simulation divides it.
+    measures beforehand, or what looks like another that is looked for.
     """
 
     name: ClassVar[str]
@@ -80,17 +79,11 @@ class Effect(ABC):
     reference: ClassVar[str]
     invariants: ClassVar[tuple[Invariant, ...]] = ()
     excluded: ClassVar[bool] = False
-    of_string: ClassVar[bool] = True
 
     @staticmethod
     @abstractmethod
     def describe(values: Values) -> str:
         """The effect with these parameters as a sentence without a full stop."""
-
-    @staticmethod
-    def plausible(values: Values) -> bool:
-        """Whether the values are those of the cause that `describe` names, and not of another one in its guise."""
-        return True
 
     @classmethod
     @abstractmethod

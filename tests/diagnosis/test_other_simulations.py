@@ -47,9 +47,9 @@ def test_what_is_hidden_in_such_a_chain_has_the_size_it_has_there(arm, eq1):
 
 
 @pytest.mark.long
-def test_a_chain_of_other_points_than_ours_is_a_matter_of_resolution(arm, eq1):
+def test_a_chain_of_other_points_than_ours_is_one(arm, eq1):
     """Its last point stands for half a segment too much: in gentle swings that may also be a tip mass."""
     other = replace(eq1, string=replace(eq1.string, points=30))
     said = said_of(eq1, list(measured(arm, other, TRUTH, np.random.default_rng(2))), 4)
     assert said.verdict in ("effect", "ambiguous"), said.sentence
-    assert "resolution" in set(said.causes["effect"]) <= {"resolution", "tip_mass"}
+    assert "equal_points" in set(said.causes["effect"]) <= {"equal_points", "tip_mass"}

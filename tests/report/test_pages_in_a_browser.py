@@ -26,7 +26,7 @@ from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.pages.tables import tables_page
 from stringcast.stages.report.records import DiagnosisRecord, Facts, PaperRecord
 from tests.report.browser import browser, found
-from tests.report.test_diagnosis_page import diagnosed, pushes
+from tests.report.test_diagnosis_page import diagnosed, displaced
 from tests.report.test_report import manipulation, record_of
 from tests.report.test_sweep_page import record as sweep_record
 from tests.report.test_sweep_page import swept
@@ -55,7 +55,7 @@ def texts(arm, camera):
     """Every kind of page, of little."""
     camera = replace(camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5))
     coarse = Model(String(0.3), arm, camera)
-    told = diagnosed("effect", ["tip_mass"], missing=pushes())
+    told = diagnosed("effect", ["tip_mass"], missing=displaced())
     prediction = Prediction(**{name: table.empty() for name, table in Prediction.TABLES.items()})
     tables = {"runs": pd.DataFrame({"seed": [], "state": []}), "rates": pd.DataFrame({"condition": []})}
     tables |= {"numbers": pd.DataFrame([("a", "k_h", 1.0, "1", "p")], columns=["what", "of", "value", "unit", "place"])}

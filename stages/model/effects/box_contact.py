@@ -5,8 +5,6 @@ import numpy as np
 from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero, odd
 from stringcast.stages.model.effects.contact import Contact
 
-HARD = 2.5e3  # [1/s^2]
-
 
 class BoxContact(StringEffect):
     """A box pushes out what is inside it, with loss and friction as a plane's (`contact`), never pulling.
@@ -42,11 +40,6 @@ class BoxContact(StringEffect):
     def describe(values: Values) -> str:
         size = f"{values['width']:.3f} m wide and {values['height']:.3f} m high"
         return f"the string touches a box {size} at ({values['centre_x']:.3f}, {values['centre_y']:.3f}) m"
-
-    @staticmethod
-    def plausible(values: Values) -> bool:
-        """Whether the obstacle is hard: if softer, 5 m/s go 10 cm deep, and it is a field of force."""
-        return values["stiffness"] >= HARD
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:

@@ -4,8 +4,6 @@ import numpy as np
 
 from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values, line, nothing_at_zero
 
-HARD = 2.5e3  # [1/s^2]
-
 
 class Contact(StringEffect):
     """A plane pushes back what is behind it: k d (1 - a v_n), never pulling, and rubs with Coulomb's friction.
@@ -33,11 +31,6 @@ class Contact(StringEffect):
     def describe(values: Values) -> str:
         turned = np.degrees(values["tilt"])
         return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees"
-
-    @staticmethod
-    def plausible(values: Values) -> bool:
-        """Whether the obstacle is hard: if softer, 5 m/s go 10 cm deep, and it is a field of force."""
-        return values["stiffness"] >= HARD
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:

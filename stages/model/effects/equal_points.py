@@ -15,7 +15,6 @@ class EqualPoints(StringEffect):
     parameters = (Parameter("excess", "1", "string at the tip beyond its length, as a share of it", 0.0, 0.06, 0.0),)
     reference = "Tabata et al., IROS 2021, Eq. 1: every mass point has the same mass"
     invariants = (nothing_at_zero("tip_length", "excess"),)
-    of_string = False
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -14,7 +14,7 @@ from stringcast.stages.hit_test import LONGEST_GAP
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import TRIALS, Cast, DiagnosisRecord, Drawn, PaperRecord, Record
 from stringcast.stages.report.theme import LIGHT, MM, Picture, framed, vector
-from stringcast.stages.report.words import mm, rate, significant
+from stringcast.stages.report.words import mm, rate
 
 
 def broken(t: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -122,58 +122,42 @@ LONGEST = 0.28  # [inch] an arrow
 
 
 def missing(record: DiagnosisRecord) -> Picture | None:
-    """A row for each trial: arrows over time and arc length, or x and y over time for what acts on all of it."""
-    table = record.diagnosis.missing.assign(size=lambda t: np.hypot(t["x"].fillna(0), t["y"].fillna(0)))
+    """A row for each trial: arrows over time and arc length."""
+    table = record.diagnosis.missing.assign(size=lambda t: np.hypot(t["x"], t["y"]))
     if table.empty:
         return None
     shown = list(table.groupby("trial")["size"].max().sort_values(ascending=False).index[:TRIALS])
-    rows = table[table["trial"].isin(shown)].fillna({"x": 0.0, "y": 0.0}).groupby("trial")
+    rows = table[table["trial"].isin(shown)].groupby("trial")
     figure = Figure(figsize=(6.0, 0.7 + 1.25 * len(rows)))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    draw = _lines if table["s"].isna().all() else _arrows
     for axes, (trial, part) in zip(panels, rows, strict=True):
-        draw(axes, part, float(table["size"].max()))
+        _arrows(axes, part, float(table["size"].max()))
         axes.text(1.0, 1.0, trial, transform=axes.transAxes, ha="right", va="bottom", color=LIGHT["soft"])
     panels[-1].set_xlabel("time [ms]")
     top = table.loc[table["size"].idxmax()]
-    words = f"strongest {significant(top['size'])} in trial {top['trial']} at {top['t'] * MM:.0f} ms"
-    return vector(figure, f"The missing {top['kind']} over time in {len(rows)} trials; {words}.")
+    words = f"at most {mm(top['size'], 1)} in trial {top['trial']} at {top['t'] * MM:.0f} ms"
+    return vector(figure, f"The unexplained displacement of the string over time in {len(rows)} trials; {words}.")
 
 
 def latent(record: DiagnosisRecord, trial: str) -> Chart | None:
-    """The missing force in a trial over time: the largest push anywhere on the string, or what acts on all of it."""
+    """What nothing explains in a trial over time: the largest displacement anywhere on the string."""
     table = record.diagnosis.missing
-    part = table[table["trial"] == trial].fillna({"x": 0.0, "y": 0.0})
+    part = table[table["trial"] == trial]
     if part.empty:
         return None
-    kind = part["kind"].iloc[0]
-    if part["s"].notna().any():
-        largest = np.hypot(part["x"], part["y"]).groupby(part["t"]).max()
-        lines = [Line("largest along the string", largest.to_numpy(), "target")]
-        return Chart(f"Missing {kind}", largest.index.to_numpy(), lines, "[m/s²]", f"Missing {kind} in trial {trial}.")
-    rows = part.sort_values("t")
-    lines = [Line(axis, rows[axis].to_numpy() * MM, colour) for axis, colour in (("x", "target"), ("y", "measured"))]
-    return Chart(f"Missing {kind}", rows["t"].to_numpy(), lines, "[mm]", f"Missing {kind} in trial {trial}.", low=None)
+    largest = np.hypot(part["x"], part["y"]).groupby(part["t"]).max() * MM
+    lines = [Line("largest along the string", largest.to_numpy(), "target")]
+    return Chart("Unexplained", largest.index.to_numpy(), lines, "[mm]", f"What nothing explains in trial {trial}.")
 
 
 def _arrows(axes: Axes, part: pd.DataFrame, longest: float) -> None:
-    """Arrows point as the force does in the plane, x to the right and y up."""
+    """Arrows point as the displacement does in the plane, x to the right and y up."""
     place = (part["t"] * MM, part["s"] * MM)
     axes.plot(*place, ".", ms=1.5, color=LIGHT["axis"])
     arrows: dict[str, Any] = {"angles": "uv", "scale_units": "inches", "scale": longest / LONGEST, "width": 0.0022}
     axes.quiver(*place, part["x"], part["y"], color=LIGHT["target"], **arrows)
     axes.margins(0.06, 0.3)
     axes.set_ylabel("s [mm]")
-
-
-def _lines(axes: Axes, part: pd.DataFrame, longest: float) -> None:
-    """Along x and along y."""
-    rows = part.sort_values("t")
-    for axis, colour in (("x", LIGHT["target"]), ("y", LIGHT["measured"])):
-        axes.plot(rows["t"] * MM, rows[axis] * MM, color=colour, label=axis)
-    axes.axhline(0, color=LIGHT["axis"], lw=0.8)
-    axes.set(ylabel="[mm]", ylim=np.array([-1.1, 1.1]) * longest * MM)
-    axes.legend(loc="upper left", ncols=2)
 
 
 # --- Fig. 14 of the paper

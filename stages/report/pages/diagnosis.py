@@ -131,14 +131,12 @@ def causes(record: DiagnosisRecord) -> Section:
     others = [a for a in record.document["alternatives"] if a["probability"] > RARE]
     rows = [(plain(other["effect"]), number(percent(other["probability"]))) for other in others]
     rest = Table((), rows, named=True) if rows else Text("Nothing else has more than 1 %.", "missing")
-    parts: list[Part] = [
-        *(Text(words) for words in _verdict(record, [rows["probability"].iloc[0] for _, rows in by_name]))
-    ]
+    parts: list[Part] = [*map(Text, _verdict(record))]
     parts += [Grid(cards)] if cards else []
     return Section("Causes" if cards else "No cause is named", [*parts, Card("What else it may be", [rest])])
 
 
-def _verdict(record: DiagnosisRecord, probabilities: Sequence[float]) -> list[Markup | str]:
+def _verdict(record: DiagnosisRecord) -> list[Markup | str]:
     """The meaning of the verdict, in sentences."""
     verdict = record.document["verdict"]
     said: list[Markup | str] = []
@@ -148,18 +146,13 @@ def _verdict(record: DiagnosisRecord, probabilities: Sequence[float]) -> list[Ma
             alike + " Each explains what was measured about as well as the others, so this data does not say which it "
             "is. Their probabilities below are shared among them."
         )
-    if verdict == "effect" and len(probabilities) > 1:
-        said.append(
-            f"The causes are needed together and share one probability: that of all {len(probabilities)} is "
-            f"{percent(sum(probabilities))}."
-        )
     if verdict == "none":
-        said.append("What is left is what noise leaves. No effect of the library earned a place in the model.")
+        said.append("What is left is noise and less than is tolerated. No effect of the library is evident.")
     if verdict == "unknown":
         said.append(
             Markup(
-                "There is a mismatch beyond the noise, and no effect of the library removes it on trials left out of "
-                "the fit. What is left is shown under {}."
+                "More is left at the tip than is tolerated, and no effects of the library remove enough of it. It is "
+                "shown under {}."
             ).format(link("#left", "What is left"))
         )
     if verdict == "insufficient":
@@ -275,7 +268,7 @@ def found(record: DiagnosisRecord) -> Section:
     alike = likeness(record)
     if alike:
         about = "1: the two do the same to this data and cannot be told apart; 0: nothing in common."
-        drawn.append(Figure("Confounded causes", alike, about))
+        drawn.append(Figure("Confounded effects", alike, about))
     more = theories[FEW:]
     tried: list[Part] = [_theories_table(theories[:FEW])]
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
@@ -288,8 +281,9 @@ def found(record: DiagnosisRecord) -> Section:
 EVIDENCE = (
     "Log evidence: logarithm of the Bayes factor over the base model, all sizes of what the model may lack taken into "
     "account. Without the strongest trial: the same without the trial that says most for the causes; an effect enters "
-    "only with enough of both. Largest change: by these causes at any point, in standard deviations. Left unexplained: "
-    "of the base model's misfit beyond noise, in mean square."
+    "only with enough of both. Tip moved: by these causes, root mean square, in the trial where it is most. Left "
+    "unexplained: of what the base model lacks at the tip, in mean square. Probability: of the last cause in its "
+    "place, the others staying."
 )
 
 
@@ -313,7 +307,7 @@ def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
-    columns = ("causes", "log evidence", "without the strongest trial", "largest change [σ]", "left unexplained")
+    columns = ("causes", "log evidence", "without the strongest trial", "tip moved", "left unexplained")
     return Table((*columns, "probability"), [_theory(row) for row in theories])
 
 
@@ -323,7 +317,7 @@ def _theory(row: Mapping[str, Any]) -> list[Any]:
         plain(row["causes"]) if row["causes"] else "base model alone",
         number(gain(row["fit_gain"])),
         number(gain(weakest)) if np.isfinite(weakest) else Cell("not evaluated", "n missing"),
-        number(f"{row['moved']:.1f}"),
+        number(mm(row["moved"], 1)),
         number(percent(row["unexplained"])),
         number(percent(row["probability"])),
     ]
@@ -422,24 +416,20 @@ def left(record: DiagnosisRecord) -> Section:
 
 
 def _left_over(record: DiagnosisRecord) -> Part:
-    """A picture of what is missing, or why there is none."""
+    """A picture of what nothing explains, or why there is none."""
     drawn, table = missing(record), record.diagnosis.missing
-    size = float(np.hypot(table["x"].fillna(0), table["y"].fillna(0)).max())
-    strongest = f"{size:.2g} m/s²" if table["s"].notna().any() else mm(size, 1)
-    if drawn and table["s"].notna().any():
-        about = (
-            "A row for each trial. Each arrow is a push on the string at its place s and time, pointing as in the "
-            f"plane (right: +x, up: +y). The longest is {strongest}; gravity is 9.8 m/s². Equally long arrows are "
-            "equally strong in all rows."
-        )
-        return Figure("Missing force", drawn, about)
     if drawn:
-        much = f"How much would have to be there, along x (to the right) and y (up), at most {strongest}."
-        return Figure("Missing force", drawn, f"A row for each trial. {much}")
+        most = mm(float(np.hypot(table["x"], table["y"]).max()), 1)
+        about = (
+            "A row for each trial. Each arrow is how far the measured string lies from the model at its place s and "
+            f"time, beyond noise, pointing as in the plane (right: +x, up: +y). The longest is {most}. Equally long "
+            "arrows are equally much in all rows."
+        )
+        return Figure("What nothing explains", drawn, about)
     if len(record.models) > 1 or not record.diagnosis.causes.empty:
         share = percent(record.document["unexplained"]["fraction"])
-        return Text(f"The extended model leaves {share} of the base model's systematic misfit unexplained.")
-    return Text("Nothing was left that could be told from noise, so no missing force, motion or shift was sought.")
+        return Text(f"The extended model leaves {share} of what the base model lacks at the tip.")
+    return Text("Less is left than is tolerated.")
 
 
 def _next(record: DiagnosisRecord) -> Part | None:

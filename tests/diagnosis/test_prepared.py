@@ -1,0 +1,136 @@
+"""From trials to data: noise, outliers, ends at rest, trials that nobody can simulate, ranges that end too early."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import TRUTH, ordinary
+from performed import performed, swings
+
+from stringcast.stages.diagnose.prepared import (
+    DOUBT,
+    RESTING,
+    Prepared,
+    _widened,
+    _without_chaotic,
+    _without_outliers,
+    awake,
+    lacking,
+    resolved,
+)
+from stringcast.stages.inference.discrepancy import smoothed
+from stringcast.stages.inference.evidence import Hypothesis, evaluated
+from stringcast.stages.inference.forward import Case, case
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.model.parameter import chi_of
+
+SIGMA = 7e-4
+S = np.linspace(0.1, 0.3, 5)
+T = np.arange(0, 1.5, 0.005)
+TOLERANCE = 2e-3  # [m]
+
+
+@pytest.fixture(scope="module")
+def model(arm):
+    return resolved(ordinary(arm))
+
+
+def trial(model, frame, s, off=None):
+    """A trial of which only times and places matter, and where its points are, (n, 2) [m]."""
+    points = np.zeros((len(s), 2)) if off is None else off
+    return Case("t", model, None, T, frame, s, points, np.full(len(s), 1e-3))
+
+
+@pytest.fixture(scope="module")
+def observed(arm, model):
+    """Three swings, as they would be measured."""
+    rng, places = np.random.default_rng(0), np.array([8, 14, 20])
+    return [performed(f"t{k}", arm, model, TRUTH, angles, places, rng) for k, angles in enumerate(swings(arm, 3, 0.3))]
+
+
+@pytest.mark.parametrize("kind", ["wandering", "dense", "occluded"])
+def test_noise_is_told_from_what_a_model_lacks_wherever_points_are(model, kind):
+    """A traced line has points where it has them, some closer than a millimetre, and frames lack some."""
+    rng = np.random.default_rng(1)
+    grid = np.linspace(0.02, 0.3, 600 if kind == "dense" else 15)
+    frame, s = np.repeat(np.arange(len(T)), len(grid)), np.tile(grid, len(T))
+    if kind == "wandering":
+        s = s + np.repeat(rng.uniform(-0.01, 0.01, len(T)), len(grid))
+    elif kind == "occluded":
+        there = rng.random(len(s)) < 0.5
+        frame, s = frame[there], s[there]
+    lack = 3e-3 * np.sin(4 * np.pi * T[frame] + 5 * s)[:, None] * s[:, None] / 0.3 * np.ones(2)
+    off = lack + SIGMA * rng.standard_normal((len(s), 2))
+    assert smoothed(trial(model, frame, s), off / 1e-3)[1] == pytest.approx(0.7, rel=0.05)
+
+
+def test_points_that_are_far_out_are_left_out_and_hardly_any_other(model):
+    """However far the model itself is off. Smooth motion follows an outlier a little, and leaves its neighbours."""
+    rng = np.random.default_rng(2)
+    s, frame = np.tile(S, len(T)), np.repeat(np.arange(len(T)), len(S))
+    off = 0.05 * np.sin(9 * T[frame])[:, None] * s[:, None] / 0.3 + SIGMA * rng.standard_normal((len(s), 2))
+    wrong = rng.choice(len(s), 8, replace=False)
+    off[wrong] += 0.04
+    kept, noise = _without_outliers(trial(model, frame, s, off), off / 1e-3)
+    assert len(kept.s) > 0.95 * len(s)
+    assert not set(map(tuple, off[wrong])) & set(map(tuple, kept.points))
+    assert noise == pytest.approx(0.7, rel=0.1)
+
+
+def test_a_trial_of_scattered_points_is_not_emptied(model):
+    """A tip that a tracker lost, six frames of it."""
+    frame, off = np.arange(6), 0.05 * np.random.default_rng(3).standard_normal((6, 2))
+    lost = replace(trial(model, frame, np.full(6, 0.3), off), times=frame / 30)
+    assert len(_without_outliers(lost, off / 1e-3)[0].s) == 6
+
+
+def test_what_hangs_still_is_looked_at_once(model):
+    times = np.arange(0, 10, 0.01)
+    swing = 0.1 * np.exp(-times) * np.cos(9 * times)  # within 3 mm of rest from about 3.5 s on
+    points = np.stack([np.outer(swing, np.linspace(0.1, 1, 5)), np.zeros((len(times), 5))], axis=-1).reshape(-1, 2)
+    ready = trial(model, np.repeat(np.arange(len(times)), 5), np.tile(S, len(times)), points)
+    ready = replace(ready, times=times)
+    last = times[np.flatnonzero(np.abs(swing) > 0.003)[-1]]
+    kept = awake(ready)
+    assert kept.times[-1] == pytest.approx(last + RESTING, abs=0.011)
+    assert len(kept.points) == 5 * len(kept.times)
+    # the rest that counts is that at the end, wherever the string was for most of the time
+    before = replace(ready, points=ready.points + 0.1 * (ready.times[ready.frame] < 6.0)[:, None])
+    assert awake(before).times[-1] == pytest.approx(6.0 + RESTING, abs=0.011)
+    # a string that still moves at the end is left as it is, one that never moves is looked at shortly
+    assert len(awake(replace(ready, points=ready.points * 1e3)).times) == len(times)
+    assert awake(replace(ready, points=ready.points * 1e-3)).times[-1] == pytest.approx(RESTING, abs=0.011)
+
+
+@pytest.fixture(scope="module")
+def prepared(model, observed):
+    trials, hypothesis = tuple(case(model, o) for o in observed), Hypothesis(model)
+    chi = chi_of(hypothesis.parameters, np.array([TRUTH[p.name] for p in hypothesis.parameters]))
+    data = lacking(trials, hypothesis, chi)
+    return Prepared(data, evaluated(data, hypothesis, chi), trials, 0, 0, np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("doubts", "chaotic"),
+    [((0.1, 0.2, 0.3), ()), ((0.1, 5.0, 0.3), ("t1",)), ((0.1, 5.0, 5.0), ())],
+)
+def test_a_chaotic_trial_is_set_aside_while_two_others_are_left(prepared, doubts, chaotic):
+    """doubts: what is in doubt of each trial's numerical error, over what is tolerated."""
+    error = np.array(doubts) * TOLERANCE / DOUBT
+    kept = _without_chaotic(replace(prepared, error=error), TOLERANCE)
+    assert kept.chaotic == chaotic
+    assert {t.name for t in kept.data.trials} == {"t0", "t1", "t2"} - {*chaotic}
+    assert len(kept.base.residuals) == len(kept.raw) == 3 - len(chaotic)
+
+
+def test_a_range_that_ends_too_early_is_widened_where_the_data_press(model, prepared):
+    narrow = replace(next(p for p in model.string.parameters if p.name == "bending_stiffness"), high=2.0)
+    ranges = {**model.string.ranges, "bending_stiffness": narrow}
+    squeezed = replace(model, string=replace(model.string, ranges=ranges))
+    likelihood = Likelihood(squeezed, tuple(replace(t, model=squeezed) for t in prepared.raw))
+    chi = prepared.base.chi.copy()
+    assert _widened(likelihood, np.clip(chi, 0.1, 0.9)) is likelihood
+    chi[squeezed.names.index("bending_stiffness")] = 1.0
+    wider = _widened(likelihood, np.clip(chi, 0.1, 1.0)).model.string.ranges
+    assert wider["bending_stiffness"].high == pytest.approx(60.0)
+    assert {n for n, p in wider.items() if p != ranges.get(n)} == {"bending_stiffness"}
