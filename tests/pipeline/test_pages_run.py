@@ -58,7 +58,6 @@ RUN = {
     "pipeline +experiment/paper=wall seed=7": Run(**CAST),
     "pipeline +experiment=diagnose trials=data/sample": Run(r"report\.html$", **DIAGNOSED),
     "pipeline +experiment=diagnose trials=<folder>": Run(**DIAGNOSED, of="mine"),
-    "pipeline +experiment=diagnose diagnose=single_effects trials=<folder>": Run(**DIAGNOSED, of="mine"),
     "pipeline +experiment=diagnose trials=mine": Run(**DIAGNOSED, of="mine"),
     "pipeline +experiment=diagnose trials=outputs/...": Run(**DIAGNOSED),
     "pipeline +experiment=decide trials=outputs/...": Run(**DIAGNOSED),
