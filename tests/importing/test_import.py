@@ -101,6 +101,19 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(sample, 
     assert (again.returncode, "rm -r" in again.stderr) == (2, True)
 
 
+def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
+    """Up to the diagnosis: what it imports, and what is said of that."""
+    monkeypatch.setattr("stringcast.pipeline.commands.import_.drawn", lambda *_: None)  # which takes most of the time
+    page = (ROOT / "data/tutorial/README.md").read_text(encoding="utf-8")
+    words = re.search(r"pipeline import (.*)", page)[1].replace("--to mine", f"--to {tmp_path / 'mine'}").split()
+    files = [str(file) for word in words if "*" in word for file in sorted(ROOT.glob(word))]
+    assert len(files) == 10
+    done = called("import", *files, *(word for word in words if "*" not in word))
+    printed = re.search(r"```\n(file .*?)```", page, re.S)[1].splitlines()
+    said = [line.rstrip() for line in done.stdout.splitlines()]
+    assert [line for line in printed if line not in (*said, "...", "What was understood, drawn: mine.png")] == []
+
+
 def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(sample, called, tmp_path, monkeypatch):
     """Names say nothing: millimetres, degrees and y down are seen from arm and string, one after another."""
     monkeypatch.setattr("stringcast.pipeline.commands.import_.drawn", lambda *_: None)  # which takes most of the time
