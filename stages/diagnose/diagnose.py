@@ -157,8 +157,10 @@ def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal
     named = tables.causes(found, judgement, library(), end, z)
     gains, predicts = _gained(given, found, base)
     left = left_over(data, found.fit, base, judgement, budget, given.criteria)
+    plain = tempered(data, base, judgement.small)
+    ends = {"base": tables.intervals(base, plain, z), "extended": tables.intervals(found.fit, judgement.tempered, z)}
     text = document(
-        found.prepared, base, judgement, budget, named, gains, given.rejected, left, proposal.next_experiment
+        found.prepared, base, judgement, budget, named, gains, given.rejected, left, proposal.next_experiment, ends
     )
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}

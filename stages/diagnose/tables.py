@@ -147,6 +147,11 @@ def _parameters(fit: Fit, effect: type[Effect], tempered: Tempered, z: float) ->
     return rows
 
 
+def intervals(fit: Fit, tempered: Tempered, z: float) -> dict[str, list[float]]:
+    """Ends of the intervals of all parameters, by qualified name."""
+    return {p.name: [*interval(fit, place, tempered, z)] for place, p in enumerate(fit.hypothesis.parameters)}
+
+
 def interval(fit: Fit, place: int, tempered: Tempered, z: float) -> tuple[float, float]:
     """Ends of a parameter's interval, which holds its value."""
     chi, parameter = fit.chi[place], fit.hypothesis.parameters[place]

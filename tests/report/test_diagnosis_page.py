@@ -307,6 +307,17 @@ def test_the_budget_is_shown_where_there_is_one(worded):
     assert "Error budget" not in Page(worded(diagnosed("effect", ["tip_mass"]))).text
 
 
+def test_parameters_have_their_intervals_and_look_alikes_their_correlation(worded):
+    alike = pd.DataFrame([("arm_lag", "time_offset", 0.9964)], columns=["effect", "other", "cosine"])
+    made = diagnosed("ambiguous", ["arm_lag", "time_offset"], likeness=alike)
+    document = json.loads(made.finding["diagnosis"].iloc[0])
+    document["base"] = {"parameters": {"linear_drag": 0.3}, "intervals": {"linear_drag": [0.28, 0.33]}}
+    document["extended"] = {"intervals": {"linear_drag": [0.36, 0.38]}}
+    page = Page(worded(replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))))
+    assert "These look alike here: arm lag and time offset (correlation 0.996)." in page.text
+    assert "0.3 0.28 to 0.33 0.37 0.36 to 0.38 +23 %" in page.text
+
+
 def test_an_effect_that_the_library_no_longer_has_is_still_named(worded):
     page = Page(worded(diagnosed("effect", ["box_contact_2"])))
     assert "box contact 2" in page.text

@@ -141,7 +141,9 @@ def _verdict(record: DiagnosisRecord) -> list[Markup | str]:
     verdict = record.document["verdict"]
     said: list[Markup | str] = []
     for group in record.document["indistinguishable"]:
-        alike = bold(f"These look alike here: {enumerated([plain(name) for name in group])}.")
+        alike = bold(
+            f"These look alike here: {enumerated([plain(name) for name in group])}{_correlated(record, group)}."
+        )
         said.append(
             alike + " Each explains what was measured about as well as the others, so this data does not say which it "
             "is. Their probabilities below are shared among them."
@@ -158,6 +160,13 @@ def _verdict(record: DiagnosisRecord) -> list[Markup | str]:
     if verdict == "insufficient":
         said.append("Naming a cause takes more data than this. What was seen is shown below.")
     return said
+
+
+def _correlated(record: DiagnosisRecord, group: Sequence[str]) -> str:
+    """The least correlation between what effects of a group do, in words; empty where it was not asked."""
+    table = record.diagnosis.likeness
+    pairs = table[table["effect"].isin(group) & table["other"].isin(group)]
+    return f" (correlation {pairs['cosine'].min():.3f})" if len(pairs) else ""
 
 
 def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> Card:
@@ -454,18 +463,32 @@ def string(record: DiagnosisRecord) -> Section | None:
     """The string's parameters, fitted without and with the causes."""
     base, known = record.document["base"]["parameters"], record.extension.get("known", {})
     value = {name: each["value"] if isinstance(each, Mapping) else each for name, each in known.items()}
-    rows = [_parameter(p, base[p.name], value.get(p.name)) for p in record.model.parameters if p.name in base]
+    ends = [record.document.get(side, {}).get("intervals", {}) for side in ("base", "extended")]
+    rows = [
+        _parameter(p, (base[p.name], value.get(p.name)), [each.get(p.name) for each in ends])
+        for p in record.model.parameters
+        if p.name in base
+    ]
     if not rows:
         return None
     lead = "Each model is fitted to all trials. What differs is what the base model bends to make up for its mistakes."
-    columns = ("parameter", "", "base model", "extended model", "change", "unit")
+    columns = ("parameter", "", "base model", "95 % interval", "extended model", "95 % interval", "change", "unit")
     return Section("The string's parameters", [Text(lead), Card("", [Table(columns, rows)])])
 
 
-def _parameter(of: Parameter, base: float, extended: float | None) -> list[Any]:
+def _parameter(of: Parameter, values: tuple[float, float | None], ends: Sequence[Sequence[float] | None]) -> list[Any]:
+    """A row: values of the base and of the extended model, each with the ends of its interval, if they are known."""
+    base, extended = values
     change = "" if extended is None or not base else _change(extended / base)
-    values = [number(UNKNOWN if value is None else significant(value)) for value in (base, extended)]
-    return [Cell(plain(of.name), title=of.meaning), symbol(of.symbol), *values, number(change), unit(of.unit)]
+    cells = [
+        number(words)
+        for value, two in zip(values, ends, strict=True)
+        for words in (
+            UNKNOWN if value is None else significant(value),
+            "" if value is None or two is None else f"{significant(two[0])} to {significant(two[1])}",
+        )
+    ]
+    return [Cell(plain(of.name), title=of.meaning), symbol(of.symbol), *cells, number(change), unit(of.unit)]
 
 
 def _change(ratio: float) -> str:
