@@ -99,6 +99,11 @@ def test_the_turn_of_a_segment_is_its_arc_tangent(text, most, error):
         assert module["turned"](3 * np.sin(angle), 3 * np.cos(angle)) == pytest.approx(angle, rel=error)
 
 
+@pytest.mark.parametrize(("numbers", "limit"), [(rotation.UP_TO_HALF, 0.5), (rotation.UP_TO_ONE, 1.0)])
+def test_the_coefficients_of_the_arc_tangent_are_those_of_the_fit(numbers, limit):
+    np.testing.assert_allclose(numbers, rotation.fitted(len(numbers), limit), rtol=1e-7)
+
+
 def test_undamped_stiff_modes_do_not_grow():
     """A stiff string without damping, pushed once: after 2 s its tip moves no faster than after 0.5 s."""
     string = implicit(5e-4, 25)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from stringcast.stages.model.rotation import coefficients
+from stringcast.stages.model.rotation import UP_TO_HALF
 from tests.speed.scalar import GRAVITY
 
 W = 16
@@ -19,7 +19,7 @@ X, Y, VX, VY, ANGLE, EX, EY, TX, TY, INVERSE, PULL, OMEGA, MOMENT, FX, FY = (np.
 NEXT = np.uintp(W * KINDS)  # from a point's row to the next point's, a segment's to the next's
 WIDTH = np.uintp(W)
 ONE, TWO = np.uintp(1), np.uintp(2)
-A0, A1, A2, A3, A4, A5, A6, A7 = (float(a) for a in coefficients())
+A0, A1, A2, A3, A4, A5, A6, A7 = UP_TO_HALF
 K_S, C_S, K_H, C_H, C_C1, C_C2, K_PH, C_PH = (np.uintp(W * i) for i in range(8))
 LANE = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True}
 
