@@ -35,8 +35,8 @@ SEEN = Table(
         Column("along_x", "1", "direction in which it was measured"),
         Column("along_y", "1", "direction in which it was measured"),
         Column("sigma", "m", "one standard deviation"),
-        Column("before", "m", "told less seen, as if camera and arm were aligned"),
-        Column("after", "m", "told less seen, aligned"),
+        Column("before", "m", "reported less seen, as if camera and arm were aligned"),
+        Column("after", "m", "reported less seen, aligned"),
     ),
 )
 LIKELIHOOD = Table(

@@ -71,8 +71,8 @@ def learned(result: Result) -> list[RenderableType]:
 
 def answer(result: Result, stage: StageSpec) -> Group:
     """The sentence and the table of a stage's result."""
-    told = stage.summary(result.answer)
-    said = Panel(Group(Text(result.sentence), "", listed(told.table)), title=f"[bold]{escape(told.title)}")
+    summary = stage.summary(result.answer)
+    said = Panel(Group(Text(result.sentence), "", listed(summary.table)), title=f"[bold]{escape(summary.title)}")
     return Group(said, Text(str(page(result)), overflow="fold"))
 
 

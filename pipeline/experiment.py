@@ -172,18 +172,18 @@ def _of_the_library(own: Any, where: str) -> None:
 def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Values of parameters that are known from before, and the ranges of those that were measured."""
     values, ranges = {}, {}
-    for name, told in _by_full_name(block):
+    for name, given in _by_full_name(block):
         if name not in model.names:
             effect = name.partition(".")[0]
             remedy = f"Known are: {', '.join(model.names)}"
             if effect in files():
                 remedy = f"Model it: 'effects=[{effect}]' '+known.{effect}.<parameter>=<number>'"
             raise UserError(f"known.{name} ({where}): there is no such parameter of what is modelled. {remedy}.")
-        measured = isinstance(told, Mapping) and set(told) == {"value", "low", "high"}
-        parts = [told["value"], told["low"], told["high"]] if measured else [told]
+        measured = isinstance(given, Mapping) and set(given) == {"value", "low", "high"}
+        parts = [given["value"], given["low"], given["high"]] if measured else [given]
         if not all(isinstance(part, float | int) and math.isfinite(part) for part in parts):
             raise UserError(
-                f"known.{name} = {told!r} ({where}): it must be a number, or value, low and high if it was measured. "
+                f"known.{name} = {given!r} ({where}): it must be a number, or value, low and high if it was measured. "
                 "Change it."
             )
         values[name] = float(parts[0])
@@ -198,11 +198,11 @@ def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict
 
 def _by_full_name(block: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Parameters by their full names: on the command line, +known.tip_mass.ratio=0.05 is a block in a block."""
-    for name, told in block.items():
-        if isinstance(told, Mapping) and "value" not in told:
-            yield from ((f"{name}.{inner}", value) for inner, value in told.items())
+    for name, given in block.items():
+        if isinstance(given, Mapping) and "value" not in given:
+            yield from ((f"{name}.{inner}", value) for inner, value in given.items())
         else:
-            yield name, told
+            yield name, given
 
 
 def _string(block: Mapping[str, Any], where: str) -> String:

@@ -128,11 +128,11 @@ def listed(names: Sequence[str]) -> str:
 def conclusion(found: Mapping[str, Any]) -> str:
     """The last line."""
     count = {s: sum(f["severity"] == s for f in found["findings"]) for s in COLOURS}
-    told = ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n) or "nothing looks wrong"
+    counted = ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n) or "nothing looks wrong"
     if not found["usable"]:
-        return f"[bold red]Not usable[/]: {told}."
+        return f"[bold red]Not usable[/]: {counted}."
     trials = f"{len(found['trials'])} trial{'s' if len(found['trials']) > 1 else ''}"
-    return f"[bold green]Usable[/]: {trials}; {told}."
+    return f"[bold green]Usable[/]: {trials}; {counted}."
 
 
 def trials(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -109,11 +109,11 @@ def dry_run(iteration: Iteration) -> str:
     link, read = iteration.done["trial"].link.iloc[0], iteration.done["points"].readings["valid"]
     unread = iteration.done["points"].readings.loc[~read.astype(bool), "reason"]
     why = f" (most often: {unread.mode().iloc[0]})" if len(unread) else ""
-    told = [
+    parts = [
         f"commands went out {link['jitter_p50'] * 1e3:.2f} ms late (99 %: {link['jitter_p99'] * 1e3:.2f})",
         f"{link['missed']} of {link['ticks']} were late or lost",
         f"the string was read in {int(read.sum())} of {len(read)} frames{why}",
     ]
     if "trip_p50" in link:  # which a virtual arm has none of
-        told.insert(0, f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})")
-    return f"Dry run: {', '.join(told)}. Nothing is learned from it: {iteration.refused}."
+        parts.insert(0, f"a round trip takes {link['trip_p50'] * 1e3:.2f} ms (99 %: {link['trip_p99'] * 1e3:.2f})")
+    return f"Dry run: {', '.join(parts)}. Nothing is learned from it: {iteration.refused}."

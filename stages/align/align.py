@@ -50,8 +50,8 @@ def align(
     full = measuring(model)
     filmed = {name: film for name, film in films.items() if film.arm is not None}
     seen = from_films(full, filmed, arm_width, lambda share: progress(0.6 * share)) if filmed else ()
-    told = tuple(from_points(o, model.arm) for o in observations if o.trial not in filmed)
-    problem = Problem(full, tuple(trial for trial in (*seen, *told) if len(trial.sightings.frame)))
+    by_points = tuple(from_points(o, model.arm) for o in observations if o.trial not in filmed)
+    problem = Problem(full, tuple(trial for trial in (*seen, *by_points) if len(trial.sightings.frame)))
     refuse_sight(problem)
     fit = chosen(problem)
     progress(0.8)

@@ -28,8 +28,8 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
             "or add the frames."
         )
     t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
-    told = np.stack([np.interp(t, observation.arm["t"], observation.arm[q]) for q in JOINTS], axis=-1)
-    off = arm.joints(told)[:, -1] - seen
+    reported = np.stack([np.interp(t, observation.arm["t"], observation.arm[q]) for q in JOINTS], axis=-1)
+    off = arm.joints(reported)[:, -1] - seen
     if np.median(np.linalg.norm(off, axis=-1)) < TOLD:
         raise DataError(
             f"trial {observation.trial}: its points begin where the joints say that the grasp is, which "

@@ -53,8 +53,8 @@ def refuse_sight(problem: Problem) -> None:
 def spread(problem: Problem, trial: Sighted) -> float:
     """How far what is seen of the arm spreads, over how far it should."""
     seen = trial.sightings
-    told = on_links(arm_seen(problem.model, trial.motion, problem.model.values({})[None], seen.times), seen)[0]
-    sizes = [TINY + float(np.linalg.norm(np.ptp(places, axis=0))) for places in (seen.seen, told)]
+    expected = on_links(arm_seen(problem.model, trial.motion, problem.model.values({})[None], seen.times), seen)[0]
+    sizes = [TINY + float(np.linalg.norm(np.ptp(places, axis=0))) for places in (seen.seen, expected)]
     return sizes[0] / sizes[1]
 
 

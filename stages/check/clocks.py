@@ -64,15 +64,15 @@ def begun(measured: Measured) -> Iterator[Finding]:
 
 def rate(measured: Measured) -> Iterator[Finding]:
     """Frames that come at another rate than the camera is said to have."""
-    told = (measured.data.metadata.get("camera") or {}).get("fps")
+    stated = (measured.data.metadata.get("camera") or {}).get("fps")
     for seen in measured.telling():
         step = usual(seen.frame_t)
-        if told is None or not 0 < step < SLOW:
+        if stated is None or not 0 < step < SLOW:
             continue
         fps = 1 / step
-        whole = max(round(float(told) / fps), 1)  # every second frame may have been kept
-        if abs(fps * whole / float(told) - 1) > RATE:
-            said = f"frames come {fps:.4g} times a second, camera.fps in dataset.yaml is {float(told):g}"
+        whole = max(round(float(stated) / fps), 1)  # every second frame may have been kept
+        if abs(fps * whole / float(stated) - 1) > RATE:
+            said = f"frames come {fps:.4g} times a second, camera.fps in dataset.yaml is {float(stated):g}"
             remedy = "Correct the one that is wrong; of slow motion count the frames as filmed"
             yield Finding(Severity.WARNING, measured.file("points"), "t", said, remedy, (seen.name,))
 

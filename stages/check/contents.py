@@ -119,13 +119,13 @@ def camera(measured: Measured) -> Iterator[Finding]:
 def noise(measured: Measured) -> Iterator[Finding]:
     """Noise that is stated in another unit, or that points do not have."""
     for seen in measured.telling():
-        told = stated(seen)
+        sigma = stated(seen)
         place = (NAME, "noise.point_sigma") if "noise" in measured.data.metadata else (measured.file("points"), "sigma")
-        if told is not None and told > COARSE * seen.length:
-            said = f"noise is stated as {told:.3g} m on a string of {seen.length:.3g} m: millimetres, as it seems"
+        if sigma is not None and sigma > COARSE * seen.length:
+            said = f"noise is stated as {sigma:.3g} m on a string of {seen.length:.3g} m: millimetres, as it seems"
             yield Finding(Severity.ERROR, *place, said, "Multiply it by 0.001", (seen.name,))
-        elif told is not None and seen.noise > 0 and not 1 / QUIET < seen.noise / told < LOUD:
-            said = f"noise is stated as {told:.2g} m, points show {seen.noise:.2g} m from frame to frame"
+        elif sigma is not None and seen.noise > 0 and not 1 / QUIET < seen.noise / sigma < LOUD:
+            said = f"noise is stated as {sigma:.2g} m, points show {seen.noise:.2g} m from frame to frame"
             yield Finding(
                 Severity.WARNING, *place, said, "Correct it, or leave it out: then it is estimated", (seen.name,)
             )

@@ -249,9 +249,9 @@ def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
 
 def unknown_arm(measured: Measured) -> list[str]:
     """The fields of an arm (links, base) that dataset.yaml lacks although there are joint angles."""
-    told = measured.data.metadata.get("arm") or {}
+    given = measured.data.metadata.get("arm") or {}
     by_joints = any(seen.joints is not None for seen in measured.trials)
-    return [key for key in ("links", "base") if key not in told and by_joints]
+    return [key for key in ("links", "base") if key not in given and by_joints]
 
 
 def explanations(measured: Measured, strange: Mapping[str, tuple[View, View]]) -> list[tuple[Mistake, ...]]:

@@ -61,7 +61,7 @@ class BlindBench:
 
     def _arm(self) -> pd.DataFrame:
         parts = [
-            pd.DataFrame({"trial": f"t{i:02d}", "t": cast.t} | dict(zip(JOINTS, cast.told.T, strict=True)))
+            pd.DataFrame({"trial": f"t{i:02d}", "t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
             for i, cast in enumerate(self.scene.casts)
         ]
         return pd.concat(parts, ignore_index=True)

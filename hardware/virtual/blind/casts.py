@@ -18,11 +18,11 @@ DURATION = (0.35, 0.85)  # [s]
 
 @dataclass(frozen=True)
 class Cast:
-    """One performance. t (K,), told (K, J): the log of the encoders on the arm's tick [s], [rad]. happened: the joints'
+    """One trial. t (K,), reported (K, J): log of the encoders on the arm's tick [s], [rad]. happened: the joints'
     motion. frames: (F,) times at which the camera has a picture [s]."""
 
     t: np.ndarray
-    told: np.ndarray
+    reported: np.ndarray
     happened: JointMotion
     frames: np.ndarray
 
@@ -33,7 +33,7 @@ def random_cast(arm: Arm, rng: np.random.Generator, fps: float, speeds: tuple[fl
 
 
 def performed(arm: Arm, ticks: np.ndarray, angles: np.ndarray, rng: np.random.Generator, fps: float) -> Cast:
-    """A movement as this arm makes it, filmed. ticks: (K,) [s]. angles: (K, J) that it is told to go to [rad]."""
+    """A movement as this arm makes it, filmed. ticks: (K,) [s]. angles: (K, J) that it is commanded to go to [rad]."""
     servo = Servo()
     fine, turned = servo.follow(ticks, arm.commanded(angles), rng)
     happened = angles[0] + turned
@@ -65,12 +65,12 @@ def _planned(arm: Arm, rng: np.random.Generator, speeds: tuple[float, float]) ->
 
 def _possible(arm: Arm, angles: np.ndarray, speeds: tuple[float, float]) -> bool:
     """Within the arm's ranges, joint speeds and accelerations, and with the hand about as fast as wanted."""
-    told = arm.commanded(angles)
-    hand = np.linalg.norm(arm.grasp_velocity(angles, told)[:, :2], axis=-1).max()
+    commanded = arm.commanded(angles)
+    hand = np.linalg.norm(arm.grasp_velocity(angles, commanded)[:, :2], axis=-1).max()
     return bool(
         (angles > arm.lowest).all()
         and (angles < arm.highest).all()
-        and (np.abs(told) <= arm.speed).all()
-        and (np.abs(np.diff(told, axis=0)) / arm.tick <= arm.acceleration).all()
+        and (np.abs(commanded) <= arm.speed).all()
+        and (np.abs(np.diff(commanded, axis=0)) / arm.tick <= arm.acceleration).all()
         and 0.8 * speeds[0] <= hand <= min(1.2 * speeds[1], arm.hand_speed)
     )

@@ -141,8 +141,8 @@ TABLES = {t.name: t for t in (BENCHES, PARAMETERS, CONFUSION, BY_SIZE, CALIBRATI
 
 def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     """Every table of TABLES, by name. rows: of `one_bench`, at least one."""
-    told = frozenset(e.qualified(p) for e in library().values() for p in e.parameters if not p.at_least)
-    benches = BENCHES.check(pd.DataFrame([_bench(row, told) for row in rows]))
+    two_sided = frozenset(e.qualified(p) for e in library().values() for p in e.parameters if not p.at_least)
+    benches = BENCHES.check(pd.DataFrame([_bench(row, two_sided) for row in rows]))
     parameters = [
         {"seed": seed, **one} for seed, kept in benches[["seed", "values"]].to_numpy() for one in json.loads(kept)
     ]
@@ -163,8 +163,8 @@ def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     return {name: TABLES[name].check(frame) for name, frame in made.items()}
 
 
-def _bench(row: Row, told: Set[str]) -> dict[str, object]:
-    """One row of BENCHES. told: names of parameters whose interval has two ends."""
+def _bench(row: Row, two_sided: Set[str]) -> dict[str, object]:
+    """One row of BENCHES. two_sided: names of parameters whose interval has two ends."""
     truth, diagnosis, said = row["truth"], row["diagnosis"], answers(row)
     rms = (diagnosis.get("gain") or {}).get("rms_m") or {}
     return {
@@ -188,20 +188,20 @@ def _bench(row: Row, told: Set[str]) -> dict[str, object]:
         "laboratory": truth.get("laboratory", OWN),
         "version": row.get("version", FIRST),
         "code": row.get("code", UNKNOWN_CODE),
-        "values": json.dumps(_parameters(row, told)),
+        "values": json.dumps(_parameters(row, two_sided)),
     }
 
 
-def _parameters(row: Row, told: Set[str]) -> list[dict[str, object]]:
-    """Rows of PARAMETERS: those of true causes that were named with an interval. told: names of those whose interval
-    has two ends."""
+def _parameters(row: Row, two_sided: Set[str]) -> list[dict[str, object]]:
+    """Rows of PARAMETERS: those of true causes that were named with an interval. two_sided: names of those whose
+    interval has two ends."""
     true = row["truth"]["parameters"]
     stated = {n: p for cause in row["diagnosis"].get("causes") or [] for n, p in cause.get("parameters", {}).items()}
     return [
         {"name": name, "true": true[name], **{k: p[k] for k in ("value", "low", "high")}}
         | {"inside": bool(p["low"] <= true[name] <= p["high"])}
         for name, p in stated.items()
-        if name in true and name in told and p.get("low") is not None and p.get("high") is not None
+        if name in true and name in two_sided and p.get("low") is not None and p.get("high") is not None
     ]
 
 

@@ -22,12 +22,12 @@ Extract = Callable[[Footage, Camera], Points]
 
 @dataclass(frozen=True)
 class Take:
-    """One cast of one string, to be filmed. told: what the arm reports, table ARM."""
+    """One cast of one string, to be filmed. reported: what the arm reports, table ARM."""
 
     string: str
     seed: int
     shot: Shot
-    told: pd.DataFrame
+    reported: pd.DataFrame
     arm: Arm
 
 
@@ -47,15 +47,15 @@ def take(string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int,
     times = happened.start + happened.tick * np.arange(happened.angles.shape[1])
     bench = Bench(arm, camera, specimen, seed, performed=(times, happened.angles[0]))
     chosen = np.unique(np.linspace(0, len(cast.frames) - 1, frames).astype(int))
-    told = pd.DataFrame({"t": cast.t} | dict(zip(JOINTS, cast.told.T, strict=True)))
-    return Take(string, seed, shot_of(bench, cast.frames[chosen]), told, arm)
+    reported = pd.DataFrame({"t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
+    return Take(string, seed, shot_of(bench, cast.frames[chosen]), reported, arm)
 
 
 def filmed(one: Take, cell: Cell) -> tuple[Footage, Shot]:
     """The film of a cast under a condition, and the true string."""
     shot = staged(one.shot, cell.parts)
     images = film(shot, cell.parts, one.seed)
-    return footage_of(Film(shot.t, images, arm=one.told), one.arm), shot
+    return footage_of(Film(shot.t, images, arm=one.reported), one.arm), shot
 
 
 def read(one: Take, cell: Cell, extract: Extract) -> tuple[Points, Shot]:

@@ -71,8 +71,8 @@ TABLES = {table.name: table for table in (CASTS, RATES, NEEDED, LEARNED, CALIBRA
 
 def scores(casts: pd.DataFrame, most: int) -> dict[str, pd.DataFrame]:
     """All tables. casts: as CASTS. most: casts that a run had at most."""
-    told = casts.reindex(columns=[column.name for column in CASTS.columns])
-    whole = CASTS.check(told.astype({"code": object}).fillna({"code": UNKNOWN_CODE}))
+    columns = casts.reindex(columns=[column.name for column in CASTS.columns])
+    whole = CASTS.check(columns.astype({"code": object}).fillna({"code": UNKNOWN_CODE}))
     runs = whole.assign(run=whole["case"] + whole["seed"].astype(str))
     both = pd.concat([runs, runs.assign(case=ALL)], ignore_index=True).groupby(["case", "method"], sort=False)
     rates = pd.concat([_rates(some, most).assign(case=c, method=m) for (c, m), some in both], ignore_index=True)

@@ -82,9 +82,9 @@ def excite(
         angles, speeds = drawn(model.arm, rng, duration, speed, highest, sines)
         reason = fault(model, obstacles, angles, speeds)
         count[reason or "allowed"] += 1
-        told = -np.inf if reason else information(model, angles, speeds)
-        if told > most:
-            best, most = angles, told
+        content = -np.inf if reason else information(model, angles, speeds)
+        if content > most:
+            best, most = angles, content
         progress((number + 1) / motions)
     if best is None:
         reasons = "; ".join(f"{reason}: {times}" for reason, times in count.most_common())

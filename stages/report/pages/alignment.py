@@ -43,7 +43,7 @@ def alignment_page(facts: Facts) -> str:
 def tiles(made: Alignment) -> Tiles:
     """How near, from how many frames, how fast."""
     how = made.aligned.iloc[0]
-    near = "root mean square of told less seen, before and after; noise alone would leave " + mm(how["noise"], 2)
+    near = "root mean square of reported less seen, before and after; noise alone would leave " + mm(how["noise"], 2)
     return Tiles(
         [
             Tile(f"{mm(how['rms_before'], 2)} → {mm(how['rms_after'], 2)}", near),
@@ -75,34 +75,34 @@ def shown(value: float, unit: str) -> str:
 
 
 def fit(made: Alignment) -> Section:
-    """Seen and told, and how sure the clocks are."""
+    """Seen and reported, and how sure the clocks are."""
     alike = "Without a lag of the arm, and with one that is fitted along. Where both are low, an offset and a lag "
     alike += "cannot be told apart."
-    outer = "Middle of the last link where it is furthest out. What is told shall lie on what is seen."
-    grid = [Figure("Seen and told", places(made.seen), outer)]
+    outer = "Middle of the last link where it is furthest out. What is reported shall lie on what is seen."
+    grid = [Figure("Seen and reported", places(made.seen), outer)]
     grid += [Figure("How sure the clocks are", likelihood(made.likelihood), alike)]
     left = "Before and after. What is left shall be noise, without a pattern."
-    return Section("How well it fits", [Grid(grid), Figure("Told less seen over time", residuals(made.seen), left)])
+    return Section("How well it fits", [Grid(grid), Figure("Reported less seen over time", residuals(made.seen), left)])
 
 
 # --- pictures
 def places(seen: pd.DataFrame) -> Picture:
-    """The outermost piece that was sighted, frame by frame: where it was seen, and told before and after."""
+    """The outermost piece that was sighted, frame by frame: where it was seen, and reported before and after."""
     outer = seen[seen["link"] == seen["link"].max()].sort_values("share").groupby(["trial", "t"]).tail(2)
     figure = Drawing(figsize=(4.4, 4.0))
     axes = figure.subplots()
     for way in SHARES:
         x, y = (outer[c] + outer[way] * outer[f"along_{c}"] for c in "xy")
-        axes.plot(x * MM, y * MM, ".", ms=2.5, color=LIGHT[way], label=f"told, {way}")
+        axes.plot(x * MM, y * MM, ".", ms=2.5, color=LIGHT[way], label=f"reported, {way}")
     axes.plot(outer["x"] * MM, outer["y"] * MM, ".", ms=1.2, color=LIGHT["measured"], label="seen")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     axes.legend(loc="best", markerscale=3)
     rms = [float(np.sqrt(np.mean(outer[way] ** 2))) * MM for way in SHARES]
-    return vector(figure, f"The hand as seen and as told: {rms[0]:.2f} mm apart before, {rms[1]:.2f} mm after.")
+    return vector(figure, f"The hand as seen and as reported: {rms[0]:.2f} mm apart before, {rms[1]:.2f} mm after.")
 
 
 def residuals(seen: pd.DataFrame) -> Picture:
-    """Told less seen over time, all trials on one clock."""
+    """Reported less seen over time, all trials on one clock."""
     figure = Drawing(figsize=(7.2, 3.4))
     panels = figure.subplots(2, 1, sharex=True)
     for axes, way in zip(panels, SHARES, strict=True):
@@ -111,7 +111,7 @@ def residuals(seen: pd.DataFrame) -> Picture:
         axes.set_ylabel(f"{way} [mm]")
     most = float(np.quantile(np.abs(seen["after"]), 0.995)) * MM
     panels[1].set(xlabel="time by the camera's clock [s]", ylim=(-1.5 * most, 1.5 * most))
-    return vector(figure, "Told less seen over time, as if camera and arm were aligned, and aligned.")
+    return vector(figure, "Reported less seen over time, as if camera and arm were aligned, and aligned.")
 
 
 def likelihood(table: pd.DataFrame) -> Picture:

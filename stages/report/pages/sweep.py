@@ -189,8 +189,8 @@ def jobs(record: SweepRecord) -> Part:
     rows = []
     for job in record.table.to_dict("records"):
         report = link(f"{job['folder']}/report.html", job["key"]) if job["state"] == "done" else job["key"]
-        told = number(job["attempts"]), number(f"{job['seconds']:.1f}"), job["host"], report
-        rows.append((_job(record, job), job["state"], *told))
+        cells = number(job["attempts"]), number(f"{job['seconds']:.1f}"), job["host"], report
+        rows.append((_job(record, job), job["state"], *cells))
     summary = f"{len(rows)} job{'s' * (len(rows) != 1)}, with their own reports"
     columns = ("job", "state", "attempts", "seconds", "host", "report")
     return Section("Jobs", [Details(summary, [Table(columns, rows)])])
