@@ -219,11 +219,11 @@ def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]
     yield from _renewed("input", made["inputs"], now["inputs"], "has another content")
     configs = modern(made["config"]), json.loads(json.dumps(now["config"]))
     used = (leaves({key: config.get(key) for key in uses}) for config in configs)
-    yield from (f"setting {key} was {a}, is {b}" for key, a, b in pairs(*used))
+    yield from (f"{key} {a} -> {b}" for key, a, b in pairs(*used))
     yield from _renewed("source", made["sources"], now["sources"], "has changed")
-    yield from (f"package {key} was {a}, is {b}" for key, a, b in pairs(made["packages"], now["packages"]))
+    yield from (f"package {key} {a} -> {b}" for key, a, b in pairs(made["packages"], now["packages"]))
     if made["python"] != now["python"]:
-        yield f"Python was {made['python']}, is {now['python']}"
+        yield f"Python {made['python']} -> {now['python']}"
 
 
 def pairs(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:

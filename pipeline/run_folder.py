@@ -73,10 +73,11 @@ class RunFolder:
         stays = performed(self.experiment.config, self.folder, step.number, step.stage.folder)
         if stays and found.artifact is None:
             raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
-        kept = "The arm has moved by it: it stays." if stays else "It is made again."
-        words = f"{step.place} is stale: {'; '.join(found.reasons)}. {kept}"
-        log.warning(words)
-        self.say(words)
+        reasons = "; ".join(found.reasons)
+        message = f"keeping {step.place}, by which the arm has moved: {reasons}"
+        message = message if stays else f"recomputing {step.place}: {reasons}"
+        log.warning(message)
+        self.say(message)
         return stays
 
     def _make(self, step: Step, place: Path) -> Any:

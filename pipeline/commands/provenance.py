@@ -158,10 +158,10 @@ def states_of(settings: Mapping[str, Any], folder: Path) -> list[StepState]:
     states: dict[str, StepState] = {}
     for place in places:
         above = [states[other] for other in _origin(place).get("inputs", ()) if other in states]
-        doubt = (f"{one.place}, an input, is to be made again" for one in above if one.reasons and not one.stays)
+        inputs = (f"{one.place}, an input, is stale" for one in above if one.reasons and not one.stays)
         stays = performed(settings, folder, int(place.parent.name), place.name)
         name = place.relative_to(folder).as_posix()
-        states[name] = StepState(name, (*reasons_of(folder, place, settings), *doubt), stays=stays)
+        states[name] = StepState(name, (*reasons_of(folder, place, settings), *inputs), stays=stays)
     return [*states.values(), *_missing(settings, folder, len({place.parent for place in places}))]
 
 

@@ -17,7 +17,7 @@ from stringcast.data.store import write_text
 
 LOOK = 0.1  # [s] between looks at a lock that is waited for; making table and page takes about 1 s
 PENDING, RUNNING, DONE, FAILED = "pending", "running", "done", "failed"
-LOST = "Its worker ended without a word: killed, out of memory, or out of time. Its log may say more."
+LOST = "The worker process died (killed, out of memory, time limit). See its log."
 
 
 @dataclass(frozen=True)

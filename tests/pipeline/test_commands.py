@@ -144,7 +144,7 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(tmp_path, mo
         patch.setattr(provenance, "sources", lambda *given: {"stages/generate/generate.py": "changed"})
         made, said = toy_run(tmp_path / "run", real_arm())
     assert made == ["extract", "estimate"]  # the last, after which no arm has moved
-    assert "iterations/01/motion is stale" in said
+    assert "keeping iterations/01/motion, by which the arm has moved: " in said
     assert "The arm has moved by it: it stays." in said
     assert contents(tmp_path / "run") == before
     trial = tmp_path / "run/iterations/01/trial/arm.parquet"
@@ -200,8 +200,8 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     status, said = asked(capsys, "why", run)
     assert status == 1
     assert "iterations/01/points: fresh" in said
-    assert "iterations/01/estimate: stale setting estimate.beta was 0.995, is 0.9" in said
-    assert "iterations/02/motion: stale iterations/01/estimate, an input, is to be made again" in said
+    assert "iterations/01/estimate: stale estimate.beta 0.995 -> 0.9" in said
+    assert "iterations/02/motion: stale iterations/01/estimate, an input, is stale" in said
     change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
     status, said = asked(capsys, "why", run / "iterations/01/estimate")
     assert "input iterations/01/points has another content" in said
@@ -210,7 +210,7 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     monkeypatch.setattr(
         provenance, "origin", lambda *given: real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
     )
-    assert re.search(r"package numpy was [\d.]+, is 9\.9", asked(capsys, "why", run)[1])
+    assert re.search(r"package numpy [\d.]+ -> 9\.9", asked(capsys, "why", run)[1])
 
 
 def test_diff_says_what_differs(finished, run, capsys):
@@ -300,7 +300,7 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     }
     assert runs.loc["day/a", "outcome"] == "missed"
     assert runs.loc["day/failed", "said"] == "the camera is not there"
-    assert runs.loc["day/stale", "stale"] == "iterations/01/points: setting extract.points was 31, is 30"
+    assert runs.loc["day/stale", "stale"] == "iterations/01/points: extract.points 31 -> 30"
     assert "method._target_" in runs.loc["day/old", "stale"]  # a setting of another name
     assert (runs.drop(["day/stale", "day/old"])["stale"] == "").all()
     fits = [pd.read_parquet(many / f"day/a/iterations/{n}/estimate/fit.parquet")["after"][0] for n in ("01", "02")]

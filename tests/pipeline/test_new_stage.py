@@ -62,7 +62,7 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(package, tmp_path):
     assert said(package, "verify", run)[0] == 0
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(json.dumps(config | {"sway": config["sway"] | {"least": 0.001}}))
-    assert "setting sway.least was 0.0, is 0.001" in said(package, "why", run)[1]
+    assert "sway.least 0.0 -> 0.001" in said(package, "why", run)[1]
 
 
 def test_every_stage_says_what_is_so():

@@ -37,10 +37,10 @@ def performed(arm: Arm, ticks: np.ndarray, angles: np.ndarray, rng: np.random.Ge
     servo = Servo()
     fine, turned = servo.follow(ticks, arm.commanded(angles), rng)
     happened = angles[0] + turned
-    reported = np.stack([np.interp(ticks, fine, q) for q in happened.T], axis=-1)
+    at_ticks = np.stack([np.interp(ticks, fine, q) for q in happened.T], axis=-1)
     frames = np.arange(np.ceil(ticks[0] * fps - 1e-6), np.floor(ticks[-1] * fps + 1e-6) + 1) / fps
     kept = rng.uniform(size=len(frames)) > 0.02
-    return Cast(ticks, servo.encoder(reported), joint_motion(fine, happened, FINE), frames[kept])
+    return Cast(ticks, servo.encoder(at_ticks), joint_motion(fine, happened, FINE), frames[kept])
 
 
 def _planned(arm: Arm, rng: np.random.Generator, speeds: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
