@@ -120,26 +120,30 @@ def unit_in(column: str, kind: str) -> str:
 
 def _placed(plain: Sequence[str], unit: str) -> Meaning:
     """The meaning of a column of positions: of a joint, the hand or a point of the string."""
-    axis = next((word for axes in ("xyz", "uv") for word in plain if word in axes), "")
-    numbers = [word for word in plain if word.isdigit()]
     of_hand = bool({*HAND} & {*plain})
-    quaternion = next((word for word in plain if word in QUATERNION), "")
-    if quaternion:
-        return Meaning("hand", "", quaternion) if of_hand or len(plain) == 1 else OTHER
-    quality = next((QUALITY[word] for word in plain if word in QUALITY), "")
-    if quality:
-        return Meaning("point", _named(plain, QUALITY), quality, unit)
-    if axis:
-        pixels = "px" if axis in "uv" or unit in PIXELS else ""
-        unit = pixels or (unit if unit in LENGTHS else "")
-        axis = {"u": "x", "v": "y"}.get(axis, axis)
-        return Meaning("hand" if of_hand else "point", _named(plain, ("x", "y", "z", "u", "v")), axis, unit)
-    unit = unit if unit in ANGLES else ""
+    if turned := [word for word in plain if word in QUATERNION]:
+        return Meaning("hand", "", turned[0]) if of_hand or len(plain) == 1 else OTHER
+    if quality := [QUALITY[word] for word in plain if word in QUALITY]:
+        return Meaning("point", _named(plain, QUALITY), quality[0], unit)
+    if axes := [word for names in ("xyz", "uv") for word in plain if word in names]:
+        return _coordinate(plain, axes[0], unit, of_hand)
+    return _angle(plain, unit if unit in ANGLES else "", of_hand)
+
+
+def _coordinate(plain: Sequence[str], axis: str, unit: str, of_hand: bool) -> Meaning:
+    """x, y or z of the hand or of a point; u and v are x and y in pixels."""
+    in_pixels = axis in "uv" or unit in PIXELS
+    unit = "px" if in_pixels else unit if unit in LENGTHS else ""
+    axis = {"u": "x", "v": "y"}.get(axis, axis)
+    return Meaning("hand" if of_hand else "point", _named(plain, ("x", "y", "z", "u", "v")), axis, unit)
+
+
+def _angle(plain: Sequence[str], unit: str, of_hand: bool) -> Meaning:
+    """The hand's direction, or the angle of a numbered joint."""
+    numbers = [word for word in plain if word.isdigit()]
     if {*ANGLE} & {*plain} and (of_hand or (len(plain) == 1 and not numbers)):
         return Meaning("hand", "", "angle", unit)
-    if {*JOINT} & {*plain} and numbers:
-        return Meaning("joint", numbers[-1], "", unit)
-    return OTHER
+    return Meaning("joint", numbers[-1], "", unit) if {*JOINT} & {*plain} and numbers else OTHER
 
 
 def _named(plain: Sequence[str], beside: Sequence[str] | dict[str, str]) -> str:
