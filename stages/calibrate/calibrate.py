@@ -12,9 +12,9 @@ from pydantic import Field
 
 from stringcast.data.calibration import Calibration
 from stringcast.data.schema import DataError
+from stringcast.stages.calibrate.acceptance import Solution, Thresholds, reason
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.fit import fitted, held_out
-from stringcast.stages.calibrate.judge import Demands, Evidence, reason
 from stringcast.stages.calibrate.plane import BoardPlacement, in_plane
 from stringcast.stages.calibrate.tables import tables
 from stringcast.stages.calibrate.views import View, look
@@ -65,8 +65,8 @@ def calibrate(
     lens = fitted(used, board, size)
     alone = held_out(used, board, size, FOLDS)
     plane = in_plane(held, board, place, lens, replace(camera, width=size[0], height=size[1]))
-    evidence = Evidence(used, lens, alone, held, plane, size)
-    return tables(evidence, seen, reason(evidence, Demands(views, spread, coverage, rms, astray)))
+    solution = Solution(used, lens, alone, held, plane, size)
+    return tables(solution, seen, reason(solution, Thresholds(views, spread, coverage, rms, astray)))
 
 
 def _looked(pictures: Sequence[np.ndarray], board: Board, progress: Progress) -> list[View]:

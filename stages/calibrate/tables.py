@@ -11,8 +11,8 @@ import pandas as pd
 import yaml
 
 from stringcast.data.calibration import CORNERS, MEASURED, OUTCOME, VIEWS, Calibration
+from stringcast.stages.calibrate.acceptance import Solution
 from stringcast.stages.calibrate.fit import values_of
-from stringcast.stages.calibrate.judge import Evidence
 from stringcast.stages.calibrate.views import View
 from stringcast.stages.model.camera import Camera
 
@@ -36,20 +36,20 @@ PLANE = (
 )
 
 
-def tables(evidence: Evidence, seen: Sequence[View], reason: str) -> Calibration:
+def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration:
     """All of it. seen: every picture of the tilted board, used or not. reason: why it cannot be used, or empty."""
     return Calibration(
-        VIEWS.check(pd.DataFrame([*_views(evidence, seen), _flat(evidence)])),
-        CORNERS.check(pd.concat(_corners(evidence), ignore_index=True)),
-        MEASURED.check(_measured(evidence)),
-        OUTCOME.check(pd.DataFrame([_outcome(evidence, reason)])),
+        VIEWS.check(pd.DataFrame([*_views(solution, seen), _flat(solution)])),
+        CORNERS.check(pd.concat(_corners(solution), ignore_index=True)),
+        MEASURED.check(_measured(solution)),
+        OUTCOME.check(pd.DataFrame([_outcome(solution, reason)])),
     )
 
 
-def _views(evidence: Evidence, seen: Sequence[View]) -> list[dict[str, object]]:
-    lens = evidence.lens
+def _views(solution: Solution, seen: Sequence[View]) -> list[dict[str, object]]:
+    lens = solution.lens
     tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
-    columns = zip(evidence.used, evidence.errors, evidence.alone, tilts, lens.poses, strict=True)
+    columns = zip(solution.used, solution.errors, solution.alone, tilts, lens.poses, strict=True)
     known = {
         view.number: {"rms": error, "held_out_rms": alone, "tilt": tilt, "distance": float(np.linalg.norm(place))}
         for view, error, alone, tilt, (_, place) in columns
@@ -58,14 +58,14 @@ def _views(evidence: Evidence, seen: Sequence[View]) -> list[dict[str, object]]:
     return [_view(view, plane=False) | known.get(view.number, nothing) for view in seen]
 
 
-def _flat(evidence: Evidence) -> dict[str, object]:
+def _flat(solution: Solution) -> dict[str, object]:
     """The row of the view in the plane of motion."""
-    camera = evidence.plane.camera
+    camera = solution.plane.camera
     assert camera.lens is not None
     tilt = float(np.arccos(np.cos(camera.tilt[0]) * np.cos(camera.tilt[1])))
     distance = camera.lens.mean_focal / camera.px_per_m
-    row = {"rms": evidence.plane_rms, "held_out_rms": np.nan, "tilt": tilt, "distance": distance}
-    return _view(evidence.held, plane=True) | row
+    row = {"rms": solution.plane_rms, "held_out_rms": np.nan, "tilt": tilt, "distance": distance}
+    return _view(solution.held, plane=True) | row
 
 
 def _view(view: View, plane: bool) -> dict[str, object]:
@@ -75,10 +75,10 @@ def _view(view: View, plane: bool) -> dict[str, object]:
     return about | {"picture": jpeg.tobytes()}
 
 
-def _corners(evidence: Evidence) -> list[pd.DataFrame]:
-    errors = evidence.lens.errors
-    parts = [_seen(view, view.pixels - error, False) for view, error in zip(evidence.used, errors, strict=True)]
-    return [*parts, _seen(evidence.held, evidence.plane.fit, True)]
+def _corners(solution: Solution) -> list[pd.DataFrame]:
+    errors = solution.lens.errors
+    parts = [_seen(view, view.pixels - error, False) for view, error in zip(solution.used, errors, strict=True)]
+    return [*parts, _seen(solution.held, solution.plane.fit, True)]
 
 
 def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
@@ -86,27 +86,27 @@ def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
     return pd.DataFrame({"view": view.number, "plane": plane, "corner": view.corners} | seen)
 
 
-def _measured(evidence: Evidence) -> pd.DataFrame:
-    camera = evidence.plane.camera
+def _measured(solution: Solution) -> pd.DataFrame:
+    camera = solution.plane.camera
     assert camera.lens is not None
     plane = [camera.px_per_m, *camera.origin_px, camera.rotation, *camera.tilt]
-    sigma = [*np.sqrt(np.diag(evidence.lens.covariance)), *evidence.plane.sigma]
+    sigma = [*np.sqrt(np.diag(solution.lens.covariance)), *solution.plane.sigma]
     rows = pd.DataFrame([*LENS, *PLANE], columns=["name", "unit", "meaning"])
     return rows.assign(value=[*values_of(camera.lens), *plane], sigma=sigma)
 
 
-def _outcome(evidence: Evidence, reason: str) -> dict[str, object]:
+def _outcome(solution: Solution, reason: str) -> dict[str, object]:
     return {
         "valid": not reason,
         "reason": reason,
-        "width": evidence.size[0],
-        "height": evidence.size[1],
-        "rms": evidence.lens.rms,
-        "held_out_rms": float(np.sqrt(np.mean(evidence.alone**2))),
-        "plane_rms": evidence.plane_rms,
-        "coverage": float(evidence.filled.mean()),
-        "spread": evidence.spread,
-        "camera": settings(evidence.plane.camera),
+        "width": solution.size[0],
+        "height": solution.size[1],
+        "rms": solution.lens.rms,
+        "held_out_rms": float(np.sqrt(np.mean(solution.alone**2))),
+        "plane_rms": solution.plane_rms,
+        "coverage": float(solution.filled.mean()),
+        "spread": solution.spread,
+        "camera": settings(solution.plane.camera),
     }
 
 

@@ -16,7 +16,7 @@ SIDES = ("left", "right", "top", "bottom")
 
 
 @dataclass(frozen=True)
-class Demands:
+class Thresholds:
     """Acceptance thresholds of a calibration, the settings of `calibrate`."""
 
     views: int
@@ -27,7 +27,7 @@ class Demands:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Solution:
     """used: views of the board. lens: of them all; alone: RMS of each with the lens of the others (V,) [px]. held: the
     view in the plane of motion; plane: what follows. size: of the pictures [px]."""
 
@@ -64,70 +64,70 @@ class Evidence:
         return rms(self.held.pixels - self.plane.fit)
 
 
-def reason(evidence: Evidence, demands: Demands) -> str:
+def reason(solution: Solution, thresholds: Thresholds) -> str:
     """Why it cannot be used, with the remedy; empty if it can. The first that is wrong explains those after it."""
-    return next(filter(None, (check(evidence, demands) for check in CHECKS)), "")
+    return next(filter(None, (check(solution, thresholds) for check in CHECKS)), "")
 
 
-def _few(evidence: Evidence, demands: Demands) -> str:
-    if len(evidence.used) >= demands.views:
+def _few(solution: Solution, thresholds: Thresholds) -> str:
+    if len(solution.used) >= thresholds.views:
         return ""
-    return f"{len(evidence.used)} views can be used, {demands.views} are needed. Take more."
+    return f"{len(solution.used)} views can be used, {thresholds.views} are needed. Take more."
 
 
-def _one_bad(evidence: Evidence, demands: Demands) -> str:
-    errors = evidence.alone
+def _one_bad(solution: Solution, thresholds: Thresholds) -> str:
+    errors = solution.alone
     worst, usual = int(np.argmax(errors)), float(np.median(errors))
-    if errors[worst] <= demands.astray * usual or errors[worst] <= demands.rms:
+    if errors[worst] <= thresholds.astray * usual or errors[worst] <= thresholds.rms:
         return ""
     return (
-        f"view {evidence.used[worst].number} does not fit the others: {errors[worst]:.2f} px, usual are {usual:.2f}. "
+        f"view {solution.used[worst].number} does not fit the others: {errors[worst]:.2f} px, usual are {usual:.2f}. "
         "Leave it out, or take it again with board and camera still."
     )
 
 
-def _parallel(evidence: Evidence, demands: Demands) -> str:
-    if evidence.spread >= demands.spread:
+def _parallel(solution: Solution, thresholds: Thresholds) -> str:
+    if solution.spread >= thresholds.spread:
         return ""
-    there, needed = np.degrees([evidence.spread, demands.spread])
+    there, needed = np.degrees([solution.spread, thresholds.spread])
     return (
         f"the views differ in tilt by {there:.0f} degrees at most, {needed:.0f} are needed to tell focal length "
         "from distance. Tilt the board to the left, right, front and back."
     )
 
 
-def _inaccurate(evidence: Evidence, demands: Demands) -> str:
-    if evidence.lens.rms <= demands.rms:
+def _inaccurate(solution: Solution, thresholds: Thresholds) -> str:
+    if solution.lens.rms <= thresholds.rms:
         return ""
     return (
-        f"the reprojection error is {evidence.lens.rms:.2f} px, allowed are {demands.rms:g}. See that the board is the "
-        "one of the settings, flat, sharp and still, and that focus and zoom do not change."
+        f"the reprojection error is {solution.lens.rms:.2f} px, allowed are {thresholds.rms:g}. See that the board "
+        "is the one of the settings, flat, sharp and still, and that focus and zoom do not change."
     )
 
 
-def _uncovered(evidence: Evidence, demands: Demands) -> str:
-    filled = evidence.filled
-    if filled.mean() >= demands.coverage:
+def _uncovered(solution: Solution, thresholds: Thresholds) -> str:
+    filled = solution.filled
+    if filled.mean() >= thresholds.coverage:
         return ""
     half = CELLS // 2
     parts = (filled[:, :half], filled[:, half:], filled[:half], filled[half:])
     emptiest = SIDES[int(np.argmin([part.mean() for part in parts]))]
     return (
-        f"corners were seen in {filled.mean():.0%} of the picture, {demands.coverage:.0%} are needed, and fewest in "
+        f"corners were seen in {filled.mean():.0%} of the picture, {thresholds.coverage:.0%} are needed, and fewest in "
         f"its {emptiest} half: the lens is not known there. Bring the board there too."
     )
 
 
-def _plane_off(evidence: Evidence, demands: Demands) -> str:
-    if evidence.plane_rms <= demands.rms:
+def _plane_off(solution: Solution, thresholds: Thresholds) -> str:
+    if solution.plane_rms <= thresholds.rms:
         return ""
     return (
-        f"the view in the plane of motion is off by {evidence.plane_rms:.2f} px, allowed are {demands.rms:g}. Hold the "
-        "board flat and still, and leave focus and zoom as they were."
+        f"the view in the plane of motion is off by {solution.plane_rms:.2f} px, allowed are {thresholds.rms:g}. Hold "
+        "the board flat and still, and leave focus and zoom as they were."
     )
 
 
-CHECKS: tuple[Callable[[Evidence, Demands], str], ...] = (
+CHECKS: tuple[Callable[[Solution, Thresholds], str], ...] = (
     _few,
     _parallel,
     _one_bad,
