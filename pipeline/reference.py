@@ -125,7 +125,7 @@ def _run(settings: Mapping[str, Any]) -> str:
 
 
 def _meaning(name: str) -> str:
-    """What a setting means, or one called alike in another group, or else the block that it is of."""
+    """The meaning of a setting, or of one called alike in another group, or else of the block that it is in."""
     parts = name.split(".")
     alike = [one for one in meanings() if len(parts) > 2 and one.endswith(f".{'.'.join(parts[-2:])}")]
     names = [name, *alike, *(".".join(parts[:end]) for end in range(len(parts) - 1, 1, -1))]
@@ -133,7 +133,7 @@ def _meaning(name: str) -> str:
 
 
 def _kinds(group: str, block: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What values each setting of a block takes, by its full name."""
+    """The allowed values of each setting of a block, by its full name."""
     if "_target_" in block:
         yield from _of_fields(group, taken(loaded(block["_target_"], group, str(CONF / group))))
     elif group in BUILT:
@@ -181,7 +181,7 @@ def _effects() -> str:
 
 
 def _value(value: Any) -> str:
-    """As it is given on the command line."""
+    """The value as it is given on the command line."""
     said = value if isinstance(value, str) else yaml.safe_dump([value], default_flow_style=True, width=1000)[1:-2]
     return f"`{said}`"
 
