@@ -13,7 +13,14 @@ import stringcast
 
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
-LEFT_OUT = ("data/results/", "data/sample/", "data/tutorial/", "data/envelopes/", "hardware/serial/device/", "pipeline/api/")
+LEFT_OUT = (
+    "data/results/",
+    "data/sample/",
+    "data/tutorial/",
+    "data/envelopes/",
+    "hardware/serial/device/",
+    "pipeline/api/",
+)
 
 
 @pytest.fixture(scope="module")
