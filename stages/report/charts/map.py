@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from stringcast.stages.report.outcomes import Outcome, response
 from stringcast.stages.report.theme import LIGHT, MM, Picture, powers, vector
@@ -65,6 +65,9 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
     if outcome.axis == "log":
         axes.yaxis.set_major_formatter(powers())
         axes.yaxis.set_minor_locator(NullLocator())
+        if high < 10 * low:  # where a single power of ten, or none, would be all that is said
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: significant(value)))
     axes.set_xlabel(factor, fontsize=8)
     axes.set_ylabel(outcome.title, fontsize=8)
     each = ", ".join(f"{mean_with_interval(row)} at {row[factor]}" for row in means.to_dict("records"))
