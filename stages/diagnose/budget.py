@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Found, refitted
 from stringcast.stages.inference.evidence import TIP, Data, Fit, Hypothesis, tip_draws
-from stringcast.stages.inference.forward import Case
 
 DRAWS = 400  # of what is lacking, from which its interval is told
 
@@ -39,7 +38,7 @@ def budgeted(found: Found, base: Fit, rng: np.random.Generator) -> Budget:
     these are known, is unexplained. base: the base model's fit to the same data."""
     data, fits = found.prepared.data, _one_after_another(found, base)
     squares = np.minimum.accumulate([_tip_square(data, fit) for fit in fits])
-    noise, numerical = _known(found.prepared.raw, data)
+    noise, numerical = _known(found.prepared)
     left = float(squares[-1])
     numerical = min(numerical, left)
     noise = min(noise, left - numerical)
@@ -70,14 +69,10 @@ def _tip_square(data: Data, fit: Fit) -> float:
     return float(np.mean(data.tip_rms(data.begun(fit.residuals, fit.sizes)) ** 2))
 
 
-def _known(raw: Sequence[Case], data: Data) -> tuple[float, float]:
+def _known(prepared: Prepared) -> tuple[float, float]:
     """Mean squares at the tip that noise, and what is in doubt of the numerical error, leave [m2]."""
-    noise, doubt = [], []
-    for plain, doubted in zip(raw, data.trials, strict=True):
-        tip = plain.s > plain.s.max() - TIP
-        noise.append(2 * np.mean(plain.sigma[tip] ** 2))
-        doubt.append(2 * np.mean(doubted.sigma[tip] ** 2) - noise[-1])
-    return float(np.mean(noise)), float(np.mean(doubt))
+    noise = [2 * np.mean(trial.sigma[trial.s > trial.s.max() - TIP] ** 2) for trial in prepared.data.trials]
+    return float(np.mean(noise)), float(np.mean(prepared.doubt**2))
 
 
 def _unexplained(data: Data, fit: Fit, rng: np.random.Generator) -> tuple[float, float]:

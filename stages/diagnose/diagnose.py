@@ -120,13 +120,13 @@ class Given:
 
 
 def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
-    """Whether the configured mesh is worse than one that does not matter, and has the tip elsewhere."""
+    """Whether the configured mesh is worse than one that does not matter, and has the tip farther away than is
+    tolerated."""
     own = ready.configured
     if own is None or ready.base.evidence - own.evidence < criteria.enough:
         return False
-    pairs = zip(ready.raw, own.residuals, ready.data.trials, ready.base.residuals, strict=True)
-    apart = [each - base * np.repeat(t.sigma / raw.sigma, 2) for raw, each, t, base in pairs]
-    return bool(replace(ready.data, trials=ready.raw).tip_rms(apart).max() > criteria.least_size)
+    apart = [each - base for each, base in zip(own.residuals, ready.base.residuals, strict=True)]
+    return bool(ready.data.tip_rms(apart).max() > criteria.tolerance)
 
 
 def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria) -> bool:

@@ -104,7 +104,7 @@ def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], 
     if first.best is not None and first.best.hypothesis.names == found.fit.hypothesis.names:
         return first
     data, less = found.prepared.data, found.fit.hypothesis.without(cause)
-    step = compared(data, refitted(data, found.fit, less), effects, criteria, seed)
+    step = compared(found.prepared, refitted(data, found.fit, less), effects, criteria, seed)
     itself = less.joined(cause)
     named = evaluated(data, itself, itself.carried(found.fit.named))
     return replace(step, tried=[named, *(fit for fit in step.tried if fit.hypothesis.names[-1] != cause.name)])

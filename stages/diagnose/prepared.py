@@ -14,7 +14,7 @@ from stringcast.stages.common import Progress, tracked
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import modes
 from stringcast.stages.inference.likelihood import Likelihood
@@ -25,11 +25,11 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import chi_of, values_of
 
 SEGMENTS, STEP = 20, 1e-3  # [s]: 1 mm of error at the tip in a plain cast (conf/string/swift.yaml), which is corrected
-DOUBT = 0.25  # of that correction: what a second one changes, of second order again
 GUESS = 1e-3  # [m] of noise before anything is known
 STATED_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
 OUTLYING = 6.0  # noises from smooth motion: one point in 5e8 by chance
-PASSES = 3  # of looking for outliers: one may hide another
+HIDDEN = 3  # times that outliers are looked for: one may hide another
+PASSES = 2  # of numerical error and fit: it is a hundredth of a millimetre off then
 AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that side; in turns
 ASTRAY = 0.05  # of the length at the tip: a base model that leaves more in a trial may have been taken along by it
 FEWEST = 2  # trials: what is found in one could not be checked on another
@@ -44,7 +44,7 @@ class Prepared:
     """What a search for causes starts from.
 
     data: with noise and numerical error. base: the base model at its best. raw: the trials before numerical error was
-    taken off. outliers, resting: points left out. error: numerical error of the tip of each trial [m]. literal: the
+    taken off. outliers, resting: points left out. doubt: of numerical error at the tip of each trial [m]. literal: the
     mesh is a part of the model, and has no error. chaotic: names of trials that no simulation tells to the tolerance.
     configured: the base model with the mesh as it is configured, at its best; None where that is the finer one.
     """
@@ -54,18 +54,18 @@ class Prepared:
     raw: tuple[Case, ...]
     outliers: int
     resting: int
-    error: np.ndarray
+    doubt: np.ndarray
     literal: bool = False
     chaotic: tuple[str, ...] = ()
     configured: Fit | None = None
 
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
-        data, error = self.of(self.raw, fit)
-        return replace(self, data=data, error=error)
+        data, doubt = self.of(self.raw, fit)
+        return replace(self, data=data, doubt=doubt)
 
     def of(self, trials: Sequence[Case], fit: Fit) -> tuple[Data, np.ndarray]:
-        """Data of any trials without the numerical error of a fit, and that error at each tip [m]."""
+        """Data of any trials without the numerical error of a fit, and what is in doubt of that at each tip [m]."""
         own = [replace(trial, model=fit.hypothesis.model) for trial in trials]
         if self.literal:
             return lacking(own, fit.hypothesis, fit.chi), np.zeros(len(own))
@@ -99,14 +99,21 @@ def prepared(
     likelihood, chi = _base(Likelihood(resolved(model), moving), rng, starts, progress)
     trials, outliers = _cleaned(likelihood, chi, stated)
     hypothesis = Hypothesis(likelihood.model)
-    data, error = corrected(trials, hypothesis, chi)
+    data, doubt = corrected(trials, hypothesis, chi)
     sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
     base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
-    if data.tip_rms(base.residuals).max() > ASTRAY * likelihood.model.string.length:
-        base = _without_the_worst(data, base, rng, starts)
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
-    made = _without_chaotic(Prepared(data, base, trials, outliers, resting, error), tolerance)
-    return _with_nearer_mesh(made, model)
+    made, base = converged(Prepared(data, base, trials, outliers, resting, doubt), base)
+    made = _not_taken_along(replace(made, base=base), tolerance, rng, starts)
+    return _with_nearer_mesh(_without_chaotic(made, tolerance), model, tolerance)
+
+
+def converged(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
+    """Data with the numerical error of a fit, and the fit to these."""
+    for _ in range(PASSES):
+        prepared = prepared.at(fit)
+        fit = fitted(prepared.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
+    return prepared, fit
 
 
 def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
@@ -132,27 +139,49 @@ def _configured(prepared: Prepared, model: Model) -> Fit | None:
     return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes, ROUNDS, MOST)
 
 
+def _not_taken_along(prepared: Prepared, tolerance: float, rng: np.random.Generator, starts: int) -> Prepared:
+    """With a base model that the trial it is furthest from has not taken along, if there is a better one without that;
+    and without the trial, if it is chaotic there."""
+    data, base = prepared.data, prepared.base
+    off = data.tip_rms(base.residuals)
+    others = [k for k in range(len(off)) if k != np.argmax(off)]
+    if off.max() < ASTRAY * base.hypothesis.model.string.length or not others:
+        return prepared
+    kept = data.only(others)
+    near = fitted(kept, base.hypothesis, base.chi[None], base.sizes[others], 2, MOST)
+    chi = searched_again(kept, near, rng, starts).chi
+    there = prepared.at(replace(base, chi=chi))
+    if there.doubt.max() > tolerance and np.argmax(there.doubt) == np.argmax(off):
+        return _without_chaotic(replace(there, base=replace(base, chi=chi)), tolerance)
+    sizes = evaluated(there.data, base.hypothesis, chi).sizes
+    other = fitted(there.data, base.hypothesis, chi[None], sizes, ROUNDS, MOST)
+    return prepared if base.evidence > other.evidence else replace(there, base=other)
+
+
 def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
     """Without trials so sensitive that what is in doubt of their numerical error is more than the tolerance: whatever
     they leave says nothing of causes. All of them where two or more others are not left."""
-    good = [k for k, error in enumerate(prepared.error) if DOUBT * error < tolerance]
+    good = [k for k, doubt in enumerate(prepared.doubt) if doubt < tolerance]
     if len(good) == len(prepared.raw) or len(good) < FEWEST:
         return prepared
     base, raw = prepared.base, tuple(prepared.raw[k] for k in good)
-    names = tuple(trial.name for k, trial in enumerate(prepared.raw) if k not in good)
-    kept = replace(prepared, raw=raw, chaotic=names).at(base)
+    names = [trial.name for k, trial in enumerate(prepared.raw) if k not in good]
+    kept = replace(prepared, raw=raw, chaotic=(*prepared.chaotic, *names)).at(base)
     return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes[good], ROUNDS, MOST))
 
 
-def _with_nearer_mesh(prepared: Prepared, model: Model) -> Prepared:
-    """With the configured mesh as a part of the model, if the data are nearer to that: they come from a simulation of
-    such a chain."""
+def _with_nearer_mesh(prepared: Prepared, model: Model, tolerance: float) -> Prepared:
+    """With the configured mesh as a part of the model, if the data are nearer to that and it leaves nothing to explain:
+    they come from a simulation of such a chain."""
     own = _configured(prepared, model)
     if own is None or own.evidence < prepared.base.evidence + MESH:
         return replace(prepared, configured=own)
     raw = tuple(replace(trial, model=own.hypothesis.model) for trial in prepared.raw)
     literal = replace(prepared, literal=True, raw=raw).at(own)
-    return replace(literal, base=fitted(literal.data, own.hypothesis, own.chi[None], own.sizes, ROUNDS, MOST))
+    fit = fitted(literal.data, own.hypothesis, own.chi[None], own.sizes, ROUNDS, MOST)
+    if literal.data.tip_rms(lacked(literal.data, fit)).max() > tolerance:
+        return replace(prepared, configured=own)
+    return replace(literal, base=fit)
 
 
 def resolved(model: Model) -> Model:
@@ -174,40 +203,31 @@ def searched_again(data: Data, fit: Fit, rng: np.random.Generator, starts: int) 
     return max(fit, other, key=lambda each: each.evidence)
 
 
-def lacking(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> Data:
-    """Data of trials, with what a hypothesis at exponents (P,) may lack in each."""
+def lacking(
+    trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray, doubts: Sequence[np.ndarray] | None = None
+) -> Data:
+    """Data of trials, with what a hypothesis at exponents (P,) may lack in each. doubts: columns (2 n, D) over sigma of
+    each, whose amplitudes are standard normal."""
     values = values_of(hypothesis.parameters, chi[None])[0]
-    nuisance = modes(trials, values) or [np.zeros((2 * len(t.s), 0)) for t in trials]
+    nothing = [np.zeros((2 * len(t.s), 0)) for t in trials]
+    pairs = zip(modes(trials, values) or nothing, doubts or nothing, strict=True)
+    nuisance = [np.hstack(pair) for pair in pairs]
     growth = _growth(trials, hypothesis, chi)
     return Data(tuple(trials), tuple(Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True)))
 
 
-def _without_the_worst(data: Data, base: Fit, rng: np.random.Generator, starts: int) -> Fit:
-    """The base model's fit, or a better one, found without the trial that it is furthest from: one chaotic trial can
-    take all others along."""
-    worst = int(np.argmax(data.tip_rms(base.residuals)))
-    kept = data.only([k for k in range(len(data.trials)) if k != worst])
-    if not kept.trials:
-        return base
-    some = searched_again(
-        kept, fitted(kept, base.hypothesis, base.chi[None], np.delete(base.sizes, worst), 2, MOST), rng, starts
-    )
-    other = fitted(data, base.hypothesis, some.chi[None], base.sizes, ROUNDS, MOST)
-    return max(base, other, key=lambda each: each.evidence)
-
-
 def corrected(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> tuple[Data, np.ndarray]:
-    """Data without the numerical error of a hypothesis at exponents (P,), and that error at each tip [m].
+    """Data without the numerical error of a hypothesis at exponents (P,), and what is in doubt of that at each tip [m].
 
-    The error is what a mesh and a step half as long change, extrapolated (Richardson), and is taken off what was
-    measured (deferred correction: Stetter 1978): simulations stay cheap, and a quarter of it remains in doubt.
+    The error is taken off what was measured (deferred correction: Stetter 1978), so that simulations stay cheap. What
+    is in doubt of it keeps its shape and may be more or less.
     """
     own = [replace(trial, model=hypothesis.model) for trial in trials]
-    shifts = _numerical_error(own, hypothesis, chi)
-    told = zip(own, shifts, strict=True)
-    moved = [replace(t, points=t.points - shift, sigma=_doubted(t, shift)) for t, shift in told]
-    data = lacking(moved, hypothesis, chi)
-    return data, data.tip_rms([(shift / t.sigma[:, None]).ravel() for t, shift in zip(moved, shifts, strict=True)])
+    errors = _numerical_error(own, hypothesis, chi)
+    moved = [replace(t, points=t.points - error) for t, (error, _) in zip(own, errors, strict=True)]
+    over = [(doubt / t.sigma[:, None]).ravel() for t, (_, doubt) in zip(own, errors, strict=True)]
+    data = lacking(moved, hypothesis, chi, [each[:, None] for each in over])
+    return data, data.tip_rms(over)
 
 
 def _base(
@@ -263,7 +283,7 @@ def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, float]:
     """A trial without the points whose residuals (n, 2) over sigma are far from smooth motion, and the noise of the
     others over sigma."""
     noise = float("nan")
-    for _ in range(PASSES):
+    for _ in range(HIDDEN):
         beside, noise = smoothed(trial, residual)
         near = np.linalg.norm(beside, axis=1) < OUTLYING * noise
         if near.all() or len(np.unique(trial.frame[near])) < FRAMES_NEEDED:
@@ -273,22 +293,25 @@ def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, float]:
     return trial, noise
 
 
-def _numerical_error(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
-    """By how much a string without mesh or step would be elsewhere at the measured points of each trial, (n, 2) [m]."""
-    model = hypothesis.model.divided(2 * (hypothesis.model.string.points - 1))
-    finer = replace(model, string=replace(model.string, largest_step=model.string.largest_step / 2))
-    values = values_of(hypothesis.parameters, chi[None])
-    fine = [replace(trial, model=finer) for trial in trials]
-    pairs = zip(trials, seen_together(hypothesis.model, trials, values), strict=True)
-    here = [trial.at_measured(points)[0] for trial, points in pairs]
-    pairs = zip(fine, seen_together(finer, fine, values), strict=True)
-    there = [trial.at_measured(points)[0] for trial, points in pairs]
-    return [np.nan_to_num(extrapolated(a, b) - a) for a, b in zip(here, there, strict=True)]
+def _numerical_error(
+    trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """By how much a string without mesh or step would be elsewhere at the measured points of each trial, and what is in
+    doubt of that, (n, 2) [m] each.
 
-
-def _doubted(trial: Case, shift: np.ndarray) -> np.ndarray:
-    """Sigma of a coordinate (n,) [m], with what is in doubt of a numerical error (n, 2) [m]."""
-    return np.asarray(np.hypot(trial.sigma, DOUBT * np.linalg.norm(shift, axis=1) / np.sqrt(2)))
+    Meshes and steps are halved twice, and extrapolated from either pair (Richardson); pairs differ by what is in doubt.
+    """
+    values, found = values_of(hypothesis.parameters, chi[None]), []
+    for times in (1, 2, 4):
+        model = hypothesis.model.divided(times * (hypothesis.model.string.points - 1))
+        model = replace(model, string=replace(model.string, largest_step=model.string.largest_step / times))
+        own = [replace(trial, model=model) for trial in trials]
+        found.append([t.at_measured(seen)[0] for t, seen in zip(own, seen_together(model, own, values), strict=True)])
+    errors = []
+    for here, finer, finest in zip(*found, strict=True):
+        limit = extrapolated(finer, finest)
+        errors.append((np.nan_to_num(limit - here), np.nan_to_num(limit - extrapolated(here, finer))))
+    return errors
 
 
 def _growth(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:

@@ -16,16 +16,19 @@ from scipy.stats import qmc
 from stringcast.stages.diagnose.places import touching, varied_parameters
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import marginal
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
+from stringcast.stages.inference.evidence import WIDTHS, Data, Fit, Hypothesis
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, components, position_dependent
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model
 
-SHARES = (0.2, 0.03)  # of the way from absent to the end of the range
+LITTLE = 0.03  # of the way from absent to the end of the range, where it is looked how far an effect moves the tip
+TRIED = WIDTHS[1:3]  # [m] at the tip that it is tried at
+UNSEEN = 1e-7  # [m] at the tip: it does nothing
 LARGEST = 2.0  # times a probe's size that it may be taken at, where it is still about linear
 STARTS = 3  # of an effect's fit
+VALUES = (np.arange(8) + 0.5) / 8  # of its range, at which a parameter of a cause is tried anew
 CLOSER = (0.06, 0.03, 0.015)  # of a range, within which places are tried about the best ones
 BEST, ABOUT = 4, 6  # how many of these, and how many places about each
 UNMOVED = 1e-6  # standard deviations: what moves nothing explains nothing
@@ -69,6 +72,16 @@ def proposals(data: Data, parent: Fit, effects: Sequence[type[Effect]], seed: in
     return sorted((each for each in found if each is not None), key=lambda each: -each.gain)
 
 
+def elsewhere(data: Data, fit: Fit) -> np.ndarray:
+    """Exponents (C, P) at which a parameter of a cause has another value, where that promises more: the most promising
+    first. What says when or where leaves ridges and plains, on which a search by slopes ends."""
+    linear, hypothesis = _Linear(data, fit), fit.hypothesis
+    places = [place for cause in hypothesis.causes for place in hypothesis.places(cause, cause.parameters)]
+    found = [linear.elsewhere(place) for place in places]
+    chi, gain = (np.concatenate(each) for each in zip(*found, strict=True))
+    return np.asarray(chi[np.argsort(-gain, kind="stable")][: int((gain > 0).sum())][:STARTS])
+
+
 class _Linear:
     """Data about a fit, to first order."""
 
@@ -85,11 +98,28 @@ class _Linear:
         pairs = zip(raw, self.parent.residuals, strict=True)
         return [np.where(lost[:, None], LOST, each - own) for each, own in pairs]
 
+    def tip(self, responses: Sequence[np.ndarray]) -> np.ndarray:
+        """Root mean square of responses at the tip over all trials [m], (C,)."""
+        each = zip(*responses, strict=True)
+        return np.array([np.sqrt(np.mean(self.data.tip_rms(list(some)) ** 2)) for some in each])
+
     def steps(self, responses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """What the fitted parameters do about responses, (C, P), and what is left of these, white, (C, N)."""
         white = self.data.white(responses, self.parent.sizes)
         step = -(white @ self.slopes.T) @ self.covariance
         return step, white + step @ self.slopes
+
+    def elsewhere(self, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Exponents (C, P) with one at other values of its range, and the others as they suit that, to first order;
+        with the gain of the log-likelihood, (C,)."""
+        parent = self.parent
+        chi = np.repeat(parent.chi[None], len(VALUES), axis=0)
+        chi[:, place] = VALUES
+        responses = self.responses(parent.hypothesis, chi)
+        slopes = np.where(np.arange(len(parent.chi))[:, None] == place, 0.0, self.slopes)
+        normal = slopes @ slopes.T + PRIOR * np.eye(len(slopes))
+        step = -np.linalg.solve(normal, slopes @ self.data.white(responses, parent.sizes).T).T
+        return np.clip(chi + step, 0.0, 1.0), self.gains(responses, step, np.ones(len(chi)))
 
     def gains(self, responses: Sequence[np.ndarray], step: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Of the log-likelihood by so many times (C,) a response and what is done about it, (C,)."""
@@ -103,7 +133,7 @@ def _anywhere(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | No
     """Of an effect that acts wherever the string is: at several sizes to both sides, at any time."""
     hypothesis = linear.parent.hypothesis.joined(effect)
     start = hypothesis.carried(linear.parent.named)
-    size, chi = hypothesis.places(effect, components(effect)), _probes(hypothesis, effect, start, seed)
+    size, chi = hypothesis.places(effect, components(effect)), _probes(linear, hypothesis, effect, seed)
     responses = linear.responses(hypothesis, chi)
     step, beyond = linear.steps(responses)
     square = np.sum(beyond**2, axis=1)
@@ -116,18 +146,26 @@ def _anywhere(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | No
     return _best(linear, hypothesis, starts, gain, times[:, None] * step, beyond)
 
 
-def _probes(hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray, seed: int) -> np.ndarray:
-    """Exponents (C, P) at which an effect is tried."""
+def _probes(linear: _Linear, hypothesis: Hypothesis, effect: type[Effect], seed: int) -> np.ndarray:
+    """Exponents (C, P) at which an effect is tried: such that it moves the tip as far as causes may well do."""
+    start = hypothesis.carried(linear.parent.named)
     own, size = hypothesis.places(effect, varied_parameters(effect)), hypothesis.places(effect, components(effect))
     ends = np.array([[0.0], [1.0]])
     if len(own) > 1:
         ends = qmc.Sobol(len(own), seed=seed).random_base2(len(own) + 1)
         ends[:, 0] = np.round(ends[:, 0])
-    rows = np.repeat(start[None], len(SHARES) * len(ends), axis=0)
-    rows[:, own] = np.tile(ends, (len(SHARES), 1))
-    share = np.repeat(SHARES, len(ends))[:, None]
-    rows[:, size] = start[size] + share * (rows[:, size] - start[size])
-    return np.unique(rows[np.abs(rows[:, size] - start[size]).max(axis=1) > 0], axis=0)
+    rows = np.repeat(start[None], len(ends), axis=0)
+    rows[:, own] = ends
+    away = rows[:, size] - start[size]
+    rows, away = rows[np.abs(away).max(axis=1) > 0], away[np.abs(away).max(axis=1) > 0]
+    rows[:, size] = start[size] + LITTLE * away
+    moves = linear.tip(linear.responses(hypothesis, rows))
+    found = []
+    for width in TRIED:
+        share = np.clip(LITTLE * width / np.maximum(moves, UNSEEN), LITTLE**2, 1.0)
+        rows[:, size] = start[size] + share[:, None] * away
+        found.append(rows.copy())
+    return np.unique(np.concatenate(found), axis=0)
 
 
 def _placed(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | None:

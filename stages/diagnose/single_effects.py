@@ -19,10 +19,10 @@ from pydantic import Field
 
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.predictions import Prediction, predicted
-from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, searched_again
-from stringcast.stages.diagnose.proposals import Proposal, proposals
+from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, converged, searched_again
+from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
-from stringcast.stages.model.effect import Effect, position_dependent
+from stringcast.stages.model.effect import Effect, components, position_dependent
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ PROMISING = 6  # proposals fitted first; the others, if none of these explains w
 TURNS = 4  # between a candidate's parameters and sizes of discrepancies
 STEPS = 8  # of each
 WORTH = 5.0  # of the log-likelihood to first order: less is not fitted first
-TOUCHES = 1e-4  # [m] at the tip: what moves it less in a trial does not act there
+RIVALS = 3  # fitted to the end, at most
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Length = Annotated[float, Field(gt=0, lt=0.1)]
@@ -92,7 +92,7 @@ def searched(
     """The causes that enter, one after another."""
     found = Found(prepared, prepared.base)
     for number in range(criteria.causes):
-        step = compared(found.prepared.data, found.fit, effects, criteria, seed)
+        step = compared(found.prepared, found.fit, effects, criteria, seed)
         progress((number + 1) / (criteria.causes + 1))
         found = replace(found, path=(*found.path, step))
         if step.best is None or not enters(found.prepared.data, step, criteria):
@@ -101,10 +101,10 @@ def searched(
         log.info(
             "enters: %s, evidence %+.1f", step.best.hypothesis.names[-1], step.best.evidence - step.parent.evidence
         )
-    return pruned(found)
+    return pruned(found, criteria.least_size)
 
 
-def pruned(found: Found) -> Found:
+def pruned(found: Found, least_size: float) -> Found:
     """Without causes that do not help to predict trials left out, the last that entered first.
 
     The log-likelihood of what was not seen must rise, whichever trial is left aside; of what acts in one trial alone no
@@ -117,24 +117,38 @@ def pruned(found: Found) -> Found:
         less = replace(found, fit=refitted(data, found.fit, found.fit.hypothesis.without(cause)))
         pairs = zip(found.predictions, less.predictions, strict=True)
         gains = np.array([a.log_likelihood - b.log_likelihood for a, b in pairs])
-        if not _touches_once(cause, moved(data, less.fit, found.fit)) and gains.sum() - gains.max() <= 0:
+        if not _touches_once(data, found.fit, cause, least_size) and gains.sum() - gains.max() <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
             found = less
     return found
 
 
-def compared(data: Data, parent: Fit, effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:
+def compared(prepared: Prepared, parent: Fit, effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:
     """Every effect beside those of a fit, the promising ones fitted; all of them where something is to be explained and
-    none of these does."""
+    none of these does. Those that come near to the most evident are fitted to the end: little tells look-alikes."""
+    data = prepared.data
     free = [e for e in effects if e not in parent.hypothesis.causes]
     ranked = proposals(data, parent, free, seed)
     first = [p for p in ranked[:PROMISING] if p.gain > WORTH]
     step = Step(parent, ranked, _fitted(data, parent, first))
+    step = _contested(prepared, step, criteria)
     lacking = unexplained(data, parent).max() > criteria.least_size
     if lacking and not (step.best and enters(data, step, criteria)):
         rest = [p for p in ranked if p not in first]
         step = replace(step, tried=_ranked([*step.tried, *_fitted(data, parent, rest)]))
+        step = _contested(prepared, step, criteria)
     return step
+
+
+def _contested(prepared: Prepared, step: Step, criteria: Criteria) -> Step:
+    """With those fitted to the end that come near to the most evident, if that is evident at all."""
+    parent = step.parent
+    if step.best is None or step.best.evidence < parent.evidence + criteria.enough:
+        return step
+    enough = parent.evidence + criteria.least_share * (step.best.evidence - parent.evidence)
+    count = sum(fit.evidence > enough for fit in step.tried[:RIVALS])
+    rivals = [polished(prepared, fit)[1] for fit in step.tried[:count]]
+    return replace(step, tried=_ranked([*rivals, *step.tried[count:]]))
 
 
 def enters(data: Data, step: Step, criteria: Criteria) -> bool:
@@ -145,16 +159,26 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
     best = step.best
     assert best is not None
     gain, by_trial = best.evidence - step.parent.evidence, best.by_trial - step.parent.by_trial
-    acts = moved(data, step.parent, best)
-    once = _touches_once(best.hypothesis.causes[-1], acts)
+    once = _touches_once(data, best, best.hypothesis.causes[-1], criteria.least_size)
     enough = removed(data, step.parent, best) if once else gain - by_trial.max()
     wanted = criteria.least_share if once else criteria.enough
-    return bool(gain > criteria.enough and enough > wanted and acts.max() > criteria.least_size and not best.lost)
+    return bool(
+        gain > criteria.enough
+        and enough > wanted
+        and moved(data, step.parent, best).max() > criteria.least_size
+        and not best.lost
+    )
 
 
-def _touches_once(cause: type[Effect], acts: np.ndarray) -> bool:
-    """Whether a cause depends on place and acts in one trial alone. acts: how far it moves each tip [m], (K,)."""
-    return position_dependent(cause) and int((acts > TOUCHES).sum()) == 1
+def _touches_once(data: Data, fit: Fit, cause: type[Effect], least_size: float) -> bool:
+    """Whether a cause of a fit depends on place and moves the tip by that much [m] in one trial alone."""
+    if not position_dependent(cause):
+        return False
+    absent, size = fit.chi.copy(), components(cause)
+    absent[fit.hypothesis.places(cause, size)] = [float(p.chi(np.asarray(p.start))) for p in size]
+    others = [each[0] for each in data.residuals(fit.hypothesis.model, absent[None])]
+    acts = data.tip_rms([a - b for a, b in zip(fit.residuals, others, strict=True)])
+    return int((acts > least_size).sum()) == 1
 
 
 def unexplained(data: Data, fit: Fit) -> np.ndarray:
@@ -173,12 +197,22 @@ def moved(data: Data, one: Fit, other: Fit) -> np.ndarray:
     return data.tip_rms([a - b for a, b in zip(one.residuals, other.residuals, strict=True)])
 
 
+def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
+    """Data with the numerical error of a fit, and the fit to these: with other values of its causes' parameters, if
+    these suit better."""
+    prepared, fit = converged(prepared, fit)
+    others = elsewhere(prepared.data, fit)
+    if not len(others):
+        return prepared, fit
+    other = fitted(prepared.data, fit.hypothesis, others, fit.sizes, ROUNDS, MOST)
+    return converged(prepared, other) if other.evidence > fit.evidence else (prepared, fit)
+
+
 def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generator, starts: int) -> Found:
     """With one more cause, numerical error as it is there, and without causes that are not needed any more."""
-    prepared = found.prepared.at(best)
-    fit = fitted(prepared.data, best.hypothesis, best.chi[None], best.sizes, ROUNDS, MOST)
+    prepared, fit = found.prepared.at(best), best
     if unexplained(prepared.data, fit).max() > criteria.least_size:
-        fit = searched_again(prepared.data, fit, rng, starts)
+        prepared, fit = polished(prepared, searched_again(prepared.data, fit, rng, starts))
     dropped: list[str] = []
     for cause in best.hypothesis.causes[:-1]:
         less = refitted(prepared.data, fit, fit.hypothesis.without(cause))

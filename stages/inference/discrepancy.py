@@ -32,7 +32,7 @@ ALONG = 0.35  # of the length: of a string's first modes, which a hand moves mos
 PLACES = 6  # nodes along the string: two for each correlation length
 KNOTS = 0.015  # [s] from spline to spline: motion up to 30 Hz
 MOST = 64  # splines at most: longer trials are told more coarsely
-SIZES = np.concatenate([[0.0], np.geomspace(5e-5, 0.1, 18)])  # [m] of s: each 1.57 times the last
+SIZES = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])  # [m] of s: each 1.56 times the last; no string is as far
 TYPICAL = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
 APART = 3  # frames from spline to spline, at least, where noise is told
 FREE = 0.2  # of all points: with fewer beside what splines tell, they do not tell the noise
@@ -174,7 +174,7 @@ def _along(trial: Case) -> np.ndarray:
 
 def _kernel_root(trial: Case, growth: np.ndarray) -> np.ndarray:
     """Columns (n, K) whose products are the covariance of the discrepancy, of unit mean square at the tip."""
-    nodes = _nodes(trial, MEMORY / 2)
+    nodes = _nodes(trial, KNOTS)
     memory = max(MEMORY, 2 * (nodes[1] - nodes[0]))
     time = _columns(trial.times, nodes, lambda gap: _matern(gap / memory))[trial.frame]
     grown = (growth / np.sqrt(np.mean(growth**2)))[trial.frame] / trial.sigma

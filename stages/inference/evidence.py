@@ -126,7 +126,8 @@ class Data:
 
 @dataclass(frozen=True)
 class Problem:
-    """A hypothesis as the solver's problem. sizes: (K,) of the discrepancies."""
+    """A hypothesis as the solver's problem: trials, and that exponents of the base model may lie anywhere in [0, 1],
+    which keeps those about the middle that the trials do not tell. sizes: (K,) of the discrepancies."""
 
     data: Data
     hypothesis: Hypothesis
@@ -143,7 +144,9 @@ class Problem:
         raw = self.data.residuals(self.hypothesis.model, chi)
         lost = np.stack([(each == LOST).any(axis=1) for each in raw], axis=1)
         widths = [2 * len(d.variance) for d in self.data.discrepancies]
-        return np.where(np.repeat(lost, widths, axis=1), LOST, self.data.white(raw, self.sizes))
+        white = np.where(np.repeat(lost, widths, axis=1), LOST, self.data.white(raw, self.sizes))
+        own = [self.hypothesis.model.names.index(name) for name in self.hypothesis.base.names]
+        return np.hstack([white, np.sqrt(PRIOR) * (chi[:, own] - 0.5)])
 
 
 @dataclass(frozen=True)

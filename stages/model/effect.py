@@ -241,4 +241,5 @@ def beside_weight(moment: float) -> float:
 @cache
 def position_dependent(effect: type[Effect]) -> bool:
     """Whether one of an effect's laws depends on where the string is."""
-    return any({"x", "y"} & set(arguments(law)) for law in effect.laws().values())
+    where = {"x", "y"} - {parameter.name for parameter in effect.parameters}
+    return any(where & set(arguments(law)) for law in effect.laws().values())

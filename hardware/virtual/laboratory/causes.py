@@ -212,7 +212,7 @@ CAUSES = (
         _one("rod.set_curvature", "rest_curvature.curvature"),
     ),
     Cause("hardening", ("nonlinear_bending",), _hardening),
-    Cause("rub", ("maxwell_slip", "dahl_friction"), _rub, _one("rod.rub", "maxwell_slip.cap")),
+    Cause("rub", ("maxwell_slip", "dahl_friction"), _rub),  # of Bouc and Wen: neither reaches its moment as that does
     Cause(
         "relaxing",
         ("standard_linear_solid",),

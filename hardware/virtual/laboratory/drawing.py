@@ -8,6 +8,7 @@ counted; some benches keep one such trial among good ones.
 
 from __future__ import annotations
 
+import itertools
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -62,6 +63,7 @@ KNOWN = 1 / 3  # of the noise: how well the tip of a good trial is known
 CHAOTIC_BENCHES = 0.2
 MOST_CHAOTIC = 0.05  # [m] by which a chaotic trial may be unknown: beyond, nobody would have taken it for a cast
 LADDER = np.geomspace(0.01, 1.0, 5)  # shares of a cause among which its size is sought
+PATIENCE = 25  # redraws, before another cause has its turn
 PROBED = 0.05  # share of a library's cause by which its direction is found
 
 
@@ -76,17 +78,21 @@ def draw(name: str, laboratory: Laboratory, seed: int, kind: str | None = None, 
     own = VERSIONS[name][version]
     kind = kind or own.kind(seed)
     rng = np.random.default_rng([version, seed, zlib.crc32(f"{name} {kind}".encode())])
-    while True:
+    for tried in itertools.count():
         try:
-            return _drawn(name, laboratory, seed, kind, version, rng)
+            return _drawn(name, laboratory, seed, kind, version, rng, tried // PATIENCE)
         except Redraw:
             continue
+    raise AssertionError("unreachable")
 
 
-def _drawn(name: str, laboratory: Laboratory, seed: int, kind: str, version: int, rng: np.random.Generator) -> LabBench:
+def _drawn(
+    name: str, laboratory: Laboratory, seed: int, kind: str, version: int, rng: np.random.Generator, further: int
+) -> LabBench:
+    """One try. further: how many causes beyond the one whose turn it is, which does not suit these strings."""
     count = int(rng.integers(FEWEST, MOST + 1))
     scene, unfit = _scene(laboratory, rng, count + SPARE)
-    things = _hidden(kind, VERSIONS[name][version], seed, rng, scene.performing(scene.casts[:count]))
+    things = _hidden(kind, VERSIONS[name][version], seed, further, rng, scene.performing(scene.casts[:count]))
     values = [thing.at(_share(scene, thing, rng)) for thing in things]
     sizes = _sizes(scene, things, values)
     left = (
@@ -94,6 +100,8 @@ def _drawn(name: str, laboratory: Laboratory, seed: int, kind: str, version: int
     )
     trials, redrawn = _performed(scene, things, values, count, rng)
     good = scene.performing([trial.cast for trial in trials])
+    if things and things[0].only is None:  # once more: what acted in a trial that was redrawn is not there
+        sizes = _sizes(good, things, values)
     points = tuple(trial.points + scene.sigma * _noise(rng, trial.points.shape) for trial in trials)
     truth = Truth(
         laboratory=name,
@@ -161,11 +169,14 @@ def _camera(rng: np.random.Generator) -> Camera:
     )
 
 
-def _hidden(kind: str, version: Version, seed: int, rng: np.random.Generator, scene: Scene) -> list[Hidden]:
+def _hidden(
+    kind: str, version: Version, seed: int, further: int, rng: np.random.Generator, scene: Scene
+) -> list[Hidden]:
     """Causes in circumstances of this scene's trials; singles and outside ones in turn."""
     alone = {NONE: (), SINGLE: version.single, OUTSIDE: version.outside}
     if kind in alone:
-        names = [alone[kind][version.turn(seed, kind) % len(alone[kind])]] if alone[kind] else []
+        turn = version.turn(seed, kind) + further
+        names = [alone[kind][turn % len(alone[kind])]] if alone[kind] else []
     else:
         names = list(rng.choice(version.together, {PAIR: 2, TRIPLE: 3}[kind], replace=False))
     plain = _plain(scene)

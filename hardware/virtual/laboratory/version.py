@@ -48,4 +48,4 @@ NO_MEMORY = Version(  # PyElastica's moment is linear in the turn
     together=tuple(name for name in FIRST.together if name not in ("hardening", "rub")),
     outside=FIRST.outside,
 )
-VERSIONS = {"nodal": {1: FIRST}, "pyelastica": {1: NO_MEMORY}}
+VERSIONS = {"nodal": {2: FIRST}, "pyelastica": {2: NO_MEMORY}}  # of 1 some hid what acted in no trial that was kept

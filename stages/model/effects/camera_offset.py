@@ -9,7 +9,6 @@ class CameraOffset(CameraEffect):
     """Everything is seen shifted: the pixel taken for the arm's origin is another. Measured by `align`, not guessed."""
 
     name = "camera_offset"
-    excluded = True
     parameters = (
         Parameter("x", "m", "how far to the right everything is seen", -0.1, 0.1, 0.0),
         Parameter("y", "m", "how far up everything is seen", -0.1, 0.1, 0.0),

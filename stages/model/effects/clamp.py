@@ -15,7 +15,6 @@ class Clamp(StringEffect):
     """
 
     name = "clamp"
-    excluded = True
     parameters = (
         Parameter("hidden", "m", "free string before the stated grasp", -0.03, 0.03, 0.0),
         Parameter("along", "m", "offset of the string in the grasp's direction", -0.01, 0.01, 0.0),

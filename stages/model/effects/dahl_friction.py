@@ -11,7 +11,6 @@ class DahlFriction(StringEffect):
     """
 
     name = "dahl_friction"
-    excluded = True
     parameters = (
         Parameter("cap", "m3/s2", "moment over mass per length that it comes near to", 0.0, 0.3, 0.0),
         Parameter("slip", "1/m", "curvature over which it comes near to it", 5e-3, 2.0, 0.1),

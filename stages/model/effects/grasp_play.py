@@ -14,7 +14,6 @@ class GraspPlay(StringEffect):
     """
 
     name = "grasp_play"
-    excluded = True
     parameters = (
         Parameter("cap", "m3/s2", "moment over mass per length at which it turns in the jaws", 0.0, 0.3, 0.0),
         Parameter("slip", "rad", "angle by which the jaws give before", 5e-3, 0.5, 0.05),

@@ -11,7 +11,6 @@ class StandardLinearSolid(StringEffect):
     """
 
     name = "standard_linear_solid"
-    excluded = True
     parameters = (
         Parameter("stiffness", "m4/s2", "bending stiffness over mass per length that relaxes", 0.0, 3.0, 0.0),
         Parameter("relaxation", "s", "time in which it relaxes", 3e-3, 3.0, 0.1),
