@@ -8,7 +8,6 @@ from conftest import TRUTH, ordinary
 from performed import performed, swings
 
 from stringcast.stages.diagnose.prepared import (
-    DOUBT,
     RESTING,
     Prepared,
     _widened,
@@ -116,8 +115,7 @@ def prepared(model, observed):
 )
 def test_a_chaotic_trial_is_set_aside_while_two_others_are_left(prepared, doubts, chaotic):
     """doubts: what is in doubt of each trial's numerical error, over what is tolerated."""
-    error = np.array(doubts) * TOLERANCE / DOUBT
-    kept = _without_chaotic(replace(prepared, error=error), TOLERANCE)
+    kept = _without_chaotic(replace(prepared, doubt=np.array(doubts) * TOLERANCE), TOLERANCE)
     assert kept.chaotic == chaotic
     assert {t.name for t in kept.data.trials} == {"t0", "t1", "t2"} - {*chaotic}
     assert len(kept.base.residuals) == len(kept.raw) == 3 - len(chaotic)

@@ -6,7 +6,7 @@ from stringcast.stages.model.effect import Camera, CameraEffect, Parameter, Quan
 
 
 class CameraOffset(CameraEffect):
-    """Everything is seen shifted: the pixel taken for the arm's origin is another. Measured by `align`, not guessed."""
+    """Everything is seen shifted: the pixel taken for the arm's origin is another. `align` measures it beforehand."""
 
     name = "camera_offset"
     parameters = (

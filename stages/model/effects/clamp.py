@@ -10,8 +10,7 @@ class Clamp(StringEffect):
 
     With no offset it passes straight through the stated grasp. Measured points keep their arc length from there. A
     negative length is held: it lies straight on as the free string begins. An offset is in the frame of the grasp, with
-    its angle, if it has one. Whoever wants it names it: a camera that is off looks like the offset, and a diagnosis of
-    anybody's data would have to say so.
+    its angle, if it has one. A camera that is off looks like the offset.
     """
 
     name = "clamp"

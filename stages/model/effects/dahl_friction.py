@@ -7,7 +7,7 @@ class DahlFriction(StringEffect):
     """Dahl's friction beside the bending stiffness: the moment comes near to `cap` as the hinge bends on one way.
 
     It is to `maxwell_slip` what a worn edge is to a sharp one: at a reversal it is one to two times cap / slip stiff.
-    Whoever wants it names it: no swing tells the two apart that goes far beyond `slip`.
+    No swing tells the two apart that goes far beyond `slip`.
     """
 
     name = "dahl_friction"

@@ -9,8 +9,8 @@ class GraspPlay(StringEffect):
     """The jaws hold the string's direction by dry friction, up to the moment `cap`, beside the grasp's spring.
 
     Below it they give by `slip` at most and spring back; beyond it the string turns between them, and stays turned as
-    far as the spring lets it: play, whose ends are where it last slipped to. Whoever wants it names it: while it sticks
-    it looks like a firmer grasp.
+    far as the spring lets it: play, whose ends are where it last slipped to. While it sticks it looks like a firmer
+    grasp.
     """
 
     name = "grasp_play"

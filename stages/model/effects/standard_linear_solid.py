@@ -6,8 +6,7 @@ from stringcast.stages.model.effect import Parameter, Quantity, StringEffect, Va
 class StandardLinearSolid(StringEffect):
     """A spring in series with a damper beside the bending stiffness (Zener): stiff at once, soft in the long run.
 
-    Several side by side are a Prony series. Whoever wants it names it: within one cast it looks like damping to a
-    diagnosis.
+    Several side by side are a Prony series. Within one cast it looks much like damping.
     """
 
     name = "standard_linear_solid"
