@@ -120,7 +120,7 @@ def casts(arm, camera, effects, values, segments=120):
     made, t = [], arm.tick * np.arange(90)
     places = [round(share * segments) for share in (0.27, 0.5, 0.77, 1.0)]
     for number, (first, second) in enumerate([(0.5, 0.3), (-0.4, 0.5), (0.6, -0.4)]):
-        swing = np.sin(np.pi * np.clip(t / 0.3, 0, 1)) ** 2
+        swing = np.sin(np.pi * np.clip(t / 0.4, 0, 1)) ** 2  # faster, one of them is chaotic, and would be set aside
         angles = np.array([0.6, -0.5, 0.2]) + swing[:, None] * np.array([first, second, 0.4])
         made.append(performed(f"t{number}", arm, true, {**BASE, **values}, angles, places, rng))
     return Model(String(0.3), arm, camera), made
