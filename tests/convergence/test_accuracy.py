@@ -49,14 +49,14 @@ def thrown(arm):
     return hand, string, values, times, simulate(fine, hand, values, times).tip
 
 
-def test_the_default_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_not(thrown):
+def test_the_fine_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_not(thrown):
     """Root mean square over a plain cast: 0.2 mm, and 25."""
     hand, _, values, times, exact = thrown
-    default, paper = (
+    fine, paper = (
         np.sqrt(np.mean(np.sum((simulate(string, hand, values, times).tip - exact) ** 2, axis=-1)))
-        for string in (prepared(words, None).string for words in ((), ("string=paper",)))
+        for string in (prepared((f"string={name}",), None).string for name in ("fine", "paper"))
     )
-    assert default < 1e-3 < paper
+    assert fine < 1e-3 < paper
 
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.003, 0.001])

@@ -52,7 +52,7 @@ def test_units_are_the_same_in_both_tables():
 
 
 def test_settings_are_those_of_the_paper():
-    table, config = numbers().set_index(["what", "of"])["value"], composed(["string=paper"])
+    table, config = numbers().set_index(["what", "of"])["value"], composed(["+experiment=stringB"])
     pairs = {
         ("beta", "estimation"): config["estimate"]["beta"],
         ("chi_0", "estimation"): config["estimate"]["chi_0"],

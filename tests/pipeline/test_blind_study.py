@@ -242,7 +242,7 @@ def test_only_the_virtual_lab_is_asked_about_ten_points(laboratory, points):
 
 def test_a_bench_of_the_lab_is_one(arm, camera, tmp_path):
     """The true envelope, opened by a diagnosis that finds nothing: right on a null bench."""
-    made = one_bench(VERSIONS[1].cases.index("none"), tmp_path, partial(draw, arm=arm, camera=camera), nothing)
+    made = one_bench(VERSIONS[LATEST].cases.index("none"), tmp_path, partial(draw, arm=arm, camera=camera), nothing)
     assert made["truth"]["kind"] == "none"
     assert scores([made])["benches"]["correct"].all()
 
