@@ -164,7 +164,7 @@ def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal
     )
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
-    row |= {"extended": _extended(given, found, base, judgement, z, predicts)}
+    row |= {"extended": _extended(given, found, base, ends["extended"], predicts)}
     return Diagnosis(
         FINDING.check(pd.DataFrame([row])),
         named,
@@ -197,13 +197,11 @@ def _gained(given: Given, found: Found, base: Fit) -> tuple[pd.DataFrame, bool]:
     return held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more)
 
 
-def _extended(given: Given, found: Found, base: Fit, judgement: Judgement, z: float, predicts: bool) -> str:
-    """extended.yaml: the model with its causes if it predicts better, else the base model, which it says."""
+def _extended(given: Given, found: Found, base: Fit, ends: Mapping[str, Sequence[float]], predicts: bool) -> str:
+    """extended.yaml: the model with its causes if it predicts better, else the base model, which it says. ends: of the
+    intervals of all its parameters."""
     if not (found.fit.hypothesis.causes and predicts):
         plain = yaml.safe_dump(settings(given.model, base, {}), sort_keys=False)
         return WORSE * bool(found.fit.hypothesis.causes) + plain
-    fit, ends = found.fit, {}
-    for cause in fit.hypothesis.causes:
-        for parameter, place in zip(cause.parameters, fit.hypothesis.places(cause, cause.parameters), strict=True):
-            ends[cause.qualified(parameter)] = tables.interval(fit, place, judgement.tempered, z)
-    return yaml.safe_dump(settings(given.model, fit, ends), sort_keys=False)
+    own = [cause.qualified(p) for cause in found.fit.hypothesis.causes for p in cause.parameters]
+    return yaml.safe_dump(settings(given.model, found.fit, {name: ends[name] for name in own}), sort_keys=False)

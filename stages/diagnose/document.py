@@ -170,7 +170,7 @@ def _and(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
 
 
-def settings(model: Model, fit: Fit, intervals: Mapping[str, tuple[float, float]]) -> dict[str, object]:
+def settings(model: Model, fit: Fit, intervals: Mapping[str, Sequence[float]]) -> dict[str, object]:
     """A fit as settings that other stages take: what is at work, and what is known of it.
 
     intervals: of what stages that come after must not leave, by qualified name; or of what was measured beforehand.

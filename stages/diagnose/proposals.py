@@ -51,7 +51,7 @@ class Proposal:
 
 
 def candidates(base: Model, library: Mapping[str, type[Effect]], trials: Sequence[Case]) -> list[type[Effect]]:
-    """Effects with parameters that are not in the base model and not told; of those on joints, only where there are
+    """Effects with parameters that are not in the base model and not excluded; of those on joints, only where there are
     joints; of those of a lens, only where it was not measured."""
     grasp_only = any(isinstance(trial.motion, HandMotion) for trial in trials)
     return [
@@ -98,11 +98,6 @@ class _Linear:
         pairs = zip(raw, self.parent.residuals, strict=True)
         return [np.where(lost[:, None], LOST, each - own) for each, own in pairs]
 
-    def tip(self, responses: Sequence[np.ndarray]) -> np.ndarray:
-        """Root mean square of responses at the tip over all trials [m], (C,)."""
-        each = zip(*responses, strict=True)
-        return np.array([np.sqrt(np.mean(self.data.tip_rms(list(some)) ** 2)) for some in each])
-
     def steps(self, responses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """What the fitted parameters do about responses, (C, P), and what is left of these, white, (C, N)."""
         white = self.data.white(responses, self.parent.sizes)
@@ -116,9 +111,8 @@ class _Linear:
         chi = np.repeat(parent.chi[None], len(VALUES), axis=0)
         chi[:, place] = VALUES
         responses = self.responses(parent.hypothesis, chi)
-        slopes = np.where(np.arange(len(parent.chi))[:, None] == place, 0.0, self.slopes)
-        normal = slopes @ slopes.T + PRIOR * np.eye(len(slopes))
-        step = -np.linalg.solve(normal, slopes @ self.data.white(responses, parent.sizes).T).T
+        step, held = self.steps(responses)[0], self.covariance[place]
+        step = step - step[:, [place]] * held / held[place]  # the least with that one held
         return np.clip(chi + step, 0.0, 1.0), self.gains(responses, step, np.ones(len(chi)))
 
     def gains(self, responses: Sequence[np.ndarray], step: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -159,7 +153,7 @@ def _probes(linear: _Linear, hypothesis: Hypothesis, effect: type[Effect], seed:
     away = rows[:, size] - start[size]
     rows, away = rows[np.abs(away).max(axis=1) > 0], away[np.abs(away).max(axis=1) > 0]
     rows[:, size] = start[size] + LITTLE * away
-    moves = linear.tip(linear.responses(hypothesis, rows))
+    moves = linear.data.tip_sizes(linear.responses(hypothesis, rows))
     found = []
     for width in TRIED:
         share = np.clip(LITTLE * width / np.maximum(moves, UNSEEN), LITTLE**2, 1.0)

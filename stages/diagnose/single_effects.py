@@ -114,10 +114,12 @@ def pruned(found: Found, least_size: float) -> Found:
     if len(data.trials) < 2:
         return found
     for cause in reversed(fit.hypothesis.causes):
+        if _touches_once(data, found.fit, cause, least_size):
+            continue
         less = replace(found, fit=refitted(data, found.fit, found.fit.hypothesis.without(cause)))
         pairs = zip(found.predictions, less.predictions, strict=True)
         gains = np.array([a.log_likelihood - b.log_likelihood for a, b in pairs])
-        if not _touches_once(data, found.fit, cause, least_size) and gains.sum() - gains.max() <= 0:
+        if gains.sum() - gains.max() <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
             found = less
     return found
@@ -174,8 +176,8 @@ def _touches_once(data: Data, fit: Fit, cause: type[Effect], least_size: float) 
     """Whether a cause of a fit depends on place and moves the tip by that much [m] in one trial alone."""
     if not position_dependent(cause):
         return False
-    absent, size = fit.chi.copy(), components(cause)
-    absent[fit.hypothesis.places(cause, size)] = [float(p.chi(np.asarray(p.start))) for p in size]
+    sizes = {cause.qualified(parameter) for parameter in components(cause)}
+    absent = fit.hypothesis.carried({name: chi for name, chi in fit.named.items() if name not in sizes})
     others = [each[0] for each in data.residuals(fit.hypothesis.model, absent[None])]
     acts = data.tip_rms([a - b for a, b in zip(fit.residuals, others, strict=True)])
     return int((acts > least_size).sum()) == 1

@@ -57,7 +57,7 @@ def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarr
 def _scaled(data: Data, fit: Fit, moved: Sequence[np.ndarray]) -> np.ndarray:
     """Displacements (C, 2 n) of each trial, white, (C, N), as if they moved the tip by 1 m."""
     white = data.white(moved, fit.sizes)
-    sizes = np.array([np.sqrt(np.mean(data.tip_rms([each[c] for each in moved]) ** 2)) for c in range(len(white))])
+    sizes = data.tip_sizes(moved)
     lost = np.any([np.abs(each).max(axis=1) > LOST / 2 for each in moved], axis=0)
     seen = ~lost & (sizes > 0)
     return white[seen] / sizes[seen, None]

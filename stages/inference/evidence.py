@@ -67,6 +67,11 @@ class Hypothesis:
         """Of some parameters of a cause among all."""
         return [self.model.names.index(cause.qualified(p)) for p in parameters]
 
+    @cached_property
+    def base_places(self) -> list[int]:
+        """Of the base model's parameters among all."""
+        return [self.model.names.index(name) for name in self.base.names]
+
     def carried(self, known: Mapping[str, float]) -> np.ndarray:
         """(P,) exponents known by name; those of others at their start, where a cause is absent."""
         return np.array([known.get(p.name, float(p.chi(np.asarray(p.start)))) for p in self.parameters])
@@ -123,6 +128,11 @@ class Data:
             found.append(np.sqrt(np.mean(np.sum(off**2, axis=1))))
         return np.array(found)
 
+    def tip_sizes(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
+        """Root mean square over all trials of displacements (C, 2 n) over sigma in each, as of `tip_rms` [m], (C,)."""
+        each = zip(*displacements, strict=True)
+        return np.array([np.sqrt(np.mean(self.tip_rms(some) ** 2)) for some in each])
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -145,8 +155,7 @@ class Problem:
         lost = np.stack([(each == LOST).any(axis=1) for each in raw], axis=1)
         widths = [2 * len(d.variance) for d in self.data.discrepancies]
         white = np.where(np.repeat(lost, widths, axis=1), LOST, self.data.white(raw, self.sizes))
-        own = [self.hypothesis.model.names.index(name) for name in self.hypothesis.base.names]
-        return np.hstack([white, np.sqrt(PRIOR) * (chi[:, own] - 0.5)])
+        return np.hstack([white, np.sqrt(PRIOR) * (chi[:, self.hypothesis.base_places] - 0.5)])
 
 
 @dataclass(frozen=True)
@@ -258,7 +267,7 @@ def _prior(
             moved = [slope[place] for slope in slopes]
             if away > ABSENT:
                 moved = [r - o[0] for r, o in zip(raw, data.residuals(hypothesis.model, absent[None]), strict=True)]
-            moves = float(np.sqrt(np.mean(data.tip_rms(moved) ** 2)))
+            (moves,) = data.tip_sizes([each[None] for each in moved]).tolist()
             rise = moves / away if away > ABSENT else moves
             two_sided = size.low < size.start < size.high
             total += _log_density(moves if away > ABSENT else 0.0, rise, two_sided)

@@ -8,7 +8,6 @@ counted; some benches keep one such trial among good ones.
 
 from __future__ import annotations
 
-import itertools
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -78,12 +77,12 @@ def draw(name: str, laboratory: Laboratory, seed: int, kind: str | None = None, 
     own = VERSIONS[name][version]
     kind = kind or own.kind(seed)
     rng = np.random.default_rng([version, seed, zlib.crc32(f"{name} {kind}".encode())])
-    for tried in itertools.count():
+    tried = 0
+    while True:
         try:
             return _drawn(name, laboratory, seed, kind, version, rng, tried // PATIENCE)
         except Redraw:
-            continue
-    raise AssertionError("unreachable")
+            tried += 1
 
 
 def _drawn(
@@ -92,12 +91,11 @@ def _drawn(
     """One try. further: how many causes beyond the one whose turn it is, which does not suit these strings."""
     count = int(rng.integers(FEWEST, MOST + 1))
     scene, unfit = _scene(laboratory, rng, count + SPARE)
-    things = _hidden(kind, VERSIONS[name][version], seed, further, rng, scene.performing(scene.casts[:count]))
+    own = VERSIONS[name][version]
+    things = _hidden(kind, own, own.turn(seed, kind) + further, rng, scene.performing(scene.casts[:count]))
     values = [thing.at(_share(scene, thing, rng)) for thing in things]
     sizes = _sizes(scene, things, values)
-    left = (
-        _left(scene, things[0], values[0], VERSIONS[name][version], rng) if kind == OUTSIDE else min(sizes, default=0.0)
-    )
+    left = _left(scene, things[0], values[0], own, rng) if kind == OUTSIDE else None
     trials, redrawn = _performed(scene, things, values, count, rng)
     good = scene.performing([trial.cast for trial in trials])
     if things and things[0].only is None:  # once more: what acted in a trial that was redrawn is not there
@@ -114,7 +112,7 @@ def _drawn(
         numerical_m={trial_name(i): trial.error for i, trial in enumerate(trials)},
         chaotic=tuple(trial_name(i) for i, trial in enumerate(trials) if trial.error > KNOWN * scene.sigma),
         redrawn=unfit + redrawn,
-        left_m=left,
+        left_m=min(sizes, default=0.0) if left is None else left,
     )
     return LabBench(good, points, bool(rng.integers(2)), truth)
 
@@ -169,13 +167,10 @@ def _camera(rng: np.random.Generator) -> Camera:
     )
 
 
-def _hidden(
-    kind: str, version: Version, seed: int, further: int, rng: np.random.Generator, scene: Scene
-) -> list[Hidden]:
+def _hidden(kind: str, version: Version, turn: int, rng: np.random.Generator, scene: Scene) -> list[Hidden]:
     """Causes in circumstances of this scene's trials; singles and outside ones in turn."""
     alone = {NONE: (), SINGLE: version.single, OUTSIDE: version.outside}
     if kind in alone:
-        turn = version.turn(seed, kind) + further
         names = [alone[kind][turn % len(alone[kind])]] if alone[kind] else []
     else:
         names = list(rng.choice(version.together, {PAIR: 2, TRIPLE: 3}[kind], replace=False))
