@@ -6,8 +6,10 @@ import difflib
 import re
 import shlex
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from stringcast.pipeline.commands import NAMES
 from stringcast.pipeline.older import new_name
@@ -28,23 +30,55 @@ FACTORS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 FARTHEST = 20.0  # [m] that no string, target or arm reaches: from there on a number is in millimetres
 
 
+class Answer(NamedTuple):
+    """What is wrong with a word, empty if nothing is, and the words that were meant."""
+
+    fault: str
+    meant: list[str]
+
+
+@dataclass(frozen=True)
+class Word:
+    """A word of the command line. before: the word before it, empty for the first. following: those behind it."""
+
+    text: str
+    before: str
+    following: Sequence[str]
+
+    @property
+    def name(self) -> str:
+        """What is before the equals sign; all of it where there is none."""
+        return self.text.partition("=")[0]
+
+    @property
+    def value(self) -> str:
+        """What is behind the equals sign."""
+        return self.text.partition("=")[2]
+
+    @property
+    def setting(self) -> str:
+        """Its name, without the + that adds it."""
+        return self.name.lstrip("+")
+
+    @property
+    def next(self) -> str:
+        """The word behind it, empty for the last."""
+        return self.following[0] if self.following else ""
+
+    @property
+    def belongs_before(self) -> bool:
+        """Whether it is answered with the word before it: `--experiment stringB`, `seed = 3`, `seed: 3`."""
+        apart = self.text == "=" or self.before == "=" or (self.before.endswith(":") and "=" not in self.before)
+        return apart or bool(_named_as_option(self.before) and "=" not in self.before)
+
+
 def refuse_mistakes(words: Sequence[str]) -> None:
     """Raise UserError for the first word that is not what it is meant for, with the command to paste instead."""
     if any(word.startswith(("--config-", "hydra.searchpath")) for word in words):
         return  # settings that lie elsewhere are not known here
-    faults: list[str] = []
-    better: list[str] = []
-    for place, word in enumerate(words):
-        if better and better[0] in NAMES:  # whose own words are its own
-            better.append(word)
-            continue
-        before = words[place - 1] if place else ""
-        apart = word == "=" or before == "=" or (before.endswith(":") and "=" not in before)
-        if apart or (_named_as_option(before) and "=" not in before):
-            continue  # answered with the word before it: `--experiment stringB`, `seed = 3`
-        fault, meant = next(_of(word, words[place + 1 :], first=place == 0), ("", [word]))
-        faults += [fault] if fault else []
-        better += meant
+    answers = [*_answers(words)]
+    faults = [answer.fault for answer in answers if answer.fault]
+    better = [word for answer in answers for word in answer.meant]
     experiment = next((word.removeprefix("+experiment=") for word in better if word.startswith("+experiment=")), "")
     if experiment in FROM_TRIALS and not any(word.startswith("trials=") for word in better):
         faults.append(f"+experiment={experiment} looks at stored trials, and none are named.")
@@ -53,61 +87,166 @@ def refuse_mistakes(words: Sequence[str]) -> None:
         raise UserError(f"{faults[0]} Try: {shlex.join(CALL + better)}" if better != [*words] else faults[0])
 
 
+def _answers(words: Sequence[str]) -> Iterator[Answer]:
+    """The answer to each word that stands for itself. The words behind a command are the command's own."""
+    command = False
+    for place, text in enumerate(words):
+        word = Word(text, words[place - 1] if place else "", words[place + 1 :])
+        right = Answer("", [text])
+        if command:
+            yield right
+        elif not word.belongs_before:
+            rules = OF_OPTIONS if text.startswith(("-", "~")) else OF_SETTINGS if "=" in text else OF_BARE_WORDS
+            answer = next((found for rule in rules for found in rule(word)), right)
+            command = place == 0 and answer.meant[0] in NAMES
+            yield answer
+
+
+# --- words that begin with a dash, or with a tilde, which takes a setting out ------------------
+def _setting_as_option(word: Word) -> Iterator[Answer]:
+    if name := _named_as_option(word.text):
+        what = "an experiment" if name == "experiment" else "a setting"
+        yield Answer(f"{word.text}: {what} has no dashes before it.", [_given(name, word.value or word.next)])
+
+
+def _no_such_option(word: Word) -> Iterator[Answer]:
+    if word.text.startswith("-") and word.name not in (*FLAGS, *OF_HYDRA):
+        fault = "there is no such option. A setting has no dashes: name=value. All: python -m pipeline --help"
+        yield Answer(f"{word.text}: {fault}", [word.text])
+
+
+# --- settings, name=value ----------------------------------------------------------------------
+def _experiment_not_added(word: Word) -> Iterator[Answer]:
+    if word.name == "experiment":
+        yield Answer(f"{word.text}: an experiment is added to the settings.", [_given(word.name, word.value)])
+
+
+def _steps_before_modes(word: Word) -> Iterator[Answer]:
+    if word.name == "steps":
+        names = word.value.strip("[]").replace(" ", "").split(",")  # such as extract,diagnose
+        last = {"study": "blind_study", "extract": "cast"}.get(names[-1], names[-1])
+        mode = "cast" if "generate" in names else "decide" if "execute" in names else last
+        yield Answer(f"{word.text}: what a run does is its mode now.", [f"mode={mode}"])
+
+
+def _former_name(word: Word) -> Iterator[Answer]:
+    if (now := new_name(word.setting)) != word.setting:
+        yield Answer(f"{word.text}: this setting is called {now} now.", [f"{now}={word.value}"])
+
+
+def _place_as_pair(word: Word) -> Iterator[Answer]:
+    place = re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", word.value)
+    if word.setting == "target" and place:
+        x, y = (_metres(float(part)) for part in place.groups())
+        yield Answer(f"{word.text}: a place has a setting for each coordinate.", [f"target.x={x:g}", f"target.y={y:g}"])
+
+
+def _unknown_choice(word: Word) -> Iterator[Answer]:
+    """Of a group, such as estimate=least_square; several at once, as in a sweep, are Hydra's to read."""
+    there = _options(word.setting)
+    if not there or word.value in ("", "null", *there) or re.search(r"[,()\[{$]", word.value):
+        return
+    if (CONF / word.setting / word.value).with_suffix(".yaml").exists():  # in a folder of the group
+        return
+    near = _nearest(word.value, there)
+    known = "" if near else f"; there are {', '.join(there)}"
+    yield Answer(f"{word.text}: there is no such option{known}.", [f"{word.name}={near or word.value}"])
+
+
+def _not_in_metres(word: Word) -> Iterator[Answer]:
+    found = IN_METRES.match(word.text)
+    if found and (found[3] or abs(float(found[2])) >= FARTHEST):
+        number = float(found[2]) * FACTORS[found[3]] if found[3] else _metres(float(found[2]))
+        yield Answer(f"{word.text}: lengths are in metres, without a unit.", [f"{word.name}={number:g}"])
+
+
+def _names_without_brackets(word: Word) -> Iterator[Answer]:
+    if word.name in ("effects", "own") and re.fullmatch(r"[a-z_,\d]+", word.value) and word.value != "null":
+        yield Answer(f"{word.text}: it is a list.", [f"{word.name}=[{word.value}]"])
+
+
+def _known_not_added(word: Word) -> Iterator[Answer]:
+    if word.name.partition(".")[0] == "known":
+        yield Answer(f"{word.text}: what is known is added to the settings.", [f"+{word.text}"])
+
+
+def _unknown_setting(word: Word) -> Iterator[Answer]:
+    """The nearest known one, by its first name."""
+    if not _is_setting(word.setting):
+        top, dot, inner = word.setting.partition(".")
+        near = _nearest(top, [*_settings(), *_groups()])
+        meant = _given(f"{near}{dot}{inner}", word.value) if near else word.text
+        listed = "" if near else " All of them: python -m pipeline --help"
+        yield Answer(f"{word.text}: there is no setting '{top}'.{listed}", [meant])
+
+
+# --- words without an equals sign: commands, and what is none ----------------------------------
+def _name_and_value_apart(word: Word) -> Iterator[Answer]:
+    name, colon = word.text.rstrip(":"), word.text.endswith(":")
+    if _is_setting(name) and word.following and (colon or word.next == "="):
+        value = word.next if colon else "".join(word.following[1:2])
+        yield Answer(f"{word.text}: name and value belong together.", [_given(name, value)])
+
+
+def _folder(word: Word) -> Iterator[Answer]:
+    if Path(word.text).is_dir():
+        yield Answer(f"{word.text}: a folder of trials is a setting.", [f"trials={word.text}"])
+
+
+def _task(word: Word) -> Iterator[Answer]:
+    if not word.before and word.text == "run":
+        yield Answer("run: this program runs what its settings say.", BEST)
+    if not word.before and word.text in OF_TASKS:
+        yield Answer(f"{word.text}: this is what tasks.py does: python3 tasks.py {word.text}", [word.text])
+
+
+def _help(word: Word) -> Iterator[Answer]:
+    if word.text in ("help", "?"):
+        yield Answer(f"{word.text}: help is an option.", ["--help"])
+
+
+def _nearly_a_command(word: Word) -> Iterator[Answer]:
+    near = _nearest(word.text, [*NAMES, *_options("experiment")])
+    if not word.before and near in NAMES:
+        yield Answer(f"{word.text}: there is no such command.", [near])
+
+
+def _experiment_alone(word: Word) -> Iterator[Answer]:
+    if near := _nearest(word.text, _options("experiment")):
+        yield Answer(f"{word.text}: an experiment is added to the settings.", [f"+experiment={near}"])
+
+
+def _neither(word: Word) -> Iterator[Answer]:
+    fault = f"this is neither a command ({', '.join(NAMES)}) nor a setting (name=value). See --help."
+    yield Answer(f"{word.text}: {fault}", [word.text])
+
+
+# A rule answers one kind of mistake, and says nothing of a word without it. The first that answers stands.
+OF_OPTIONS = (_setting_as_option, _no_such_option)
+OF_SETTINGS = (
+    _experiment_not_added,
+    _steps_before_modes,
+    _former_name,
+    _place_as_pair,
+    _unknown_choice,
+    _not_in_metres,
+    _names_without_brackets,
+    _known_not_added,
+    _unknown_setting,
+)
+OF_BARE_WORDS = (_name_and_value_apart, _folder, _task, _help, _nearly_a_command, _experiment_alone, _neither)
+
+
+# --- what there is -----------------------------------------------------------------------------
 def _named_as_option(word: str) -> str:
     """The setting that is given as an option of other programs: `--seed`, `--experiment=stringB`."""
     name = word.removeprefix("--").partition("=")[0]
     return name if word.startswith("--") and word not in FLAGS and _is_setting(name) else ""
 
 
-def _of(word: str, following: Sequence[str], first: bool) -> Iterator[tuple[str, list[str]]]:
-    """The fault of a word, and the words that were meant."""
-    name, given, value = word.partition("=")
-    if setting := _named_as_option(word):
-        value = value or next(iter(following), "")
-        what = "an experiment" if setting == "experiment" else "a setting"
-        yield f"{word}: {what} has no dashes before it.", [_setting(setting, value)]
-    elif word.startswith("-") and word.partition("=")[0] not in (*FLAGS, *OF_HYDRA):
-        yield (
-            f"{word}: there is no such option. A setting has no dashes: name=value. All: python -m pipeline --help",
-            [word],
-        )
-    elif word.startswith(("-", "~")):  # ~ takes a setting out
-        return
-    elif name == "experiment" and given:
-        yield f"{word}: an experiment is added to the settings.", [f"+experiment={value}"]
-    elif name == "steps" and given:
-        names = value.strip("[]").replace(" ", "").split(",")  # such as extract,diagnose
-        last = {"study": "blind_study", "extract": "cast"}.get(names[-1], names[-1])
-        mode = "cast" if "generate" in names else "decide" if "execute" in names else last
-        yield f"{word}: what a run does is its mode now.", [f"mode={mode}"]
-    elif not given and _is_setting(word.rstrip(":")) and following and (word.endswith(":") or following[0] == "="):
-        value = following[0] if word.endswith(":") else following[1] if len(following) > 1 else ""
-        yield f"{word}: name and value belong together.", [_setting(word.rstrip(":"), value)]
-    elif not given:
-        yield from _bare(word, first)
-    else:
-        yield from _valued(word, name, value)
-
-
-def _valued(word: str, name: str, value: str) -> Iterator[tuple[str, list[str]]]:
-    """The fault of a setting with a value, and the words that were meant."""
-    plain = name.lstrip("+")
-    if (now := new_name(plain)) != plain:
-        yield f"{word}: this setting is called {now} now.", [f"{now}={value}"]
-    elif plain == "target" and (place := re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", value)):
-        x, y = (_metres(float(part)) for part in place.groups())
-        yield f"{word}: a place has a setting for each coordinate.", [f"target.x={x:g}", f"target.y={y:g}"]
-    elif (CONF / plain).is_dir() and value and not re.search(r"[,()\[{$]", value):
-        yield from _option(name, value)
-    elif (found := IN_METRES.match(word)) and (found[3] or abs(float(found[2])) >= FARTHEST):
-        number = float(found[2]) * FACTORS[found[3]] if found[3] else _metres(float(found[2]))
-        yield f"{word}: lengths are in metres, without a unit.", [f"{name}={number:g}"]
-    elif name in ("effects", "own") and re.fullmatch(r"[a-z_,\d]+", value) and value != "null":
-        yield f"{word}: it is a list.", [f"{name}=[{value}]"]
-    elif name == "known" or name.startswith("known."):
-        yield f"{word}: what is known is added to the settings.", [f"+{word}"]
-    elif not _is_setting(plain):
-        yield from _unknown(word, plain, value)
+def _given(name: str, value: str) -> str:
+    """A setting as it is given; an experiment is added."""
+    return f"{'+' * (name == 'experiment')}{name}={value}"
 
 
 def _metres(number: float) -> float:
@@ -115,52 +254,9 @@ def _metres(number: float) -> float:
     return number / 1e3 if abs(number) >= FARTHEST else number
 
 
-def _unknown(word: str, plain: str, value: str) -> Iterator[tuple[str, list[str]]]:
-    """The fault of an unknown setting, and the nearest known one, by its first name."""
-    top, dot, inner = plain.partition(".")
-    near = _nearest(top, [*_settings(), *_groups()])
-    fault = f"{word}: there is no setting '{top}'."
-    if near:
-        yield fault, [_setting(f"{near}{dot}{inner}", value)]
-    else:
-        yield f"{fault} All of them: python -m pipeline --help", [word]
-
-
-def _setting(name: str, value: str) -> str:
-    """A setting as it is given; an experiment is added."""
-    return f"{'+' * (name == 'experiment')}{name}={value}"
-
-
 def _is_setting(name: str) -> bool:
     """Whether there is a setting or a group whose first name is this one's."""
     return re.split(r"[./@]", name)[0] in {*_settings(), *_groups(), "hydra"}
-
-
-def _bare(word: str, first: bool) -> Iterator[tuple[str, list[str]]]:
-    """The fault of a word without a value, and the words that were meant."""
-    if Path(word).is_dir():
-        yield f"{word}: a folder of trials is a setting.", [f"trials={word}"]
-    elif first and word == "run":
-        yield "run: this program runs what its settings say.", BEST
-    elif first and word in OF_TASKS:
-        yield f"{word}: this is what tasks.py does: python3 tasks.py {word}", [word]
-    elif word in ("help", "?"):
-        yield f"{word}: help is an option.", ["--help"]
-    elif first and (near := _nearest(word, [*NAMES, *_options("experiment")])) in NAMES:
-        yield f"{word}: there is no such command.", [near]
-    elif near := _nearest(word, _options("experiment")):
-        yield f"{word}: an experiment is added to the settings.", [f"+experiment={near}"]
-    else:
-        yield f"{word}: this is neither a command ({', '.join(NAMES)}) nor a setting (name=value). See --help.", [word]
-
-
-def _option(name: str, value: str) -> Iterator[tuple[str, list[str]]]:
-    """The fault of an unknown option of a group, and the nearest known one."""
-    there = _options(name.lstrip("+"))
-    if there and value not in (*there, "null") and not (CONF / name.lstrip("+") / value).with_suffix(".yaml").exists():
-        near = _nearest(value, there)
-        fault = f"{name}={value}: there is no such option"
-        yield f"{fault}." if near else f"{fault}; there are {', '.join(there)}.", [f"{name}={near or value}"]
 
 
 @cache
