@@ -120,7 +120,7 @@ def read_code(file: Path) -> tuple[tuple[Path, ...], str]:
     breaks and docstrings make no step stale. Of one tree, for it takes as long to parse as all else."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
     names: set[str] = set()
-    for node in (tree, *_statements(tree)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -130,15 +130,6 @@ def read_code(file: Path) -> tuple[tuple[Path, ...], str]:
     packages = {".".join(name.split(".")[:end]) for name in names for end in range(1, name.count(".") + 2)}
     imported = tuple(path for name in sorted(packages) if (path := _file(name)) is not None)
     return imported, hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:16]
-
-
-def _statements(node: ast.AST) -> Iterator[ast.stmt]:
-    """All statements within one, however deep; expressions, which are most of a file, hold none."""
-    for field in ("body", "orelse", "finalbody", "handlers", "cases"):
-        inside = getattr(node, field, ())
-        for one in inside if isinstance(inside, list) else ():
-            yield one
-            yield from _statements(one)
 
 
 def _file(module: str) -> Path | None:
@@ -191,11 +182,8 @@ def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[
     """Why a stored step would be made again, by its files and the run's settings alone: no model is built of these."""
     try:
         made = store.origin_of(sorted(place.glob("*.parquet"))[0])
-        stage = stages()[made["step"]]
-        store.load(stage.makes, place)
-        config = {key: settings[key] for key in stage.uses}
-        now = origin(config, made["step"], made["seed"], inputs_there(folder, made["inputs"], settings["trials"]))
-        return tuple(changes(made, now | {"sources": sources(config, stage)}, stage.uses))
+        inputs = inputs_there(folder, made["inputs"], settings["trials"])
+        return look(settings, folder, Step(stages()[made["step"]], int(place.parent.name), {}, hashes=inputs)).reasons
     except KeyError as error:
         return (f"it or the settings lack {error}: another version of this code made the run",)
     except (DataError, UserError, *store.UNREADABLE) as error:

@@ -41,6 +41,14 @@ class Arguments(argparse.ArgumentParser):
         raise UserError(f"{self.prog.split()[-1]}: {plain}. Try: {self.prog} --help")
 
 
+def paths(command: Callable[[list[str]], int], arguments: list[str], **meanings: str) -> list[Path]:
+    """The paths that a command is given, one for each of `meanings`: the help by the name that it shows."""
+    parser = Arguments(f"python -m pipeline {command.__name__}", description=command.__doc__)
+    for name, meaning in meanings.items():
+        parser.add_argument(name, type=Path, help=meaning)
+    return [*vars(parser.parse_args(arguments)).values()]
+
+
 @dataclass(frozen=True)
 class Command:
     """main: from the words behind its name to the exit status. words: what it does."""

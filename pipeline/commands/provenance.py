@@ -6,22 +6,20 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import cv2
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from rich.text import Text
 from rich.tree import Tree
 
 from stringcast.data import dataset, store
+from stringcast.data.compare import differences, differing_files
 from stringcast.data.errors import printable
 from stringcast.data.schema import DataError
 from stringcast.pipeline import run_folder
-from stringcast.pipeline.commands import Arguments
+from stringcast.pipeline.commands import paths
 from stringcast.pipeline.commands.stored import NotMadeError, run_of, stored_experiment, stored_settings, walk
 from stringcast.pipeline.console import bars
 from stringcast.pipeline.experiment import Experiment
@@ -32,11 +30,9 @@ from stringcast.pipeline.registry import stages
 from stringcast.pipeline.result import Result, in_numbers
 from stringcast.pipeline.settings import UserError, leaves
 from stringcast.pipeline.terminal import Terminal
-from stringcast.stages.spec import This
 
 DRAWN = frozenset({"config.json", ENDED, FAILED, LOG, "report.html"})  # compared by another heading, or drawn
 HEADINGS = ("settings", "data", "code", "packages", "results")  # of a difference between two runs
-LONGEST = 60  # characters of a value that are shown
 
 
 def _say(heading: str, words: list[str] | tuple[str, ...]) -> None:
@@ -46,9 +42,7 @@ def _say(heading: str, words: list[str] | tuple[str, ...]) -> None:
 # --- verify -----------------------------------------------------------------------------------
 def verify(arguments: list[str]) -> int:
     """Compute every step of a run again from what is on the disk, and compare to the bit."""
-    parser = Arguments("python -m pipeline verify", description=verify.__doc__)
-    parser.add_argument("run", type=Path, help="the run's folder; nothing is written into it")
-    folder = parser.parse_args(arguments).run
+    (folder,) = paths(verify, arguments, run="the run's folder; nothing is written into it")
     here = stored_experiment(folder)
     with bars(Terminal(stderr=True)) as bar, TemporaryDirectory() as aside:
         outcome = verified(here, folder, Path(aside), bar)
@@ -115,9 +109,7 @@ def _ending(here: Experiment, folder: Path, aside: Path, result: Result, outcome
 # --- why ----------------------------------------------------------------------------------------
 def why(arguments: list[str]) -> int:
     """Say of each step of a run whether it is fresh or stale, and why, by its files and settings: nothing is built."""
-    parser = Arguments("python -m pipeline why", description=why.__doc__)
-    parser.add_argument("place", type=Path, help="a run's folder, or that of one step: <run>/iterations/01/estimate")
-    place = parser.parse_args(arguments).place
+    (place,) = paths(why, arguments, place="a run's folder, or that of one step: <run>/iterations/01/estimate")
     folder = run_of(place)
     asked = place.resolve().relative_to(folder.resolve()).as_posix()
     states = [state for state in states_of(stored_settings(folder), folder) if asked in (".", state.place)]
@@ -153,29 +145,23 @@ def states_of(settings: Mapping[str, Any], folder: Path) -> list[StepState]:
     """States of all steps of a run, each after its inputs, and the step that an unfinished run lacks next. settings:
     the run's."""
     known = {stage.folder for stage in stages().values()}
-    there = (place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known)
-    places = sorted(there, key=lambda place: (place.parent.name, _depth(place.name), place.name))
+    places = [place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known]
+    names = {place.relative_to(folder).as_posix(): place for place in sorted(places)}
+    inputs = {name: [one for one in _inputs(place) if one in names] for name, place in names.items()}
     states: dict[str, StepState] = {}
-    for place in places:
-        above = [states[other] for other in _origin(place).get("inputs", ()) if other in states]
-        inputs = (f"{one.place}, an input, is stale" for one in above if one.reasons and not one.stays)
-        stays = performed(settings, folder, int(place.parent.name), place.name)
-        name = place.relative_to(folder).as_posix()
-        states[name] = StepState(name, (*reasons_of(folder, place, settings), *inputs), stays=stays)
-    return [*states.values(), *_missing(settings, folder, len({place.parent for place in places}))]
+    for name in TopologicalSorter(inputs).static_order():
+        above = [states[one] for one in inputs[name]]
+        stale = (f"{one.place}, an input, is stale" for one in above if one.reasons and not one.stays)
+        stays = performed(settings, folder, int(names[name].parent.name), names[name].name)
+        states[name] = StepState(name, (*reasons_of(folder, names[name], settings), *stale), stays=stays)
+    by_iteration = sorted(states.values(), key=lambda state: Path(state.place).parent)
+    return [*by_iteration, *_missing(settings, folder, len({place.parent for place in places}))]
 
 
-def _depth(artifact: str) -> int:
-    """How many stages of an iteration follow one another up to this artifact. Trials are read in points."""
-    inputs = {n: given for s in stages().values() if s.folder == artifact for n, given in s.inputs.items()}
-    asked = {"points" if name == "trials" else name for name, given in inputs.items() if isinstance(given, This)}
-    return 1 + max(map(_depth, asked), default=-1)
-
-
-def _origin(place: Path) -> dict[str, Any]:
-    """The footer of a step, as far as it can be read."""
+def _inputs(place: Path) -> Mapping[str, str]:
+    """Content hashes of a step's inputs by path, as its footer has them; empty where that cannot be read."""
     try:
-        return store.origin_of(sorted(place.glob("*.parquet"))[0])
+        return store.origin_of(sorted(place.glob("*.parquet"))[0]).get("inputs", {})
     except (DataError, LookupError, *store.UNREADABLE):
         return {}
 
@@ -192,15 +178,12 @@ def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iter
 # --- diff ---------------------------------------------------------------------------------------
 def diff(arguments: list[str]) -> int:
     """Say what differs between two runs: settings, data, code, packages, results."""
-    parser = Arguments("python -m pipeline diff", description=diff.__doc__)
-    parser.add_argument("a", type=Path, help="a run's folder")
-    parser.add_argument("b", type=Path, help="another's")
-    asked = parser.parse_args(arguments)
-    one, other = facts(asked.a), facts(asked.b)
+    a, b = paths(diff, arguments, a="a run's folder", b="another's")
+    one, other = facts(a), facts(b)
     both = {what: pairs(one[what], other[what]) for what in one}
     found = {what: [f"{name}: {x} and {y}" for name, x, y in both[what]] for what in both}
     found["code"] += [name for name, _, _ in both["sources"]] or found["whole"]
-    found["results"] += differing_files(asked.a, asked.b, DRAWN)
+    found["results"] += differing_files(a, b, DRAWN)
     for what in HEADINGS:
         _say(f"{what}: {'differ' if found[what] else 'the same'}", found[what])
     return 1 if any(found[what] for what in HEADINGS) else 0
@@ -231,81 +214,10 @@ def facts(run: Path) -> dict[str, dict[str, Any]]:
     }
 
 
-def differing_files(a: Path, b: Path, leave_out: frozenset[str] = frozenset()) -> list[str]:
-    """Differences of two folders, a line each; hidden files and the names in `leave_out` do not count."""
-    inside = {path.relative_to(home) for home in (a, b) for path in home.rglob("*") if path.is_file()}
-    names = [p for p in inside if p.name not in leave_out and not any(part.startswith(".") for part in p.parts)]
-    return [f"{name.as_posix()}: {words}" for name in sorted(names) for words in differences(a / name, b / name)]
-
-
-def differences(a: Path, b: Path) -> list[str]:
-    """Differences in the content of two files, a line each; none if they are the same. The origin in a footer does not
-    count."""
-    for path, which in ((a, "the second"), (b, "the first")):
-        if not path.is_file():
-            return [f"it is only in {which}"]
-    if a.suffix == ".parquet":
-        return _of_tables(a, b)
-    if a.read_bytes() == b.read_bytes():
-        return []
-    return _of_images(a, b) if a.suffix == ".png" else ["it has another content"]
-
-
-def _of_tables(a: Path, b: Path) -> list[str]:
-    """Columns, their order and types, rows, and every value to the bit."""
-    try:
-        if store.content_hash(a) == store.content_hash(b):
-            return []
-        one, other = (pq.read_table(path, partitioning=None, page_checksum_verification=True) for path in (a, b))
-    except store.UNREADABLE as error:
-        return [f"it is not a whole Parquet file ({error})"]
-    if one.column_names != other.column_names:
-        return [f"columns are {', '.join(one.column_names)} and {', '.join(other.column_names)}"]
-    both = [(name, one[name], other[name]) for name in one.column_names]
-    types = [f"column {name} is {x.type} and {y.type}" for name, x, y in both if x.type != y.type]
-    if types or one.num_rows != other.num_rows:
-        return types or [f"it has {one.num_rows} and {other.num_rows} rows"]
-    return [f"column {name}: {words}" for name, x, y in both if (words := _of_columns(x, y))]
-
-
-def _of_columns(a: pa.ChunkedArray, b: pa.ChunkedArray) -> str:
-    """Where two columns of one type first differ, and numbers how much at most; empty if nowhere. Of floating point the
-    bits count, so that 0 is not -0, and NaN is NaN."""
-    if not (floating := pa.types.is_floating(a.type)):
-        x, y = a.to_pylist(), b.to_pylist()
-        rows = [row for row, (one, other) in enumerate(zip(x, y, strict=True)) if one != other]
-    else:
-        x, y = a.to_numpy(), b.to_numpy()
-        rows = np.flatnonzero(x.view(f"u{x.itemsize}") != y.view(f"u{y.itemsize}")).tolist()
-    if not rows:
-        return ""
-    words = f"{len(rows)} of {len(x)} rows differ, first row {rows[0]}: {_short(x[rows[0]])} and {_short(y[rows[0]])}"
-    with np.errstate(invalid="ignore"):
-        apart = np.abs(x[rows] - y[rows]) if floating else np.array([np.nan])
-    at = "" if np.isnan(apart).all() else f", at most {np.nanmax(apart):.3g} apart (row {rows[np.nanargmax(apart)]})"
-    return words + at
-
-
-def _short(value: object) -> str:
-    said = repr(float(value)) if isinstance(value, np.floating) else repr(value)
-    return said if len(said) <= LONGEST else said[: LONGEST - 3] + "..."
-
-
-def _of_images(a: Path, b: Path) -> list[str]:
-    """How two pictures differ; the same picture may be packed otherwise."""
-    one, other = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (a, b))
-    if one is None or other is None or one.shape != other.shape:
-        return ["the image has another size or cannot be read"]
-    apart = np.abs(one.astype(int) - other.astype(int))
-    return [f"{np.count_nonzero(apart)} pixels differ, at most by {apart.max()} grey levels"] if apart.any() else []
-
-
 # --- lineage --------------------------------------------------------------------------------------
 def lineage(arguments: list[str]) -> int:
     """Show what made a file: back through its inputs to settings, seed, code and packages."""
-    parser = Arguments("python -m pipeline lineage", description=lineage.__doc__)
-    parser.add_argument("file", type=Path, help="a file of a run, or a step's folder")
-    file = parser.parse_args(arguments).file
+    (file,) = paths(lineage, arguments, file="a file of a run, or a step's folder")
     changed: list[str] = []
     tree = grown(Tree(Text(str(file))), file.resolve(), run_of(file), changed, set())
     Terminal(highlight=False).print(tree)

@@ -16,9 +16,9 @@ from omegaconf import OmegaConf
 from stringcast.data import store
 from stringcast.data.alignment import Alignment
 from stringcast.data.artifacts import Points
+from stringcast.data.compare import differences
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import commands, provenance
-from stringcast.pipeline.commands.provenance import differences
 from stringcast.pipeline.commands.provenance import verified as computed_again
 from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.modes import Batch, Calibrate
