@@ -158,13 +158,13 @@ def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal
     gains, predicts = _gained(given, found, base)
     left = left_over(data, found.fit, base, judgement, budget, given.criteria)
     plain = tempered(data, base, judgement.small)
-    ends = {"base": tables.intervals(base, plain, z), "extended": tables.intervals(found.fit, judgement.tempered, z)}
+    sure = {"base": tables.certainty(base, plain, z), "extended": tables.certainty(found.fit, judgement.tempered, z)}
     text = document(
-        found.prepared, base, judgement, budget, named, gains, given.rejected, left, proposal.next_experiment, ends
+        found.prepared, base, judgement, budget, named, gains, given.rejected, left, proposal.next_experiment, sure
     )
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
-    row |= {"extended": _extended(given, found, base, ends["extended"], predicts)}
+    row |= {"extended": _extended(given, found, base, sure["extended"]["intervals"], predicts)}
     return Diagnosis(
         FINDING.check(pd.DataFrame([row])),
         named,

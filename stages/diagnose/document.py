@@ -30,9 +30,9 @@ def document(
     rejected: Mapping[str, str],
     left: Mapping[str, Any],
     next_experiment: Mapping[str, Any] | None,
-    intervals: Mapping[str, Mapping[str, Sequence[float]]],
+    certainty: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """diagnosis.json. intervals: of the parameters of `base` and of the `extended` model."""
+    """diagnosis.json. certainty: intervals and correlations of parameters, of the `base` and the `extended` model."""
     used, listed = [trial.name for trial in prepared.data.trials], [*judgement.causes]
     others = sorted(set(judgement.inclusion) - set(listed), key=lambda name: (-judgement.inclusion[name], name))
     rest = {"none": _none(judgement), "unknown": judgement.unknown}
@@ -43,8 +43,8 @@ def document(
         "causes": [cause_entry(causes[causes["effect"] == name]) for name in listed],
         "alternatives": alternatives + [{"effect": n, "probability": p} for n, p in rest.items() if n not in listed],
         "indistinguishable": [list(group) for group in judgement.groups],
-        "base": {"parameters": base.values, "intervals": intervals["base"]},
-        "extended": {"intervals": intervals["extended"]},
+        "base": {"parameters": base.values, **certainty["base"]},
+        "extended": certainty["extended"],
         "gain": gain(held_out)
         | {"causes_chosen_from_them": bool(len(held_out)) and set(held_out["trial"]) <= set(used)},
         "unexplained": dict(left),

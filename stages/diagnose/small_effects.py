@@ -26,11 +26,22 @@ TRIED = 0.01  # of the way from absent to the end of a range: about linear
 
 @dataclass(frozen=True)
 class Tempered:
-    """A fit with every effect a little wrong. gain: of its log evidence. centre, deviation: of its exponents (P,)."""
+    """A fit with every effect a little wrong. gain: of its log evidence. centre, covariance: of its exponents (P,),
+    (P, P)."""
 
     gain: float
     centre: np.ndarray
-    deviation: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """(P,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(P, P)."""
+        return self.covariance / np.outer(self.deviation, self.deviation)
 
 
 def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarray:
@@ -73,10 +84,10 @@ def tempered(data: Data, fit: Fit, small: np.ndarray) -> Tempered:
     evidence = np.array([each[0] for each in said]) + log_prior()[: len(SMALL)]
     weight = np.exp(evidence - logsumexp(evidence))
     shift = np.array([each[1] for each in said])
-    variance = np.array([np.diag(each[2]) for each in said])
     centre = weight @ shift
-    spread = weight @ (variance + (shift - centre) ** 2)
-    return Tempered(float(logsumexp(evidence) - said[0][0]), fit.chi + centre, np.sqrt(spread))
+    apart = shift - centre
+    spread = np.tensordot(weight, np.array([each[2] for each in said]), 1) + (weight * apart.T) @ apart
+    return Tempered(float(logsumexp(evidence) - said[0][0]), fit.chi + centre, spread)
 
 
 def _at(products: np.ndarray, along: np.ndarray, own: int, size: float) -> tuple[float, np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ from stringcast.stages.model.effect import Effect, ModelChange
 ALIKE = 8  # effects whose likeness is shown: the most promising
 EVERY = 0.02  # [s] from one arrow of what is missing to the next
 ARROWS = 4  # along the string
+TOGETHER = 0.8  # correlation beyond which two parameters are better read together than each by its interval
 
 
 def joined_names(fit: Fit) -> str:
@@ -147,9 +149,22 @@ def _parameters(fit: Fit, effect: type[Effect], tempered: Tempered, z: float) ->
     return rows
 
 
+def certainty(fit: Fit, tempered: Tempered, z: float) -> dict[str, Any]:
+    """How well the trials tell a fit's parameters, as diagnosis.json has it."""
+    return {"intervals": intervals(fit, tempered, z), "correlations": correlations(fit, tempered)}
+
+
 def intervals(fit: Fit, tempered: Tempered, z: float) -> dict[str, list[float]]:
     """Ends of the intervals of all parameters, by qualified name."""
     return {p.name: [*interval(fit, place, tempered, z)] for place, p in enumerate(fit.hypothesis.parameters)}
+
+
+def correlations(fit: Fit, tempered: Tempered) -> list[dict[str, Any]]:
+    """Pairs of parameters that these trials tell apart only in part, the most correlated first."""
+    names, matrix = [p.name for p in fit.hypothesis.parameters], tempered.correlation
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(matrix[i, j]) > TOGETHER]
+    pairs.sort(key=lambda pair: -abs(matrix[pair]))
+    return [{"parameters": [names[i], names[j]], "value": float(matrix[i, j])} for i, j in pairs]
 
 
 def interval(fit: Fit, place: int, tempered: Tempered, z: float) -> tuple[float, float]:

@@ -199,7 +199,7 @@ class Chart {
     dark.addEventListener("change", () => this.again());
   }
   size() {
-    return { width: Math.max(this.box.clientWidth, 120), height: 190 };
+    return { width: Math.max(this.box.clientWidth, 120), height: 210 };
   }
   again() {
     if (this.plot && this.drawn === dark.matches) return;
@@ -211,7 +211,7 @@ class Chart {
     this.plot = new uPlot({
       ...this.size(),
       scales: { x: { time: false }, y: { range: (plot, low, high) => this.room(low, high) } },
-      axes: [{ ...axis, size: 34 }, { ...axis, size: 52, label: this.data.axis, labelSize: 20 }],
+      axes: [{ ...axis, size: 34, label: "time [ms]", labelSize: 20 }, { ...axis, size: 52, label: this.data.axis, labelSize: 20 }],
       series: [{ label: "ms", value: (plot, t) => (t === null ? "–" : t.toFixed(0)) }, ...this.data.lines.map((one) => this.line(one))],
       cursor: { y: false, drag: { x: true, y: false }, bind: { mouseleave: () => () => null, dblclick: () => () => this.group.closer(0) } },
       hooks: {

@@ -119,6 +119,13 @@ class Grid(Part):
 
 
 @dataclass(frozen=True)
+class Column(Part):
+    """Cards one below the other, beside a taller one."""
+
+    parts: Sequence[Part]
+
+
+@dataclass(frozen=True)
 class Details(Part):
     """A block that is folded away behind a line."""
 

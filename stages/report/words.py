@@ -124,12 +124,20 @@ def interval(row: Mapping[str, Any]) -> Markup:
 def _figures(row: Mapping[str, Any]) -> list[str]:
     """Value, low and high in handy units, with as many figures as their interval is worth."""
     factor = HANDY.get(row["unit"], (1.0, ""))[0]
-    values = [factor * row[name] for name in ("value", "low", "high")]
-    width = values[2] - values[1]
-    if not (np.isfinite(width) and 1e-4 < width < 1e4):
-        return [significant(value).replace("-", "−") for value in values]
-    decimals = max(0, 1 - int(np.floor(np.log10(width))))
-    return [f"{value:.{decimals}f}".replace("-", "−") for value in values]
+    return within(*(factor * row[name] for name in ("value", "low", "high")))
+
+
+def within(value: float, low: float, high: float) -> list[str]:
+    """A value and the ends of its interval, to two figures of the interval's width; each to its own three where the
+    interval is not known or spans more than a power of ten."""
+    width, largest = high - low, max(abs(low), abs(high), abs(value))
+    if not (np.isfinite(largest) and width > 0) or (low * high > 0 and not 0.1 < low / high < 10):
+        return [significant(one).replace("-", "−") for one in (value, low, high)]
+    power = int(np.floor(np.log10(largest)))
+    power *= not -3 <= power < 4
+    decimals = max(0, 1 - int(np.floor(np.log10(width))) + power)
+    raised = f" × 10{superscript(str(power))}" if power else ""
+    return [f"{one / 10.0**power:.{decimals}f}{raised}".replace("-", "−") for one in (value, low, high)]
 
 
 def _with_unit(figures: str, name: str) -> Markup:

@@ -312,10 +312,15 @@ def test_parameters_have_their_intervals_and_look_alikes_their_correlation(worde
     made = diagnosed("ambiguous", ["arm_lag", "time_offset"], likeness=alike)
     document = json.loads(made.finding["diagnosis"].iloc[0])
     document["base"] = {"parameters": {"linear_drag": 0.3}, "intervals": {"linear_drag": [0.28, 0.33]}}
-    document["extended"] = {"intervals": {"linear_drag": [0.36, 0.38]}}
+    together = [{"parameters": ["linear_drag", "quadratic_drag"], "value": -0.854}]
+    document["extended"] = {"intervals": {"linear_drag": [0.36, 0.38]}, "correlations": together}
     page = Page(worded(replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))))
     assert "These look alike here: arm lag and time offset (correlation 0.996)." in page.text
-    assert "0.3 0.28 to 0.33 0.37 0.36 to 0.38 +23 %" in page.text
+    assert "0.300 0.280 to 0.330 0.370 0.360 to 0.380 +23 %" in page.text
+    assert (
+        "Known better together than each alone, by their correlation: linear drag and quadratic drag (−0.85)."
+        in page.text
+    )
 
 
 def test_an_effect_that_the_library_no_longer_has_is_still_named(worded):

@@ -18,6 +18,7 @@ from stringcast.stages.report.charts.time import joints, matching, progress
 from stringcast.stages.report.page import (
     Card,
     Cell,
+    Column,
     Details,
     Explore,
     Figure,
@@ -42,7 +43,7 @@ from stringcast.stages.report.page import (
 )
 from stringcast.stages.report.records import Cast, Record
 from stringcast.stages.report.theme import MM, ON_FRAMES, STYLE
-from stringcast.stages.report.words import UNKNOWN, mm, ms, rate, sentence, significant, symbol, unit
+from stringcast.stages.report.words import UNKNOWN, mm, ms, rate, sentence, significant, symbol, unit, within
 
 UNREAD = "No frame of this cast could be read, so there is nothing to compare the simulation with."
 SILENT = "The arm reported no joint angles."
@@ -213,12 +214,13 @@ def _parameters(record: Record) -> list[tuple[Parameter, Any]]:
 def _learnt(parameter: Parameter, row: Any) -> list[Any]:
     """A parameter in the table."""
     bounded = np.isfinite(row["low"]) and np.isfinite(row["high"])
-    ends = number(f"{significant(row['low'])} to {significant(row['high'])}") if bounded else Cell("none", "n missing")
+    value, low, high = within(row["value"], row["low"], row["high"])
+    ends = number(f"{low} to {high}") if bounded else Cell("none", "n missing")
     known = "yes" if row["determined"] else "no" if np.isfinite(row["low"]) else UNKNOWN
     return [
         Cell(row["name"].replace("_", " "), title=parameter.meaning),
         symbol(row["symbol"]),
-        number(significant(row["value"])),
+        number(value),
         ends,
         number(f"{significant(row['minimum'])} to {significant(row['maximum'])}"),
         unit(row["unit"]),
@@ -232,14 +234,14 @@ def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Secti
     unstable = [name for name, line in (("before", cast.before), ("after", cast.after)) if not np.isfinite(line).all()]
     undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
     layers = [Layer(name, ON_FRAMES[name], shown=name != "measured") for name in ("before", "after", "measured")]
-    shared = [Grid([_closest(record, cast), _animated(record, cast, part)]), Grid(_over_time(record, cast))]
+    seen = [Column([_closest(record, cast), _where(record, cast, far)]), _animated(record, cast, part)]
     about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
     paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
     parts = [
         Text(_told(cast)),
         *(Text(undrawn.format(name), "missing") for name in unstable),
-        Explore(shared, layers),
-        Grid([_where(record, cast, far), paths, _attempts(cast), _link_and_frames(cast)]),
+        Explore([Grid(seen), Grid(_over_time(record, cast))], layers),
+        Grid([paths, Column([_attempts(cast), _link_and_frames(cast)])]),
     ]
     return Section(f"Cast {n}", parts, f"cast-{n}", badge(cast.verdict.hit), "cast")
 

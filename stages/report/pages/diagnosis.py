@@ -58,6 +58,7 @@ from stringcast.stages.report.words import (
     significant,
     symbol,
     unit,
+    within,
 )
 
 FEW = 12  # theories shown at once; the others are folded
@@ -473,24 +474,37 @@ def string(record: DiagnosisRecord) -> Section | None:
         return None
     lead = "Each model is fitted to all trials. What differs is what the base model bends to make up for its mistakes."
     columns = ("parameter", "", "base model", "95 % interval", "extended model", "95 % interval", "change", "unit")
-    return Section("The string's parameters", [Text(lead), Card("", [Table(columns, rows)])])
+    return Section("The string's parameters", [Text(lead), Card("", [Table(columns, rows), *_together(record)])])
+
+
+def _together(record: DiagnosisRecord) -> list[Text]:
+    """Parameters of the extended model that these trials tell together better than each alone, in a sentence."""
+    pairs = record.document.get("extended", {}).get("correlations", [])
+    said = [f"{' and '.join(map(plain, one['parameters']))} ({one['value']:+.2f})".replace("-", "−") for one in pairs]
+    return [Text(f"Known better together than each alone, by their correlation: {', '.join(said)}.", "caption")] * bool(
+        said
+    )
 
 
 def _parameter(of: Parameter, values: tuple[float, float | None], ends: Sequence[Sequence[float] | None]) -> list[Any]:
     """A row: values of the base and of the extended model, each with the ends of its interval, if they are known."""
     base, extended = values
     change = "" if extended is None or not base else _change(extended / base)
-    cells = [
-        number(words)
-        for value, two in zip(values, ends, strict=True)
-        for words in (
-            UNKNOWN if value is None else significant(value),
-            "" if value is None or two is None else f"{significant(two[0])} to {significant(two[1])}",
-        )
-    ]
+    cells = [number(words) for value, two in zip(values, ends, strict=True) for words in _estimated(value, two)]
     return [Cell(plain(of.name), title=of.meaning), symbol(of.symbol), *cells, number(change), unit(of.unit)]
+
+
+def _estimated(value: float | None, ends: Sequence[float] | None) -> tuple[str, str]:
+    """A value and its interval, as far as they are known."""
+    if value is None or ends is None:
+        return UNKNOWN if value is None else significant(value), ""
+    shown, low, high = within(value, *ends)
+    return shown, f"{low} to {high}"
 
 
 def _change(ratio: float) -> str:
     """In percent, or as a factor where it is large."""
-    return f"{100 * (ratio - 1):+.0f} %".replace("-", "−") if 1 / 3 < ratio < 3 else f"× {significant(ratio)}"
+    if not 1 / 3 < ratio < 3:
+        return f"× {significant(ratio)}"
+    percents = round(100 * (ratio - 1))
+    return f"{percents:+d} %".replace("-", "−") if percents else "0 %"
