@@ -130,7 +130,7 @@ def observed(scene: Scene, name: str, rng: np.random.Generator) -> np.ndarray:
 
 def diagnosed(scene: Scene, points: np.ndarray, here: Experiment) -> Diagnosis:
     """What is said of these points (N, S, 2) in a scene's casts."""
-    bench = BlindBench(0, "effect", scene, (), {}, {}, np.nan, points, told_sigma=True)
+    bench = BlindBench(0, "effect", scene, (), {}, {}, np.nan, points, states_sigma=True)
     with tempfile.TemporaryDirectory() as folder:
         bench.write(Path(folder))
         return diagnosis(Path(folder), here.config)

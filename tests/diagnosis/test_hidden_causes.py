@@ -55,7 +55,7 @@ def slow(arm, camera):
     clean, plain = scene.seen(scene.model(scene.fine, named(["joint_gain"])), [hidden, {}])
     sizes = {"joint_gain": scene.at_tip(clean - plain)}
     points = SIGMA * (clean + rng.standard_normal(clean.shape))
-    return BlindBench(0, "effect", scene, (), hidden, sizes, np.nan, points, told_sigma=True)
+    return BlindBench(0, "effect", scene, (), hidden, sizes, np.nan, points, states_sigma=True)
 
 
 def total(said):

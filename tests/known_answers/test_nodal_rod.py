@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_bvp, solve_ivp
 
 from stringcast.hardware.virtual.laboratory.hand import Path
-from stringcast.hardware.virtual.laboratory.nodal.dynamics import pushed
+from stringcast.hardware.virtual.laboratory.nodal.dynamics import State, forces
 from stringcast.hardware.virtual.laboratory.nodal.elements import Mesh
 from stringcast.hardware.virtual.laboratory.nodal.motion import moved, rest
 from stringcast.hardware.virtual.laboratory.rod import Rod
@@ -108,14 +108,14 @@ def test_the_order_in_elements_and_in_steps():
 @pytest.mark.parametrize("rod", [PLAIN, PLAIN._replace(rub=0.01, rub_curvature=2.0, relaxing=5e-3, relaxation=0.05)])
 def test_steps_follow_the_same_equations_as_a_solver_of_scipy(rod):
     path, mesh = swung(0.3), Mesh.of(rod, 4)
-    parts, still = (rod.record, mesh.shapes, mesh.weights, mesh.places), np.zeros((*mesh.places.shape, 2))
+    parts, still = (rod.record, mesh.compiled), np.zeros((*mesh.places.shape, 2))
     begun, small = rest(mesh, path.at(np.zeros(1))[0]), 1e-9  # [s], over which inner states are taken to change
 
     def rates(t, y):
         q, v = y[: 2 * begun.size].reshape(2, *begun.shape)
         state, after, hand = y[2 * begun.size :].reshape(still.shape), still.copy(), path.at(np.array([t]))[0]
         q[0], v[0] = hand[:2], hand[2:4]
-        force = pushed(t, q, v, state, small, hand, *parts, after) + mesh.weight
+        force = forces(t, State(q, v, state, small), hand, *parts, after) + mesh.weight
         a = np.zeros_like(q)
         a[0] = hand[4:6]
         a[1:] = np.linalg.solve(mesh.mass[1:, 1:], force[1:] - np.outer(mesh.mass[1:, 0], a[0]))

@@ -30,7 +30,7 @@ class BlindBench:
     sizes: dict[str, float]
     paper: float
     points: np.ndarray
-    told_sigma: bool
+    states_sigma: bool
 
     @property
     def names(self) -> list[str]:
@@ -39,7 +39,11 @@ class BlindBench:
 
     def write(self, folder: Path) -> None:
         """The dataset, in the format for measured data of others."""
-        write_table(with_trial(ARM), self._arm(), folder / "arm.parquet", {})
+        parts = [
+            pd.DataFrame({"trial": f"t{i:02d}", "t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
+            for i, cast in enumerate(self.scene.casts)
+        ]
+        write_table(with_trial(ARM), pd.concat(parts, ignore_index=True), folder / "arm.parquet", {})
         write_table(with_trial(POINTS), self._points(), folder / "points.parquet", {})
         write_text(folder / "dataset.yaml", yaml.safe_dump(self._about(), sort_keys=False))
 
@@ -57,14 +61,7 @@ class BlindBench:
         about: dict[str, Any] = {"format": FORMAT, "name": "bench", "string": {"length": self.scene.length}}
         about |= {"arm": {"links": list(arm.links), "base": list(arm.base)}}
         about |= {"camera": {**seen, "origin_px": list(camera.origin_px)}}
-        return about | ({"noise": {"point_sigma": self.scene.sigma}} if self.told_sigma else {})
-
-    def _arm(self) -> pd.DataFrame:
-        parts = [
-            pd.DataFrame({"trial": f"t{i:02d}", "t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
-            for i, cast in enumerate(self.scene.casts)
-        ]
-        return pd.concat(parts, ignore_index=True)
+        return about | ({"noise": {"point_sigma": self.scene.sigma}} if self.states_sigma else {})
 
     def _points(self) -> pd.DataFrame:
         trial = np.repeat(

@@ -31,7 +31,7 @@ FEW, MORE = 21, 41  # points with which sizes are sought, and with which what is
 EXPLAINED = 2.5  # sigmas that the true cause may then leave
 SPEEDS = (2.0, 10.0)  # of the hand [m/s]
 LADDER = np.geomspace(3e-3, 1.0, 12)  # shares of an effect's range among which its size is sought
-LARGEST = 0.9
+LARGEST = 0.9  # share of the way to the end of its range at which a cause is hidden, at most
 MOST_STEPS = 250  # of the fine string in a millisecond: strong dry friction would take it minutes
 
 
@@ -90,7 +90,9 @@ def _scene(rng: np.random.Generator, arm: Arm, camera: Camera, version: Version,
     casts, count = [], int(rng.integers(3, 6))
     for _ in range(40 * count):
         cast = random_cast(arm, rng, camera.fps, SPEEDS)
-        if _predictable(scene.performing((cast,))):
+        alone = scene.performing((cast,))
+        coarse, finer = (alone.seen(alone.model(alone.second_order(n)), [{}])[0] for n in (21, 29))
+        if alone.at_tip(finer - coarse) < AGREE:  # more points hardly move the tip
             casts.append(cast)
         if len(casts) == count:
             return scene.performing(tuple(casts))
@@ -115,12 +117,6 @@ def _string(rng: np.random.Generator, soft: bool) -> dict[str, float]:
         "grasp_stiffness": min(about(0.9 * bending**0.7, 1.4), 4.5),
         "grasp_damping": about(5e-3, 1.8),
     }
-
-
-def _predictable(scene: Scene) -> bool:
-    """More points hardly move the tip."""
-    coarse, finer = (scene.seen(scene.model(scene.second_order(n)), [{}])[0] for n in (21, 29))
-    return bool(scene.at_tip(finer - coarse) < AGREE)
 
 
 def _hidden(effect: type[Effect], rng: np.random.Generator, scene: Scene) -> Hidden:

@@ -61,7 +61,7 @@ def _to_an_end(effect: type[Effect], rng: np.random.Generator) -> Ends:
 def _outside(
     effect: type[Outside], rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]
 ) -> Hidden:
-    """In one trial or in all of them, with circumstances from the trial in which it acts."""
+    """An outside cause in one trial or in all of them, with circumstances from the trial in which it acts."""
     trial = int(rng.integers(len(times)))
     circumstances = effect.circumstances(rng, times[trial], strings[trial])
     size = effect.parameters[0]
@@ -85,7 +85,7 @@ def _rest_curvature(rng: np.random.Generator, times: list[np.ndarray], strings: 
 
 
 def _backlash(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:
-    """In one joint, or in each as much as it happens to be."""
+    """Play in one joint, or in each by a share of its own."""
     shares = np.eye(3)[rng.integers(3)] if rng.integers(2) else rng.uniform(size=3)
     gaps = {p.name: p.high * float(share) for p, share in zip(Backlash.parameters, shares, strict=True)}
     return dict.fromkeys(gaps, 0.0), gaps

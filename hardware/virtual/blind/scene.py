@@ -100,7 +100,9 @@ class Scene:
         for _ in range(steps):
             chi = np.array([own[name].chi(np.array(values[name])) for name in free])
             now, slopes = self.slopes(model, values, free, only)
-            step = _bounded_step((data - now).ravel(), slopes.reshape(len(free), -1).T, chi)
+            q, r = np.linalg.qr(slopes.reshape(len(free), -1).T)
+            within = (-chi - EDGE, 1 - chi + EDGE)  # chi stays in [0, 1]
+            step = lsq_linear(r, q.T @ (data - now).ravel(), bounds=within).x
             moved = np.clip(chi + SHARES[:, None] * step, 0, 1)
             tried = [values | {n: float(own[n].value(c)) for n, c in zip(free, row, strict=True)} for row in moved]
             misfit = np.mean((self.seen(model, tried, only) - data) ** 2, axis=(1, 2, 3))
@@ -127,12 +129,6 @@ class Scene:
     def at_tip(self, field: np.ndarray) -> float:
         """The largest displacement of the tip, in sigmas. field: (N, S, 2)."""
         return float(np.linalg.norm(field[:, -1], axis=-1).max())
-
-
-def _bounded_step(residual: np.ndarray, slopes: np.ndarray, chi: np.ndarray) -> np.ndarray:
-    """The least-squares step (P,) that keeps chi within [0, 1]. residual: (M,), slopes: (M, P)."""
-    q, r = np.linalg.qr(slopes)
-    return lsq_linear(r, q.T @ residual, bounds=(-chi - EDGE, 1 - chi + EDGE)).x
 
 
 def unexplained(field: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Laboratories that are not the model: benches for the diagnosis, simulated in another way and in other terms.
 
-`bench("nodal", 7)` gives trials as a diagnosis takes them, and what is so. A seed means the same bench for ever.
+`bench("nodal", 7)` gives trials as a diagnosis takes them, and their ground truth. A seed means the same bench for
+ever.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def drawn(name: str, seed: int, kind: str | None = None) -> LabBench:
 
 
 def bench(name: str, seed: int, kind: str | None = None) -> tuple[list[Observation], Truth]:
-    """Trials of the bench of a seed, t00, t01 and so on in this order, and what is so."""
+    """Trials of the bench of a seed, t00, t01 and so on in this order, and the ground truth."""
     made = drawn(name, seed, kind)
     with TemporaryDirectory() as folder:
         made.write(Path(folder))

@@ -1,4 +1,4 @@
-"""A bench of a laboratory: what was measured goes into a dataset, what is so only into its truth."""
+"""A bench of a laboratory: measurements go into a dataset, the hidden causes only into its truth."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ class TrueCause:
 
 @dataclass(frozen=True)
 class Truth:
-    """What is so. kind: none, single, pair, triple or outside. base: the string by the model's parameters. numerical_m:
-    of each trial, how far the tip is at most from where a coarser mesh and step have it. chaotic: trials that are not
-    known to a third of the noise and were kept. redrawn: trials that were not, and were not. left_m: of an outside
-    cause, what the likeliest single effect of the library leaves at the tip, linearised; else its size."""
+    """The ground truth of a bench. kind: none, single, pair, triple or outside. base: the string by the model's
+    parameters. numerical_m: of each trial, how far the tip is at most from where a coarser mesh and step have it.
+    chaotic: trials that are not known to a third of the noise and were kept. redrawn: trials that were not, and were
+    not. left_m: of an outside cause, what the likeliest single effect of the library leaves at the tip, linearised;
+    else its size."""
 
     laboratory: str
     version: int
@@ -54,28 +55,34 @@ class Truth:
 
     @property
     def names(self) -> list[str]:
-        """What a diagnosis should name first of each cause; the laboratory's word where it is outside."""
+        """The name of each cause that a diagnosis should give first; the laboratory's own where the library has
+        none."""
         return [cause.library[0] if cause.library else cause.name for cause in self.causes]
 
 
 @dataclass(frozen=True)
 class LabBench:
-    """scene: its casts are the trials. points: (F, S, 2) measured in each [m]. told_sigma: the dataset says how noisy
-    it is."""
+    """A drawn bench. scene: its casts are the trials. points: (F, S, 2) measured in each [m]. states_sigma: the dataset
+    states its noise."""
 
     scene: Scene
     points: tuple[np.ndarray, ...]
-    told_sigma: bool
+    states_sigma: bool
     truth: Truth
 
     def write(self, folder: Path) -> None:
         """The dataset, in the format for measured data of others."""
-        write_table(with_trial(ARM), self._arm(), folder / "arm.parquet", {})
+        parts = [
+            pd.DataFrame({"trial": trial_name(i), "t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
+            for i, cast in enumerate(self.scene.casts)
+        ]
+        write_table(with_trial(ARM), pd.concat(parts, ignore_index=True), folder / "arm.parquet", {})
         write_table(with_trial(POINTS), self._points(), folder / "points.parquet", {})
         write_text(folder / "dataset.yaml", yaml.safe_dump(self._about(), sort_keys=False))
 
     def envelope(self, path: Path) -> None:
-        """Write what is really so, as `blind.BlindBench` does, and what only laboratories know. No stage opens this.
+        """Write the ground truth, as `blind.BlindBench` does, and what only laboratories know of it. No stage opens
+        this.
 
         alike: other names of the library that are as right, and which of `names` they stand for.
         """
@@ -94,14 +101,7 @@ class LabBench:
         about: dict[str, Any] = {"format": FORMAT, "name": "bench", "string": {"length": self.scene.rod.length}}
         about |= {"arm": {"links": list(arm.links), "base": list(arm.base)}}
         about |= {"camera": {**seen, "origin_px": list(camera.origin_px)}}
-        return about | ({"noise": {"point_sigma": self.scene.sigma}} if self.told_sigma else {})
-
-    def _arm(self) -> pd.DataFrame:
-        parts = [
-            pd.DataFrame({"trial": trial_name(i), "t": cast.t} | dict(zip(JOINTS, cast.told.T, strict=True)))
-            for i, cast in enumerate(self.scene.casts)
-        ]
-        return pd.concat(parts, ignore_index=True)
+        return about | ({"noise": {"point_sigma": self.scene.sigma}} if self.states_sigma else {})
 
     def _points(self) -> pd.DataFrame:
         parts = []
@@ -113,5 +113,5 @@ class LabBench:
 
 
 def trial_name(number: int) -> str:
-    """Of a trial in the dataset."""
+    """The name of a trial in the dataset."""
     return f"t{number:02d}"

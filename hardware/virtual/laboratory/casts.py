@@ -66,13 +66,13 @@ def _fastest(arm: Arm, angles: np.ndarray) -> float:
 
 
 def _possible(arm: Arm, angles: np.ndarray) -> bool:
-    """Within the arm's ranges, joint speeds and accelerations."""
-    told = arm.commanded(angles)
+    """Whether angles stay within the arm's ranges, joint speeds and accelerations."""
+    commanded = arm.commanded(angles)
     return bool(
         (angles > arm.lowest).all()
         and (angles < arm.highest).all()
-        and (np.abs(told) <= arm.speed).all()
-        and (np.abs(np.diff(told, axis=0)) / arm.tick <= arm.acceleration).all()
+        and (np.abs(commanded) <= arm.speed).all()
+        and (np.abs(np.diff(commanded, axis=0)) / arm.tick <= arm.acceleration).all()
     )
 
 

@@ -50,7 +50,7 @@ Draw = Callable[[np.random.Generator, Plain, int], Ends | None]
 
 @dataclass(frozen=True)
 class Cause:
-    """What may be hidden. library: the library's names for it, any of which is right; none: it is outside.
+    """A cause that may be hidden. library: the library's names for it, any of which is right; none: it is outside.
 
     draw: from chance, plain trials and the trial in which it acts to settings absent and full, or None where there are
     no such circumstances. comparable: parameters of the library that mean the same, from settings. once: it acts in one
@@ -61,13 +61,13 @@ class Cause:
     name: str
     library: tuple[str, ...]
     draw: Draw
-    comparable: Callable[[Mapping[str, float]], Values] = lambda so: {}
+    comparable: Callable[[Mapping[str, float]], Values] = lambda values: {}
     once: bool = False
     ways: int = 1
     larger: float = 1.0
 
     def hidden(self, rng: np.random.Generator, plain: Plain) -> Hidden | None:
-        """In circumstances that fit the trials."""
+        """The cause in circumstances that fit the trials; None where there are none."""
         trial = int(rng.integers(len(plain.times)))
         ends = self.draw(rng, plain, trial)
         return None if ends is None else Hidden(self, *ends, only=trial if self.once else None)
@@ -98,7 +98,7 @@ def pointing(x: str, y: str, size: float, **others: tuple[float, float]) -> Draw
 
 
 def during(draw: Draw, when: str, lasts: str | None = None, span: tuple[float, float] = (0.06, 0.15)) -> Draw:
-    """The same from some time of the trial on, to another if it ends."""
+    """A cause that acts from some time of the trial on, and to another if it ends."""
 
     def timed(rng: np.random.Generator, plain: Plain, trial: int) -> Ends | None:
         ends = draw(rng, plain, trial)
@@ -110,7 +110,7 @@ def during(draw: Draw, when: str, lasts: str | None = None, span: tuple[float, f
 
 
 def passed(draw: Draw, x: str, y: str) -> Draw:
-    """The same at a place by which the outer half of the string comes once it moves."""
+    """A cause at a place which the outer half of the string passes once it moves."""
 
     def placed(rng: np.random.Generator, plain: Plain, trial: int) -> Ends | None:
         ends = draw(rng, plain, trial)
@@ -147,7 +147,7 @@ def _relaxing(rng: np.random.Generator, plain: Plain, trial: int) -> Ends:
 
 
 def _backlash(rng: np.random.Generator, plain: Plain, trial: int) -> Ends:
-    """In one joint, or in each as much as it happens to be."""
+    """Play in one joint, or in each by a share of its own."""
     shares = np.eye(3)[rng.integers(3)] if rng.integers(2) else rng.uniform(size=3)
     full = {f"hand.gap_{joint + 1}": 0.1 * float(share) for joint, share in enumerate(shares)}
     return dict.fromkeys(full, 0.0), full
@@ -199,7 +199,7 @@ def _thread(rng: np.random.Generator, plain: Plain, trial: int) -> Ends:
 
 def _one(setting: str, parameter: str, factor: float = 1.0) -> Callable[[Mapping[str, float]], Values]:
     """One setting that is a parameter of the library."""
-    return lambda so: {parameter: factor * so[setting]}
+    return lambda values: {parameter: factor * values[setting]}
 
 
 CAUSES = (
@@ -217,9 +217,9 @@ CAUSES = (
         "relaxing",
         ("standard_linear_solid",),
         _relaxing,
-        lambda so: {
-            "standard_linear_solid.stiffness": so["rod.relaxing"],
-            "standard_linear_solid.relaxation": so["rod.relaxation"],
+        lambda values: {
+            "standard_linear_solid.stiffness": values["rod.relaxing"],
+            "standard_linear_solid.relaxation": values["rod.relaxation"],
         },
     ),
     Cause("across", ("anisotropic_drag",), sized("rod.across", 8.0)),
@@ -227,22 +227,22 @@ CAUSES = (
         "wind",
         ("wind",),
         pointing("rod.wind_x", "rod.wind_y", 5.0),
-        lambda so: {"wind.along_x": so["rod.wind_x"], "wind.along_y": so["rod.wind_y"]},
+        lambda values: {"wind.along_x": values["rod.wind_x"], "wind.along_y": values["rod.wind_y"]},
         ways=2,
     ),
     Cause(
         "gravity",
         ("gravity_direction",),
         _gravity,
-        lambda so: {"gravity_direction.tilt": float(np.arctan2(so["rod.gravity_x"], 9.81))},
+        lambda values: {"gravity_direction.tilt": float(np.arctan2(values["rod.gravity_x"], 9.81))},
     ),
     Cause(
         "plane",
         ("contact",),
         _plane,
-        lambda so: {
-            "contact.height": so["rod.plane_height"],
-            "contact.tilt": float(np.arctan2(-so["rod.plane_x"], so["rod.plane_y"])),
+        lambda values: {
+            "contact.height": values["rod.plane_height"],
+            "contact.tilt": float(np.arctan2(-values["rod.plane_x"], values["rod.plane_y"])),
         },
         ways=3,
     ),
@@ -252,7 +252,7 @@ CAUSES = (
         "play",
         ("backlash",),
         _backlash,
-        lambda so: {f"backlash.gap_{j}": so[f"hand.gap_{j}"] for j in (1, 2, 3)},
+        lambda values: {f"backlash.gap_{j}": values[f"hand.gap_{j}"] for j in (1, 2, 3)},
         ways=3,
     ),
     Cause("angle", ("grasp_angle",), sized("hand.angle", -0.8, 0.8), _one("hand.angle", "grasp_angle.angle")),
@@ -260,7 +260,7 @@ CAUSES = (
         "slip",
         ("grasp_slip",),
         _slip,
-        lambda so: {"grasp_slip.speed": so["hand.slip"], "grasp_slip.onset": so["hand.slip_from"]},
+        lambda values: {"grasp_slip.speed": values["hand.slip"], "grasp_slip.onset": values["hand.slip_from"]},
         ways=2,
     ),
     Cause("offset", ("time_offset",), sized("sight.offset", -0.05, 0.05), _one("sight.offset", "time_offset.offset")),

@@ -59,7 +59,7 @@ SLOWER = 0.85  # of the fastest cast that is tried, after one that is chaotic
 FAST = (5.0, 8.0)  # [m/s] of casts that are likely to be chaotic
 FEWEST, MOST, SPARE = 4, 6, 1  # trials
 KNOWN = 1 / 3  # of the noise: how well the tip of a good trial is known
-CHAOTIC_BENCHES = 0.2
+CHAOTIC_BENCHES = 0.2  # share of the benches that keep a chaotic trial
 MOST_CHAOTIC = 0.05  # [m] by which a chaotic trial may be unknown: beyond, nobody would have taken it for a cast
 LADDER = np.geomspace(0.01, 1.0, 5)  # shares of a cause among which its size is sought
 PATIENCE = 25  # redraws, before another cause has its turn
@@ -67,7 +67,7 @@ PROBED = 0.05  # share of a library's cause by which its direction is found
 
 
 class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
-    """This string, these casts or this cause do not make the bench that is wanted."""
+    """Raised where this string, these casts or this cause do not make the bench that is wanted."""
 
 
 def draw(name: str, laboratory: Laboratory, seed: int, kind: str | None = None, version: int | None = None) -> LabBench:
@@ -92,21 +92,23 @@ def _drawn(
     count = int(rng.integers(FEWEST, MOST + 1))
     scene, unfit = _scene(laboratory, rng, count + SPARE)
     own = VERSIONS[name][version]
-    things = _hidden(kind, own, own.turn(seed, kind) + further, rng, scene.performing(scene.casts[:count]))
-    values = [thing.at(_share(scene, thing, rng)) for thing in things]
-    sizes = _sizes(scene, things, values)
-    left = _left(scene, things[0], values[0], own, rng) if kind == OUTSIDE else None
-    trials, redrawn = _performed(scene, things, values, count, rng)
+    hidden_causes = _hidden(kind, own, own.turn(seed, kind) + further, rng, scene.performing(scene.casts[:count]))
+    values = [thing.at(_share(scene, thing, rng)) for thing in hidden_causes]
+    sizes = _sizes(scene, hidden_causes, values)
+    left = _left(scene, hidden_causes[0], values[0], own, rng) if kind == OUTSIDE else None
+    trials, redrawn = _performed(scene, hidden_causes, values, count, rng)
     good = scene.performing([trial.cast for trial in trials])
-    if things and things[0].only is None:  # once more: what acted in a trial that was redrawn is not there
-        sizes = _sizes(good, things, values)
+    if (
+        hidden_causes and hidden_causes[0].only is None
+    ):  # once more: what acted in a trial that was redrawn is not there
+        sizes = _sizes(good, hidden_causes, values)
     points = tuple(trial.points + scene.sigma * _noise(rng, trial.points.shape) for trial in trials)
     truth = Truth(
         laboratory=name,
         version=version,
         seed=seed,
         kind=kind,
-        causes=tuple(_told(*each, trials) for each in zip(things, values, sizes, strict=True)),
+        causes=tuple(_true_cause(*each, trials) for each in zip(hidden_causes, values, sizes, strict=True)),
         base=scene.rod.in_points(),
         sigma=scene.sigma,
         numerical_m={trial_name(i): trial.error for i, trial in enumerate(trials)},
@@ -175,10 +177,10 @@ def _hidden(kind: str, version: Version, turn: int, rng: np.random.Generator, sc
     else:
         names = list(rng.choice(version.together, {PAIR: 2, TRIPLE: 3}[kind], replace=False))
     plain = _plain(scene)
-    things = [thing for name in names if (thing := NAMED[name].hidden(rng, plain)) is not None]
-    if len(things) < len(names):
+    hidden_causes = [thing for name in names if (thing := NAMED[name].hidden(rng, plain)) is not None]
+    if len(hidden_causes) < len(names):
         raise Redraw
-    return things
+    return hidden_causes
 
 
 def _plain(scene: Scene) -> Plain:
@@ -191,7 +193,7 @@ def _plain(scene: Scene) -> Plain:
 
 
 def _field(scene: Scene, values: dict[str, float], only: int | None) -> np.ndarray:
-    """What would be seen, roughly, (N, S, 2) [m]."""
+    """Points as measured without noise on the rough mesh, (N, S, 2) [m]. Raises Redraw where the string is lost."""
     field = np.concatenate(scene.seen(values, ROUGH, only))
     if not np.isfinite(field).all():
         raise Redraw
@@ -213,9 +215,9 @@ def _share(scene: Scene, thing: Hidden, rng: np.random.Generator) -> float:
     return float(np.interp(wanted, sizes[-2:], shares[-2:]))
 
 
-def _sizes(scene: Scene, things: Sequence[Hidden], values: Sequence[dict[str, float]]) -> list[float]:
+def _sizes(scene: Scene, hidden_causes: Sequence[Hidden], values: Sequence[dict[str, float]]) -> list[float]:
     """How far each cause moves the tip beyond what the base and the other causes explain [m]."""
-    only = things[0].only if things else None
+    only = hidden_causes[0].only if hidden_causes else None
     full = _field(scene, _merged(values), only)
     alone = [full - _field(scene, _merged([v for v in values if v is not own]), only) for own in values]
     sizes = []
@@ -228,7 +230,8 @@ def _sizes(scene: Scene, things: Sequence[Hidden], values: Sequence[dict[str, fl
 
 
 def _left(scene: Scene, thing: Hidden, values: dict[str, float], version: Version, rng: np.random.Generator) -> float:
-    """What of an outside cause the likeliest single effect of the library leaves at the tip [m], all linearised."""
+    """Root mean square at the tip [m] that the likeliest single effect of the library leaves of an outside cause,
+    linearised."""
     now, plain = _field(scene, {}, None), _plain(scene)
     change = _field(scene, values, thing.only) - now
     left = [at_tip(unexplained(change, scene.slopes))]
@@ -252,11 +255,15 @@ class Trial:
 
 
 def _performed(
-    scene: Scene, things: Sequence[Hidden], values: Sequence[dict[str, float]], count: int, rng: np.random.Generator
+    scene: Scene,
+    hidden_causes: Sequence[Hidden],
+    values: Sequence[dict[str, float]],
+    count: int,
+    rng: np.random.Generator,
 ) -> tuple[list[Trial], int]:
     """Good trials, as many as are wanted or nearly, on some benches with a chaotic one among them; how many others
     were unfit."""
-    only, merged = things[0].only if things else None, _merged(values)
+    only, merged = hidden_causes[0].only if hidden_causes else None, _merged(values)
     good: list[Trial] = []
     bad: list[Trial] = []
     for place, cast in enumerate(scene.casts):
@@ -290,8 +297,8 @@ def _apart(one: np.ndarray, other: np.ndarray) -> float:
     return float(np.where(np.isfinite(apart), apart, np.inf).max())
 
 
-def _told(thing: Hidden, values: dict[str, float], size: float, trials: Sequence[Trial]) -> TrueCause:
-    """A cause as the truth tells it."""
+def _true_cause(thing: Hidden, values: dict[str, float], size: float, trials: Sequence[Trial]) -> TrueCause:
+    """A cause as the ground truth lists it."""
     place = [trial.place for trial in trials].index(thing.only) if thing.only is not None else None
     only = None if place is None else trial_name(place)
     cause = thing.cause
@@ -303,7 +310,8 @@ def _merged(values: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Of unit variance, correlated with the neighbour along the string and with the frame before. shape: (F, S, 2)."""
+    """Noise of unit variance, correlated with the neighbour along the string and with the frame before. shape: (F, S,
+    2)."""
     along, before = rng.uniform(0.0, 0.5), rng.uniform(0.0, 0.4)
     white = rng.standard_normal((shape[0], shape[1] + 1, shape[2]))
     field = (white[:, 1:] + along * white[:, :-1]) / np.hypot(1.0, along)

@@ -43,7 +43,7 @@ class Positions:
     length: float
 
     def points(self, times: np.ndarray, arc: np.ndarray) -> np.ndarray:
-        """As of `Moved`: cubic in time and along the string."""
+        """Positions, interpolated by cubics in time and along the string; see `Moved`."""
         step = self.t[1] - self.t[0]
         in_time = _cubic((times - self.t[0]) / step, len(self.t))
         along = _cubic(arc / self.length * (self.x.shape[1] - 1), self.x.shape[1])
@@ -68,13 +68,13 @@ class Extrapolated:
     ratio: float
 
     def points(self, times: np.ndarray, arc: np.ndarray) -> np.ndarray:
-        """As of `Moved`."""
+        """Positions extrapolated from those of both meshes; see `Moved`."""
         coarse, dense = self.coarse.points(times, arc), self.dense.points(times, arc)
         return dense + (dense - coarse) / (self.ratio**2 - 1)
 
 
 class Elastica(Nodal):
-    """What is measured is PyElastica's; sizes are sought, and trials chosen, with the nodal rod."""
+    """The laboratory whose measurements are PyElastica's; sizes are sought, and trials chosen, with the nodal rod."""
 
     likely = 1e-3
 
@@ -82,14 +82,14 @@ class Elastica(Nodal):
         self._made: tuple[object, dict[int, Positions]] = (None, {})
 
     def moved(self, rod: Rod, path: Path, level: int) -> Moved:
-        """As of `Laboratory`: extrapolated from the two finest meshes, and to check from the two coarsest."""
+        """The rod extrapolated from the two finest meshes, and to check from the two coarsest; see `Laboratory`."""
         if level not in (CHECK, FINE):
             return super().moved(rod, path, level)
         coarse, dense = MESHES[1:] if level == FINE else MESHES[:-1]
         return Extrapolated(self._once(rod, path, coarse), self._once(rod, path, dense), dense / coarse)
 
     def _once(self, rod: Rod, path: Path, elements: int) -> Positions:
-        """The rod moved; the last is remembered, for two levels ask for one mesh of it."""
+        """The rod moved; the last one is cached, for two levels ask for one mesh of it."""
         key = rod, path.pose.c.tobytes()
         if self._made[0] != key:
             self._made = (key, {})
@@ -187,12 +187,10 @@ def _verlet(
     """
     x, v, directors, omega = forces[0], torques[1], forces[9], torques[12]
     steps, nodes = (len(hand) - 1) // 2, x.shape[1]
-    kept = np.empty((steps // keep + 1, nodes, 2))
+    kept, outer = np.empty((steps // keep + 1, nodes, 2)), np.empty((2, nodes))
     kept[0] = x[:2].T
-    shear, bend = forces[12].copy(), torques[7]
-    segment = forces[5][0]
+    shear, bend, segment = forces[12].copy(), torques[7], forces[5][0]
     soft = 1.0 / (1.0 + rod.grasp_stiffness * 0.5 * segment / bending[0])  # half an element bends before the grasp
-    outer = np.empty((2, nodes))
     for k in range(steps):
         now = hand[2 * k + 1]
         overload_operator_kinematic_numba(0.5 * dt, x, directors, v, omega)
@@ -201,26 +199,63 @@ def _verlet(
         _compute_internal_forces(*forces)
         bend[0, 0] = bending * forces[8] ** 3
         _compute_internal_torques(*torques)
-        _outer(begin + (k + 0.5) * dt, x, v, forces[3], segment, rod, outer)
-        pull = rod.axial_damping * torques[16]  # of dampers along the string
-        for c in range(2):
-            outer[c, :-1] += pull * forces[3][c]
-            outer[c, 1:] -= pull * forces[3][c]
-        for i in range(1, nodes):
-            v[0, i] += dt * ((forces[14][0, i] + outer[0, i]) / mass[i] + rod.gravity_x)
-            v[1, i] += dt * ((forces[14][1, i] + outer[1, i]) / mass[i] + rod.gravity_y)
-        turn = math.atan2(directors[2, 1, 0], directors[2, 0, 0]) - now[6]
-        turn = math.atan2(math.sin(turn), math.cos(turn))
-        torques[17][0, 0] -= soft * grasp_moment(turn, 0.0, begin + (k + 0.5) * dt, rod)
-        omega[0] += dt * torques[17][0] / inertia
-        brake = soft * soft * grasp_moment(0.0, 1.0, begin + (k + 0.5) * dt, rod)
-        _braked(omega[0], now[7], dt * brake / inertia[0], dt * rod.bending_damping / segment / inertia[0])
+        t = begin + (k + 0.5) * dt
+        _pushed(t, dt, x, v, forces[3], rod.axial_damping * torques[16], forces[14], mass, segment, rod, outer)
+        _turned(t, dt, directors, omega[0], torques[17][0], inertia, now, soft, segment, rod)
         v[0, 0], v[1, 0] = now[2], now[3]
         overload_operator_kinematic_numba(0.5 * dt, x, directors, v, omega)
         x[0, 0], x[1, 0] = hand[2 * k + 2, 0], hand[2 * k + 2, 1]
         if (k + 1) % keep == 0:
             kept[(k + 1) // keep] = x[:2].T
     return kept
+
+
+@njit(cache=True, error_model="numpy")
+def _pushed(
+    t: float,
+    dt: float,
+    x: np.ndarray,
+    v: np.ndarray,
+    along: np.ndarray,
+    pull: np.ndarray,
+    inner: np.ndarray,
+    mass: np.ndarray,
+    segment: float,
+    rod: Rod,
+    outer: np.ndarray,
+) -> None:
+    """Velocities (3, N + 1) after a step, but the hand's. pull: (N,) of dampers along the string. inner: (3, N + 1)
+    forces. outer: (2, N + 1), to work in."""
+    _outer(t, x, v, along, segment, rod, outer)
+    for c in range(2):
+        outer[c, :-1] += pull * along[c]
+        outer[c, 1:] -= pull * along[c]
+    for i in range(1, x.shape[1]):
+        v[0, i] += dt * ((inner[0, i] + outer[0, i]) / mass[i] + rod.gravity_x)
+        v[1, i] += dt * ((inner[1, i] + outer[1, i]) / mass[i] + rod.gravity_y)
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(
+    t: float,
+    dt: float,
+    directors: np.ndarray,
+    omega: np.ndarray,
+    torque: np.ndarray,
+    inertia: np.ndarray,
+    hand: np.ndarray,
+    soft: float,
+    segment: float,
+    rod: Rod,
+) -> None:
+    """Rates of turning (N,) after a step. torque: (N,), to which the grasp's is added. soft: share of the grasp's
+    moment that the half element before it passes on."""
+    turn = math.atan2(directors[2, 1, 0], directors[2, 0, 0]) - hand[6]
+    turn = math.atan2(math.sin(turn), math.cos(turn))
+    torque[0] -= soft * grasp_moment(turn, 0.0, t, rod)
+    omega += dt * torque / inertia
+    brake = soft * soft * grasp_moment(0.0, 1.0, t, rod)
+    _braked(omega, hand[7], dt * brake / inertia[0], dt * rod.bending_damping / segment / inertia[0])
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""The hand as it really moves: what can be so of it, absent at zero, and the way it then takes."""
+"""The hand as it really moves: faults of arm and grasp, absent at zero, and the way that the grasp then takes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EDGE = 0.004  # [s] within which a slip begins and ends
 
 
 class Hand(NamedTuple):
-    """What is so of arm and grasp."""
+    """Faults of arm and grasp, each absent at zero."""
 
     lag: float = 0.0  # [s], by which joints follow
     gain: float = 0.0
@@ -114,7 +114,7 @@ def played(angles: np.ndarray, half: np.ndarray) -> np.ndarray:
 
 
 def ringing(acceleration: np.ndarray, tick: float) -> np.ndarray:
-    """What an oscillator of 12 Hz, damped by a tenth, makes of an acceleration (K,): a joint on a spring."""
+    """Response (K,) of a joint on a spring, an oscillator of 12 Hz damped by a tenth, to an acceleration (K,)."""
     pull, damp = (2 * np.pi * 12) ** 2, 2 * 0.1 * 2 * np.pi * 12
     place, speed, all_places = 0.0, 0.0, np.zeros_like(acceleration)
     for k, push in enumerate(acceleration):

@@ -1,4 +1,4 @@
-"""The string that a laboratory hangs in the hand, as a continuum: all that can be so of it, absent at zero."""
+"""The string that a laboratory hangs in the hand, as a continuum with every property it may have, absent at zero."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Rod(NamedTuple):
 
     @property
     def record(self) -> np.void:
-        """The same as compiled code takes it."""
+        """The rod as a NumPy record, which compiled code takes."""
         record: np.void = np.array([tuple(self)], dtype=[(name, float) for name in self._fields])[0]
         return record
 

@@ -43,11 +43,11 @@ class Laboratory(Protocol):
 
 @dataclass(frozen=True)
 class Cast:
-    """One performance. t (K,), told (K, J): what the encoders logged [s], [rad]. fine (M,), angles (M, J): what the
-    joints were driven through. frames: (F,) times at which the camera has a picture [s]."""
+    """A motion as it was performed. t (K,), reported (K, J): times [s] and angles [rad] that the encoders logged. fine
+    (M,), angles (M, J): those that the joints were driven through. frames: (F,) times of the camera's pictures [s]."""
 
     t: np.ndarray
-    told: np.ndarray
+    reported: np.ndarray
     fine: np.ndarray
     angles: np.ndarray
     frames: np.ndarray
@@ -58,8 +58,8 @@ Values = Mapping[str, float]  # settings by name, beginning with rod., hand. or 
 
 @dataclass(frozen=True)
 class Scene:
-    """rod: without any cause. s: (S,) arc lengths at which points are measured, the tip last [m]. sigma: noise in x and
-    in y [m]."""
+    """A string, its casts and what measures them. rod: without any cause. s: (S,) arc lengths at which points are
+    measured, the tip last [m]. sigma: noise in x and in y [m]."""
 
     laboratory: Laboratory
     arm: Arm
@@ -70,7 +70,7 @@ class Scene:
     sigma: float
 
     def performing(self, casts: Sequence[Cast]) -> Scene:
-        """The same string in other casts."""
+        """This scene with other casts."""
         return replace(self, casts=tuple(casts))
 
     def path(self, cast: Cast, values: Values) -> Path:
@@ -78,19 +78,20 @@ class Scene:
         return path(self.arm, cast.fine, cast.angles, Hand()._replace(**_of("hand", values)))
 
     def seen(self, values: Values, level: int, only: int | None = None) -> list[np.ndarray]:
-        """What is reported in each cast without noise, (F, S, 2) [m]; only: the one in which the values are so."""
+        """Points as measured without noise in each cast, (F, S, 2) [m]. only: number of the cast in which `values`
+        hold."""
         each = [values if only is None or number == only else {} for number in range(len(self.casts))]
         return [self.measured(cast, own, level) for cast, own in zip(self.casts, each, strict=True)]
 
     def measured(self, cast: Cast, values: Values, level: int) -> np.ndarray:
-        """What is reported in a cast without noise, (F, S, 2) [m]."""
+        """Points as measured without noise in a cast, (F, S, 2) [m]."""
         sight = Sight()._replace(**_of("sight", values))
         moved = self._moved(cast, values, level)
         arc = self.s * (1 + sight.misread)
         return seen(lambda times: moved.points(times, arc), cast.frames, self.camera, sight)
 
     def _moved(self, cast: Cast, values: Values, level: int) -> Moved:
-        """The string moved; roughly, it is remembered, for clocks and cameras change nothing about it."""
+        """The string moved. The rough mesh is cached: clocks and cameras change nothing about the string."""
         acting = tuple(sorted((n, v) for n, v in values.items() if not n.startswith("sight.")))
         key = (id(cast), acting)
         if level == ROUGH and key in self._rough:
@@ -106,7 +107,7 @@ class Scene:
 
     @cached_property
     def slopes(self) -> np.ndarray:
-        """What a little of each base parameter moves, (P, N, S, 2) [m], in all frames of all casts."""
+        """Displacements by a small change of each base parameter, (P, N, S, 2) [m], in all frames of all casts."""
         plain = np.concatenate(self.seen({}, ROUGH))
         moved = [
             np.concatenate(self.seen({f"rod.{name}": getattr(self.rod, name) * (1 + LITTLE)}, ROUGH)) for name in BASE

@@ -1,4 +1,4 @@
-"""Clocks and camera: what can be so of them, absent at zero, and what they then report."""
+"""Clocks and camera: their faults, absent at zero, and the points that they then report."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Where = Callable[[np.ndarray], np.ndarray]  # positions (F, S, 2) [m] at times (
 
 
 class Sight(NamedTuple):
-    """What is so of clocks and camera."""
+    """Faults of clocks and camera, each absent at zero."""
 
     offset: float = 0.0  # [s], arm's clock less the camera's
     drift: float = 0.0
@@ -37,7 +37,7 @@ class Sight(NamedTuple):
 
 
 def seen(where: Where, times: np.ndarray, camera: Camera, sight: Sight) -> np.ndarray:
-    """What is reported (F, S, 2) [m] at times (F,) of the camera's clock [s]."""
+    """Points as reported (F, S, 2) [m] at times (F,) of the camera's clock [s]."""
     arm = times * (1 + sight.drift) + sight.offset + sight.jump * (times >= sight.jump_when)
     points = rolled(where, arm, camera, sight.readout) if sight.readout else where(arm)
     x, y = np.moveaxis(points - camera.centre, -1, 0)

@@ -15,14 +15,14 @@ TURNS = (SINGLE, NONE, OUTSIDE, PAIR, SINGLE, OUTSIDE, NONE, SINGLE, TRIPLE, SIN
 
 @dataclass(frozen=True)
 class Version:
-    """What a bench may hide, by name and in order. together: what may be one of a pair or a triple."""
+    """Names of the causes that a bench may hide, in order. together: those that may be one of a pair or a triple."""
 
     single: tuple[str, ...]
     together: tuple[str, ...]
     outside: tuple[str, ...]
 
     def kind(self, seed: int) -> str:
-        """Of the bench of a seed: any ten are balanced."""
+        """The kind of bench that a seed means; any ten in a row are balanced."""
         return TURNS[seed % len(TURNS)]
 
     def turn(self, seed: int, kind: str) -> int:

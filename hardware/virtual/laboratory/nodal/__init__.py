@@ -11,10 +11,10 @@ LEVELS = {ROUGH: (8, 1e-3), LIKELY: (16, 4e-4), CHECK: (16, 4e-4), FINE: (24, 2.
 
 
 class Nodal:
-    """See `elements` and `dynamics`."""
+    """The laboratory whose rod is made of the elements of `elements` and moves by `dynamics`."""
 
     likely = 5e-3
 
     def moved(self, rod: Rod, path: Path, level: int) -> Moved:
-        """As of `Laboratory`."""
+        """The rod moved with the elements and steps of a level; see `Laboratory`."""
         return moved(rod, path, *LEVELS[level])

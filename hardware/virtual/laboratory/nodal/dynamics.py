@@ -9,6 +9,7 @@ Numba's cache looks at no other.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -27,8 +28,30 @@ STAGES = np.array(
 MOMENTS = STAGES.sum(axis=1)  # of the stages, in a step
 BAND = 7  # coordinates beside a row that an element couples: four rows of two, less itself
 ENOUGH = 1e-9  # [m] of a correction in place
-TRIES = 40
+TRIES = 40  # corrections of a stage before its step is given up
 ANEW = 4  # corrections after which the matrix is made again: it is kept from step to step while it serves
+
+
+class Elements(NamedTuple):
+    """Equal elements as compiled code takes them. shapes: (G, 3, 4) shape functions and two derivatives at the Gauss
+    points. weights: (G,) [m]. places: (E, G) arc lengths of the Gauss points [m]. mass: (D, D) of one coordinate [m],
+    and weight: (D, 2) [m2/s2], both over nominal mass per length."""
+
+    shapes: np.ndarray
+    weights: np.ndarray
+    places: np.ndarray
+    mass: np.ndarray
+    weight: np.ndarray
+
+
+class State(NamedTuple):
+    """q, v: (D, 2) coordinates and their rates. inner: (E, G, 2) Bouc and Wen's state and Zener's at the Gauss points,
+    before the rates have lasted for `lapse` [s]."""
+
+    q: np.ndarray
+    v: np.ndarray
+    inner: np.ndarray
+    lapse: float
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,7 +128,7 @@ def obstacles(x: float, y: float, vx: float, vy: float, rod: Rod) -> tuple[float
 
 @njit(cache=True, error_model="numpy")
 def local(x: float, y: float, vx: float, vy: float, s: float, t: float, rod: Rod) -> tuple[float, float]:
-    """What acts at a place or at a time: a pull to a point, a blow, fingers that take hold [m/s2]."""
+    """Loads that depend on place or time: a pull to a point, a blow, fingers that take hold [m/s2]."""
     fx = fy = 0.0
     if rod.pull != 0.0:
         dx, dy = (rod.pull_x - x) / rod.pull_reach, (rod.pull_y - y) / rod.pull_reach
@@ -155,7 +178,7 @@ def grasp_moment(turn: float, rate: float, t: float, rod: Rod) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def inner(rate: float, rubbed: float, relaxed: float, lapse: float, rod: Rod) -> tuple[float, float]:
+def inner_states(rate: float, rubbed: float, relaxed: float, lapse: float, rod: Rod) -> tuple[float, float]:
     """Bouc and Wen's state [1] and Zener's [1/m] after a rate of turn [1/(m s)] has lasted, implicitly.
 
     z' = w (1 - z^2) while it is driven on, z' = w while it is driven back, w = rate / rub_curvature; r' = rate - r / T.
@@ -168,29 +191,16 @@ def inner(rate: float, rubbed: float, relaxed: float, lapse: float, rod: Rod) ->
 
 
 @njit(cache=True, error_model="numpy")
-def on_element(
-    e: int,
-    t: float,
-    q: np.ndarray,
-    v: np.ndarray,
-    before: np.ndarray,
-    lapse: float,
-    hand: np.ndarray,
-    rod: Rod,
-    shapes: np.ndarray,
-    weights: np.ndarray,
-    places: np.ndarray,
-    force: np.ndarray,
-    after: np.ndarray,
+def add_element_forces(
+    e: int, t: float, now: State, hand: np.ndarray, rod: Rod, made: Elements, force: np.ndarray, after: np.ndarray
 ) -> None:
-    """Add the forces on element e's coordinates to `force`, (D, 2) as q and its rates v, and those at the ends.
-
-    before, after: (E, G, 2), Bouc and Wen's state and Zener's, the rates having lasted for `lapse` [s].
-    hand: (8,) x, y, vx, vy, ax, ay, theta, omega.
+    """Add the forces on element e's coordinates to `force` (D, 2), and those at the ends; note its inner states then in
+    `after`. hand: (8,) x, y, vx, vy, ax, ay, theta, omega.
     """
-    for g in range(len(weights)):
-        at_point(e, g, t, q, v, before, lapse, rod, shapes, weights[g], places[e, g], force, after)
-    if e == len(places) - 1:
+    q, v = now.q, now.v
+    for g in range(len(made.weights)):
+        add_point_forces(e, g, t, now, rod, made, force, after)
+    if e == len(made.places) - 1:
         tip = 2 * e + 2
         fx, fy = at_tip(q[tip, 0], q[tip, 1], v[tip, 0], v[tip, 1], t, rod)
         force[tip, 0] += fx
@@ -207,37 +217,26 @@ def on_element(
 
 
 @njit(cache=True, error_model="numpy")
-def at_point(
-    e: int,
-    g: int,
-    t: float,
-    q: np.ndarray,
-    v: np.ndarray,
-    before: np.ndarray,
-    lapse: float,
-    rod: Rod,
-    shapes: np.ndarray,
-    weight: float,
-    s: float,
-    force: np.ndarray,
-    after: np.ndarray,
+def add_point_forces(
+    e: int, g: int, t: float, now: State, rod: Rod, made: Elements, force: np.ndarray, after: np.ndarray
 ) -> None:
     """A Gauss point's share of its element's forces: virtual work of stretch and turn, and loads.
 
     With r' and r'' by arc length s: stretch |r'| - 1, turn (r' x r'') / r'^2.
     """
-    x, y = combined(shapes, g, 0, q, 2 * e)
-    rx, ry = combined(shapes, g, 1, q, 2 * e)
-    kx, ky = combined(shapes, g, 2, q, 2 * e)
-    vx, vy = combined(shapes, g, 0, v, 2 * e)
-    wx, wy = combined(shapes, g, 1, v, 2 * e)
-    ox, oy = combined(shapes, g, 2, v, 2 * e)
+    q, v, shapes, weight, s = now.q, now.v, made.shapes, made.weights[g], made.places[e, g]
+    x, y = interpolated(shapes, g, 0, q, 2 * e)
+    rx, ry = interpolated(shapes, g, 1, q, 2 * e)
+    kx, ky = interpolated(shapes, g, 2, q, 2 * e)
+    vx, vy = interpolated(shapes, g, 0, v, 2 * e)
+    wx, wy = interpolated(shapes, g, 1, v, 2 * e)
+    ox, oy = interpolated(shapes, g, 2, v, 2 * e)
     square = rx * rx + ry * ry
     long = math.sqrt(square)
     turn = (rx * ky - ry * kx) / square
     grown = (rx * wx + ry * wy) / square
     rate = (wx * ky - wy * kx + rx * oy - ry * ox) / square - 2.0 * turn * grown
-    rubbed, relaxed = inner(rate, before[e, g, 0], before[e, g, 1], lapse, rod)
+    rubbed, relaxed = inner_states(rate, now.inner[e, g, 0], now.inner[e, g, 1], now.lapse, rod)
     after[e, g, 0], after[e, g, 1] = rubbed, relaxed
     bend = moment(turn, rate, rubbed, relaxed, s, rod)
     pull = rod.axial * (long - 1.0) + rod.axial_damping * grown * long
@@ -252,7 +251,7 @@ def at_point(
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def combined(shapes: np.ndarray, g: int, k: int, q: np.ndarray, d: int) -> tuple[float, float]:
+def interpolated(shapes: np.ndarray, g: int, k: int, q: np.ndarray, d: int) -> tuple[float, float]:
     """The k-th derivative at Gauss point g of what an element's coordinates, from row d of q on, interpolate."""
     x = y = 0.0
     for i in range(4):
@@ -262,57 +261,35 @@ def combined(shapes: np.ndarray, g: int, k: int, q: np.ndarray, d: int) -> tuple
 
 
 @njit(cache=True, error_model="numpy")
-def pushed(
-    t: float,
-    q: np.ndarray,
-    v: np.ndarray,
-    before: np.ndarray,
-    lapse: float,
-    hand: np.ndarray,
-    rod: Rod,
-    shapes: np.ndarray,
-    weights: np.ndarray,
-    places: np.ndarray,
-    after: np.ndarray,
-) -> np.ndarray:
-    """Forces (D, 2) on all coordinates. before, after: (E, G, 2)."""
-    force = np.zeros_like(q)
-    for e in range(len(places)):
-        on_element(e, t, q, v, before, lapse, hand, rod, shapes, weights, places, force, after)
+def forces(t: float, now: State, hand: np.ndarray, rod: Rod, made: Elements, after: np.ndarray) -> np.ndarray:
+    """Forces (D, 2) on all coordinates. after: gets the inner states then, (E, G, 2)."""
+    force = np.zeros_like(now.q)
+    for e in range(len(made.places)):
+        add_element_forces(e, t, now, hand, rod, made, force, after)
     return force
 
 
 @njit(cache=True, error_model="numpy")
-def sloped(
-    t: float,
-    q: np.ndarray,
-    v: np.ndarray,
-    before: np.ndarray,
-    lapse: float,
-    by_place: float,
-    hand: np.ndarray,
-    rod: Rod,
-    shapes: np.ndarray,
-    weights: np.ndarray,
-    places: np.ndarray,
-) -> np.ndarray:
+def tangent(t: float, now: State, by_place: float, hand: np.ndarray, rod: Rod, made: Elements) -> np.ndarray:
     """Slopes of the forces (2 D, 2 BAND + 1): column BAND + j - i holds dF_i / dx_j.
 
-    x moves the rates by `lapse` and the places by `by_place`; with lapse = 0 the places alone.
+    x moves the rates by `now.lapse` and the places by `by_place`; with a lapse of 0 the places alone.
     """
+    q, v, lapse = now.q, now.v, now.lapse
     band = np.zeros((2 * len(q), 2 * BAND + 1))
-    own, rate, after = q.copy(), v.copy(), np.empty_like(before)
-    base, there = np.zeros_like(q), np.zeros_like(q)
+    base, there, after = np.zeros_like(q), np.zeros_like(q), np.empty_like(now.inner)
+    own, rate = q.copy(), v.copy()
+    moved = State(own, rate, now.inner, lapse)
     small = 1e-7 / by_place
-    for e in range(len(places)):
+    for e in range(len(made.places)):
         base[2 * e : 2 * e + 4] = 0.0
-        on_element(e, t, own, rate, before, lapse, hand, rod, shapes, weights, places, base, after)
+        add_element_forces(e, t, moved, hand, rod, made, base, after)
         for row in range(2 * e, 2 * e + 4):
             for c in range(2):
                 own[row, c] += by_place * small
                 rate[row, c] += lapse * small
                 there[2 * e : 2 * e + 4] = 0.0
-                on_element(e, t, own, rate, before, lapse, hand, rod, shapes, weights, places, there, after)
+                add_element_forces(e, t, moved, hand, rod, made, there, after)
                 for i in range(4 * e, 4 * e + 8):
                     band[i, BAND + 2 * row + c - i] += (there[i // 2, i % 2] - base[i // 2, i % 2]) / small
                 own[row, c], rate[row, c] = q[row, c], v[row, c]
@@ -320,7 +297,7 @@ def sloped(
 
 
 @njit(cache=True, error_model="numpy")
-def factored(band: np.ndarray) -> np.ndarray:
+def lu_factors(band: np.ndarray) -> np.ndarray:
     """LU factors of a banded matrix (R, 2 BAND + 1), in its place; masses rule it, so that no pivots are sought."""
     for k in range(len(band)):
         for i in range(k + 1, min(k + BAND + 1, len(band))):
@@ -332,7 +309,7 @@ def factored(band: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, error_model="numpy")
-def solved(factors: np.ndarray, right: np.ndarray) -> np.ndarray:
+def lu_solution(factors: np.ndarray, right: np.ndarray) -> np.ndarray:
     """The solution (R,) with the factors of a banded matrix."""
     x = right.copy()
     for i in range(len(x)):
@@ -346,42 +323,43 @@ def solved(factors: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, error_model="numpy")
+def newton_matrix(t: float, now: State, hand: np.ndarray, rod: Rod, made: Elements) -> np.ndarray:
+    """Slopes of M a - F by the accelerations of a stage, banded as those of `tangent`."""
+    band = -tangent(t, now, now.lapse * now.lapse, hand, rod, made)
+    for i in range(len(band)):
+        for j in range(max(0, i - BAND), min(len(band), i + BAND + 1)):
+            band[i, BAND + j - i] += made.mass[i // 2, j // 2] if (i - j) % 2 == 0 else 0.0
+    return band
+
+
+@njit(cache=True, error_model="numpy")
 def stage(
     t: float,
-    q: np.ndarray,
-    v: np.ndarray,
-    before: np.ndarray,
-    lapse: float,
+    begun: State,
     hand: np.ndarray,
     rod: Rod,
-    shapes: np.ndarray,
-    weights: np.ndarray,
-    places: np.ndarray,
-    mass: np.ndarray,
-    weight: np.ndarray,
+    made: Elements,
     a: np.ndarray,
     after: np.ndarray,
     factors: np.ndarray,
 ) -> bool:
     """Find accelerations a (D, 2) with M a = F(q + lapse (v + lapse a), v + lapse a); whether they were found.
 
-    q, v: (D, 2) without this stage's share. before, after: inner states, likewise. mass: (D, D). weight: (D, 2).
-    factors: of Newton's matrix from a step before, made anew where it serves no more.
+    begun: the state without this stage's share. after: gets the inner states then. factors: of Newton's matrix from a
+    step before, made anew where it serves no more.
     """
+    q, v, inner, lapse = begun
     a[0] = hand[4:6]
     for tried in range(TRIES):
         rate = v + lapse * a
         place = q + lapse * rate
         place[0], rate[0] = hand[0:2], hand[2:4]
+        now = State(place, rate, inner, lapse)
         if (tried > 0 and tried % ANEW == 0) or factors[0, BAND] == 0.0:
-            band = -sloped(t, place, rate, before, lapse, lapse * lapse, hand, rod, shapes, weights, places)
-            for i in range(len(band)):
-                for j in range(max(0, i - BAND), min(len(band), i + BAND + 1)):
-                    band[i, BAND + j - i] += mass[i // 2, j // 2] if (i - j) % 2 == 0 else 0.0
-            factors[:] = factored(band[2:])
-        force = pushed(t, place, rate, before, lapse, hand, rod, shapes, weights, places, after)
-        left = force + weight - np.dot(mass, a)
-        more = solved(factors, left[1:].copy().reshape(-1)).reshape(-1, 2)
+            factors[:] = lu_factors(newton_matrix(t, now, hand, rod, made)[2:])
+        force = forces(t, now, hand, rod, made, after)
+        left = force + made.weight - np.dot(made.mass, a)
+        more = lu_solution(factors, left[1:].copy().reshape(-1)).reshape(-1, 2)
         a[1:] += more
         size = lapse * lapse * np.abs(more).max()
         if size < ENOUGH:
@@ -392,52 +370,61 @@ def stage(
 
 
 @njit(cache=True, error_model="numpy")
-def integrated(
-    begin: float,
+def step(
+    t: np.ndarray,
     dt: float,
-    q: np.ndarray,
+    now: State,
     hand: np.ndarray,
     rod: Rod,
-    shapes: np.ndarray,
-    weights: np.ndarray,
-    places: np.ndarray,
-    mass: np.ndarray,
-    weight: np.ndarray,
+    made: Elements,
+    slopes: tuple[np.ndarray, np.ndarray, np.ndarray],
+    factors: np.ndarray,
+) -> bool:
+    """Take coordinates, rates and inner states a step further, in their place; whether every stage was solved.
+
+    t: (3,) of the stages. now: its lapse is a stage's. hand: (3, 8). slopes: of these three at the stages, (3, ...)
+    each, with accelerations from the step before to begin with.
+    """
+    q, v, state, lapse = now
+    rates, a, change = slopes
+    after = np.empty_like(state)
+    for i in range(3):
+        place, rate, inner = q.copy(), v.copy(), state.copy()
+        for j in range(i):
+            share = dt * STAGES[i, j]
+            place += share * rates[j]
+            rate += share * a[j]
+            inner += share * change[j]
+        a[i] = a[i - 1]
+        if not stage(t[i], State(place, rate, inner, lapse), hand[i], rod, made, a[i], after, factors):
+            return False
+        rates[i] = rate + lapse * a[i]
+        rates[i, 0] = hand[i, 2:4]
+        change[i] = (after - inner) / lapse
+    for i in range(3):
+        share = dt * STAGES[2, i]
+        q += share * rates[i]
+        v += share * a[i]
+        state += share * change[i]
+    q[0], v[0] = hand[2, 0:2], hand[2, 2:4]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def integrate(
+    begin: float, dt: float, q: np.ndarray, hand: np.ndarray, rod: Rod, made: Elements
 ) -> tuple[np.ndarray, np.ndarray]:
     """Coordinates and rates at every step, (K + 1, D, 2) each, from rest; NaN from where a step fails.
 
     hand: (K, 3, 8), at the stages of each step.
     """
-    v, state = np.zeros_like(q), np.zeros((*places.shape, 2))
+    v, state = np.zeros_like(q), np.zeros((*made.places.shape, 2))
     all_q, all_v = np.full((len(hand) + 1, *q.shape), np.nan), np.full((len(hand) + 1, *q.shape), np.nan)
     all_q[0], all_v[0] = q, v
-    rates, a = np.empty((3, *q.shape)), np.zeros((3, *q.shape))
-    after, change = np.empty_like(state), np.empty((3, *state.shape))
-    factors = np.zeros((2 * len(q) - 2, 2 * BAND + 1))
-    lapse = DIAGONAL * dt
+    slopes = np.empty((3, *q.shape)), np.zeros((3, *q.shape)), np.empty((3, *state.shape))
+    factors, lapse = np.zeros((2 * len(q) - 2, 2 * BAND + 1)), DIAGONAL * dt
     for k in range(len(hand)):
-        for i in range(3):
-            place, rate, inner = q.copy(), v.copy(), state.copy()
-            for j in range(i):
-                share = dt * STAGES[i, j]
-                place += share * rates[j]
-                rate += share * a[j]
-                inner += share * change[j]
-            t = begin + (k + MOMENTS[i]) * dt
-            a[i] = a[i - 1]
-            if not stage(
-                t, place, rate, inner, lapse, hand[k, i], rod, shapes, weights, places, mass, weight, a[i], after,
-                factors,
-            ):  # fmt: skip
-                return all_q, all_v
-            rates[i] = rate + lapse * a[i]
-            rates[i, 0] = hand[k, i, 2:4]
-            change[i] = (after - inner) / lapse
-        for i in range(3):
-            share = dt * STAGES[2, i]
-            q += share * rates[i]
-            v += share * a[i]
-            state += share * change[i]
-        q[0], v[0] = hand[k, 2, 0:2], hand[k, 2, 2:4]
+        if not step(begin + (k + MOMENTS) * dt, dt, State(q, v, state, lapse), hand[k], rod, made, slopes, factors):
+            return all_q, all_v
         all_q[k + 1], all_v[k + 1] = q, v
     return all_q, all_v

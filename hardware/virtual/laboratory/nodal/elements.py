@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
+from stringcast.hardware.virtual.laboratory.nodal.dynamics import Elements
 from stringcast.hardware.virtual.laboratory.rod import Rod
 
 GAUSS = 4  # points in an element: exact for the mass matrix of even density, degree 6
@@ -63,8 +64,13 @@ class Mesh:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """Of the nodal coordinates, over nominal mass per length, (D, 2) [m2/s2]."""
+        """Gravity on the nodal coordinates, over nominal mass per length, (D, 2) [m2/s2]."""
         return np.outer(self.mass[:, ::2].sum(axis=1), [self.rod.gravity_x, self.rod.gravity_y])
+
+    @property
+    def compiled(self) -> Elements:
+        """The elements as `dynamics` takes them."""
+        return Elements(self.shapes, self.weights, self.places, self.mass, self.weight)
 
     def at(self, arc: np.ndarray) -> np.ndarray:
         """Weights (S, D) of the nodal coordinates in positions at arc lengths (S,) [m]."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.hardware.virtual.laboratory.hand import Path
-from stringcast.hardware.virtual.laboratory.nodal.dynamics import MOMENTS, integrated, pushed, sloped
+from stringcast.hardware.virtual.laboratory.nodal.dynamics import MOMENTS, State, forces, integrate, tangent
 from stringcast.hardware.virtual.laboratory.nodal.elements import Mesh
 from stringcast.hardware.virtual.laboratory.rod import Rod
 
@@ -46,21 +46,20 @@ def moved(rod: Rod, path: Path, elements: int, step: float) -> Motion:
     dt = t[1] - t[0]
     hand = path.at((t[:-1, None] + dt * MOMENTS).ravel()).reshape(-1, len(MOMENTS), 8)
     begun = rest(mesh, path.at(t[:1])[0])
-    q, v = integrated(t[0], dt, begun, hand, rod.record, mesh.shapes, mesh.weights, mesh.places, mesh.mass, mesh.weight)
+    q, v = integrate(t[0], dt, begun, hand, rod.record, mesh.compiled)
     return Motion(mesh, t, q, v)
 
 
 def rest(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
-    """Nodal coordinates (D, 2) at rest in a hand (8,): implicit steps of a rod in treacle, ever longer, then Newton's.
-
-    It starts as it leaves the grasp and turns down on the shorter way.
+    """Nodal coordinates (D, 2) at rest in a hand (8,), by pseudo-transient continuation: implicit steps in time without
+    inertia, ever longer, until they are Newton's. It starts from a rod that turns down on the shorter way.
     """
     q = _turned_down(mesh, hand)
-    treacle = np.kron(mesh.mass[1:, 1:], np.eye(2))
+    mass = np.kron(mesh.mass[1:, 1:], np.eye(2))
     slowness = 1e3  # [1/s2], of the first steps
     for _ in range(RELAXED):
         left, slope = _balance(mesh, q, hand)
-        step = np.linalg.solve(slowness * treacle - slope, left)
+        step = np.linalg.solve(slowness * mass - slope, left)
         size = np.abs(step).max()
         q[1:] += step.reshape(-1, 2) * min(1.0, LARGEST / size)
         if size < STILL:
@@ -85,9 +84,9 @@ def _turned_down(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
 def _balance(mesh: Mesh, q: np.ndarray, hand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces at rest on the free coordinates (2 D - 2,), and their slopes by these."""
     still, none = np.zeros_like(q), np.zeros((*mesh.places.shape, 2))
-    parts = (mesh.rod.record, mesh.shapes, mesh.weights, mesh.places)
-    force = mesh.weight + pushed(LONG_AGO, q, still, none, 0.0, hand, *parts, np.empty_like(none))
-    band = sloped(LONG_AGO, q, still, none, 0.0, 1.0, hand, *parts)
+    parts, now = (hand, mesh.rod.record, mesh.compiled), State(q, still, none, 0.0)
+    force = mesh.weight + forces(LONG_AGO, now, *parts, np.empty_like(none))
+    band = tangent(LONG_AGO, now, 1.0, *parts)
     rows, width = band.shape
     slope = np.zeros((rows, rows + width - 1))
     for i in range(rows):
