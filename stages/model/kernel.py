@@ -1,9 +1,9 @@
 """The step loop, fused for one set of effects.
 
 `kernel_for` writes a module that holds the laws of the effects, word for word, and one
-loop around them, and lets Numba compile it. The module's file is named after a hash of its
-own text (and of Numba and the processor), so that a changed law is a new file and stale
-machine code cannot be read. What is absent is not in the text, and costs nothing.
+loop around them, and lets Numba compile it (`generated`). What is absent is not in the text,
+and costs nothing. Text, because Numba finds machine code of a text again in the next process,
+and that of a loop over functions never (README.md); `tests/laws/loop_of_paper.py` shows it.
 
 Layout: W candidates side by side. Every quantity of a mass point or a segment is a row of
 W numbers; the innermost loop runs over the row, branch-free, so that LLVM fills the vector
@@ -27,29 +27,19 @@ stand in `run` alone: a function with loops would be optimised and translated by
 
 from __future__ import annotations
 
-import getpass
-import hashlib
-import importlib.util
 import inspect
 import math
-import os
-import stat
-import sys
-import tempfile
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from itertools import count, repeat
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-import llvmlite.binding
-import numba
 import numpy as np
 
 from stringcast.stages.model.effect import StringEffect
+from stringcast.stages.model.generated import loaded, place
 from stringcast.stages.model.integrator import Integrator
 from stringcast.stages.model.slots import HELD, HIDDEN, PER, arguments
 from stringcast.stages.model.string import BASE
@@ -86,7 +76,6 @@ EXPRESSIONS = {
 }
 
 Run = Callable[..., None]
-Slots = Mapping[str, Sequence[type[StringEffect]]]
 
 
 @cache
@@ -126,62 +115,120 @@ def _alone(effects: tuple[type[StringEffect], ...], names: tuple[str, ...], inte
 def source(
     effects: Sequence[type[StringEffect]], names: Sequence[str], integrator: Integrator, width: int = WIDTH
 ) -> str:
-    """The module's text."""
-    slots = {slot: [e for e in effects if slot in e.laws()] for slot in EXPRESSIONS}
-    constants = {name: kind * width for name, kind in kinds(integrator, effects).items()}
-    constants |= {"NEXT": len(constants) * width} | {f"H{i}": i * width for i in range(12)}
-    per = [slot for slot in PER if slots[slot]]
-
-    def at(slot: str, argument: str) -> str:
-        return _sum(slots, slot, names, {PER[slot][1]: argument})
-
-    longer, over = (f"P[np.uintp({names.index(row)}) * W + j]" if row in names else "" for row in HIDDEN)
-    turning = [f"{slot} * {_factor(slot)}" for slot in per]
+    """The module's text: TEMPLATE with the laws, and with calls of them in its places `<<...>>`."""
+    laws = Laws(effects, names)
+    longer, over = (laws.row(name) if name in names else "" for name in HIDDEN)
     heavy = any({"density", "tip_mass", "tip_length"} & e.laws().keys() for e in effects)
-    pieces = {
-        "tension": _sum(slots, "tension", names),
-        "moment": " + ".join([_sum(slots, "moment", names), *turning, *_held_moments(slots, "held", names)]),
-        **{slot: "\n".join(_memory(slots, slot, names, len(integrator.nodes))) for slot, _, _ in HELD.values()},
-        "per": "\n".join([*(f"{slot} = {at(slot, _factor(slot))}" for slot in per), *integrator.hinge(per, at)]),
-        "rest": _sum(slots, "rest_curvature", names),
-        "set": "B[SET + j]" if slots["rest_curvature"] else "0.0",
-        "grasp_moment": " + ".join([_sum(slots, "grasp_moment", names), *_held_moments(slots, "grasp_held", names)]),
-        "flow": _vector(slots, "flow", names, "air"),
-        "load": _vector(slots, "load", names, "load"),
-        "acceleration": _vector(slots, "acceleration", names, "fall"),
-        "weight": "B[WEIGHT + p]" if heavy else "1.0",
-        "over": f"over = {over}" if over else "",
-        "velocity": "\n".join(integrator.velocity),
-        "update": "\n".join(integrator.update),
-    }
-    fill = pieces | {
-        "constants": "\n".join(f"{name} = np.uintp({value})" for name, value in constants.items()),
-        "laws": "\n\n\n".join(_law_text(e, slot) for slot in slots for e in slots[slot]),
+    fill = {
+        "constants": "\n".join(f"{name} = np.uintp({value})" for name, value in _constants(integrator, effects, width)),
+        "laws": "\n\n\n".join(laws.defined(e, slot) for slot in EXPRESSIONS for e in laws.of(slot)),
+        "W": str(width),
         "nodes": repr(tuple(map(float, integrator.nodes))),
         "turned": integrator.turned,
+        "over": f"over = {over}" if over else "",
+        "tension": laws.sum("tension"),
+        "rest": laws.sum("rest_curvature"),
+        "set": "B[SET + j]" if laws.of("rest_curvature") else "0.0",
+        **_moments(laws, integrator),
+        **{
+            slot: laws.vector(slot, name)
+            for slot, name in (("flow", "air"), ("load", "load"), ("acceleration", "fall"))
+        },
+        "weight": "B[WEIGHT + p]" if heavy else "1.0",
+        "velocity": "\n".join(integrator.velocity),
+        "update": "\n".join(integrator.update),
         "solve": integrator.solve,
-        "W": str(width),
     }
+    # where the string is longer than stated, arc lengths in arguments of laws are, too
     return _fill(TEMPLATE, fill).replace("<<longer>>", f" * {longer}" if longer else "")
 
 
-def _held_moments(slots: Slots, slot: str, names: Sequence[str]) -> list[str]:
-    """Calls of the moments of what is held."""
-    return [_call(e, f"{slot}_moment", names, {"held": f"held_{i}"}) for i, e in enumerate(slots[slot])]
+def _constants(integrator: Integrator, effects: Sequence[type[StringEffect]], width: int) -> Iterator[tuple[str, int]]:
+    """Distances in a buffer: of a point's rows from its first, of the next point, and of the grasp's coefficients."""
+    numbers = kinds(integrator, effects)
+    yield from ((name, number * width) for name, number in numbers.items())
+    yield "NEXT", len(numbers) * width
+    yield from ((f"H{i}", i * width) for i in range(12))
 
 
-def _memory(slots: Slots, slot: str, names: Sequence[str], passes: int) -> Iterator[str]:
-    """Source text of what becomes of what a hinge holds: it is kept with the first pass of a step, of which the others
-    are rehearsals."""
-    if not slots[slot]:
-        return
-    kept = "{new}" if passes == 1 else "{new} if stage == 0 else {old}"
-    yield "change = curvature - B[CURVED + k]"
-    yield "lapse = dt" if passes == 1 else "lapse = dt if stage == 0 else dt * NODES[stage]"
-    for i, effect in enumerate(slots[slot]):
-        yield f"held_{i} = {_call(effect, slot, names, {'held': f'B[HELD{i} + k]'})}"
-        yield f"B[HELD{i} + k] = {kept.format(new=f'held_{i}', old=f'B[HELD{i} + k]')}"
-    yield f"B[CURVED + k] = {kept.format(new='curvature', old='B[CURVED + k]')}"
+def _moments(laws: Laws, integrator: Integrator) -> dict[str, str]:
+    """What stands in the hinges and in the grasp: laws per curvature or rate, what is held, and the moments of all."""
+    per = {slot: EXPRESSIONS[other][argument] for slot, (other, argument) in PER.items() if laws.of(slot)}
+
+    def at(slot: str, argument: str) -> str:
+        return laws.sum(slot, {PER[slot][1]: argument})
+
+    stiff = [f"{slot} * {factor}" for slot, factor in per.items()]
+    steps = [f"{slot} = {at(slot, factor)}" for slot, factor in per.items()]
+    passes = len(integrator.nodes)
+    return {
+        "per": "\n".join([*steps, *integrator.hinge(list(per), at)]),
+        **{slot: "\n".join(laws.memory(slot, passes)) for slot, _, _ in HELD.values()},
+        "moment": " + ".join([laws.sum("moment"), *stiff, *laws.held_moments("held")]),
+        "grasp_moment": " + ".join([laws.sum("grasp_moment"), *laws.held_moments("grasp_held")]),
+    }
+
+
+@dataclass(frozen=True)
+class Laws:
+    """The laws of some effects as text of the loop. names: of the rows of parameters P."""
+
+    effects: Sequence[type[StringEffect]]
+    names: Sequence[str]
+
+    def of(self, slot: str) -> list[type[StringEffect]]:
+        """The effects with a law in a slot."""
+        return [effect for effect in self.effects if slot in effect.laws()]
+
+    def defined(self, effect: type[StringEffect], slot: str) -> str:
+        """The law word for word, as a function of its own."""
+        lines = textwrap.dedent(inspect.getsource(effect.laws()[slot])).splitlines()
+        start = next(i for i, line in enumerate(lines) if line.startswith("def "))
+        body = "\n".join(lines[start:]).replace(f"def {slot}(", f"def {effect.name}_{slot}(", 1)
+        return f"@njit(**LAW)\n{body}"
+
+    def row(self, name: str) -> str:
+        """A parameter, in the lane's candidate."""
+        return f"P[np.uintp({list(self.names).index(name)}) * W + j]"
+
+    def call(self, effect: type[StringEffect], slot: str, more: Mapping[str, str]) -> str:
+        """The law called with its arguments: those of the slot by name, and parameters, its own before the paper's."""
+        known = {**EXPRESSIONS[slot], **more}
+        given = []
+        for argument in arguments(effect.laws()[slot]):
+            rows = [name for name in (f"{effect.name}.{argument}", argument) if name in self.names]
+            if argument not in known and not rows:
+                there = ", ".join(self.names)
+                raise TypeError(f"effect '{effect.name}': no parameter '{argument}'; there are {there}")
+            given.append(known.get(argument) or self.row(rows[0]))
+        return f"{effect.name}_{slot}({', '.join(given)})"
+
+    def sum(self, slot: str, more: Mapping[str, str] | None = None) -> str:
+        """What all laws of a slot add."""
+        return " + ".join(self.call(effect, slot, more or {}) for effect in self.of(slot)) or "0.0"
+
+    def vector(self, slot: str, name: str) -> str:
+        """The x and y that all laws of a slot add, under this name."""
+        calls = [f"{name}{i}x, {name}{i}y = {self.call(e, slot, {})}" for i, e in enumerate(self.of(slot))]
+        total = [f"{name}{c} = " + (" + ".join(f"{name}{i}{c}" for i in range(len(calls))) or "0.0") for c in "xy"]
+        return "\n".join([*calls, *total])
+
+    def memory(self, slot: str, passes: int) -> Iterator[str]:
+        """What becomes of what a hinge holds: it is kept with the first pass of a step, of which the others are
+        rehearsals."""
+        if not self.of(slot):
+            return
+        kept = "{new}" if passes == 1 else "{new} if stage == 0 else {old}"
+        yield "change = curvature - B[CURVED + k]"
+        yield "lapse = dt" if passes == 1 else "lapse = dt if stage == 0 else dt * NODES[stage]"
+        for i, effect in enumerate(self.of(slot)):
+            yield f"held_{i} = {self.call(effect, slot, {'held': f'B[HELD{i} + k]'})}"
+            yield f"B[HELD{i} + k] = {kept.format(new=f'held_{i}', old=f'B[HELD{i} + k]')}"
+        yield f"B[CURVED + k] = {kept.format(new='curvature', old='B[CURVED + k]')}"
+
+    def held_moments(self, slot: str) -> list[str]:
+        """The moments of what is held."""
+        return [self.call(e, f"{slot}_moment", {"held": f"held_{i}"}) for i, e in enumerate(self.of(slot))]
 
 
 def kinds(integrator: Integrator, effects: Sequence[type[StringEffect]]) -> dict[str, int]:
@@ -210,46 +257,6 @@ def aligned(shape: tuple[int, ...]) -> np.ndarray:
     return memory[first : first + size].view(np.float64).reshape(shape)
 
 
-def _law_text(effect: type[StringEffect], slot: str) -> str:
-    """The law as a function of its own in the generated module."""
-    lines = textwrap.dedent(inspect.getsource(effect.laws()[slot])).splitlines()
-    start = next(i for i, line in enumerate(lines) if line.startswith("def "))
-    body = "\n".join(lines[start:]).replace(f"def {slot}(", f"def {effect.name}_{slot}(", 1)
-    return f"@njit(**LAW)\n{body}"
-
-
-def _call(effect: type[StringEffect], slot: str, names: Sequence[str], more: Mapping[str, str]) -> str:
-    """The call of a law with its arguments: those of the slot by name, parameters from their rows."""
-    known = {**EXPRESSIONS[slot], **more}
-    taken = arguments(effect.laws()[slot])
-    given = [known.get(a) or f"P[np.uintp({_index(effect, a, names)}) * W + j]" for a in taken]
-    return f"{effect.name}_{slot}({', '.join(given)})"
-
-
-def _index(effect: type[StringEffect], argument: str, names: Sequence[str]) -> int:
-    """Row of what a law calls `argument`: the effect's own, or a parameter of the paper's."""
-    for name in (f"{effect.name}.{argument}", argument):
-        if name in names:
-            return list(names).index(name)
-    raise TypeError(f"effect '{effect.name}': no parameter '{argument}'; there are {', '.join(names)}")
-
-
-def _sum(slots: Slots, slot: str, names: Sequence[str], more: Mapping[str, str] | None = None) -> str:
-    return " + ".join(_call(e, slot, names, more or {}) for e in slots[slot]) or "0.0"
-
-
-def _factor(slot: str) -> str:
-    """The factor of a slot whose laws are per an argument of another slot."""
-    other, argument = PER[slot]
-    return EXPRESSIONS[other][argument]
-
-
-def _vector(slots: Slots, slot: str, names: Sequence[str], prefix: str) -> str:
-    calls = [f"{prefix}{i}x, {prefix}{i}y = {_call(e, slot, names, {})}" for i, e in enumerate(slots[slot])]
-    total = [f"{prefix}{c} = " + (" + ".join(f"{prefix}{i}{c}" for i in range(len(calls))) or "0.0") for c in "xy"]
-    return "\n".join([*calls, *total])
-
-
 def _fill(template: str, values: dict[str, str]) -> str:
     """Put the values in their places `<<name>>`, keeping the indentation of the place."""
     lines = []
@@ -263,57 +270,6 @@ def _fill(template: str, values: dict[str, str]) -> str:
             line = line.replace(f"<<{key}>>", value)  # noqa: PLW2901
         lines.append(line)
     return "\n".join(lines) + "\n"
-
-
-def loaded(text: str) -> ModuleType:
-    """Import the module, written once to a cache folder under a name made of its content."""
-    path = place(text)
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_suffix(f".{os.getpid()}.tmp")
-        aside.write_text(text)
-        os.replace(aside, path)
-    specification = importlib.util.spec_from_file_location(path.stem, path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[path.stem] = module  # cached machine code looks its module up by name
-    specification.loader.exec_module(module)
-    return module
-
-
-def place(text: str) -> Path:
-    """Where the module of this text is kept."""
-    made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
-    digest = hashlib.sha256((text + made_by).encode()).hexdigest()[:20]
-    return cache_folder() / f"string_{digest}.py"
-
-
-def cache_folder() -> Path:
-    """Where generated modules and their machine code are kept."""
-    chosen = os.environ.get("STRINGCAST_CACHE")
-    folder = Path(chosen) if chosen else Path(__file__).resolve().parents[2] / ".numba_cache"
-    usable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
-    return folder if usable else _temporary_folder()
-
-
-@cache
-def _temporary_folder() -> Path:
-    """A folder into which nobody else can have put code: others write where temporary files go, too."""
-    folder = Path(tempfile.gettempdir()) / f"stringcast-{getpass.getuser()}"
-    with suppress(OSError):
-        folder.mkdir(mode=0o700)
-    return folder if _ours_alone(folder) else Path(tempfile.mkdtemp(prefix="stringcast-"))
-
-
-def _ours_alone(folder: Path) -> bool:
-    """Whether it is a folder, no link to one, that belongs to this user and is open to nobody else."""
-    try:
-        about = folder.lstat()
-    except OSError:
-        return False
-    user = os.getuid() if hasattr(os, "getuid") else about.st_uid  # Windows has a temporary folder for each user
-    return stat.S_ISDIR(about.st_mode) and about.st_uid == user and not about.st_mode & 0o077
 
 
 TEMPLATE = """\"\"\"Generated by stages.model.kernel. Not to be edited.\"\"\"

@@ -20,7 +20,7 @@ from stringcast.pipeline.inherited import (
     with_inherited_settings,
 )
 from stringcast.pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
-from stringcast.stages.model import kernel
+from stringcast.stages.model import generated
 from tests.faults.toy import toy_experiment, toy_run
 
 
@@ -45,7 +45,7 @@ def poisons(canary):
     pickled.write_bytes(pickle.dumps(Touch(canary)))
     return {
         "string.integrator": {
-            "_target_": "stages.model.kernel.loaded",
+            "_target_": "stages.model.generated.loaded",
             "text": f"import os; os.mkdir({str(canary)!r})",
         },
         "estimate": {"_target_": "builtins.open", "file": str(canary), "mode": "w"},
@@ -251,13 +251,13 @@ def shared_folder(tmp_path, monkeypatch):
     """Where temporary files go, and the folder of ours that anybody could have made there."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("getpass.getuser", lambda: "ann")
-    kernel._temporary_folder.cache_clear()
+    generated.temporary_folder.cache_clear()
     yield tmp_path / "stringcast-ann"
-    kernel._temporary_folder.cache_clear()
+    generated.temporary_folder.cache_clear()
 
 
 def test_machine_code_is_kept_where_only_we_can_write(shared_folder):
-    assert kernel._temporary_folder() == shared_folder
+    assert generated.temporary_folder() == shared_folder
     assert shared_folder.stat().st_mode & 0o777 == 0o700
 
 
@@ -271,11 +271,11 @@ def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch,
         shared_folder.chmod(0o777 if fault == "open" else 0o700)
     if fault == "others":
         monkeypatch.setattr("os.getuid", lambda: 4321, raising=False)
-    used = kernel._temporary_folder()
+    used = generated.temporary_folder()
     assert used != shared_folder
     assert used.stat().st_mode & 0o777 == 0o700
     assert not list(used.iterdir())
-    assert kernel._temporary_folder() == used  # one for a process
+    assert generated.temporary_folder() == used  # one for a process
 
 
 def test_numpy_would_have_run_the_pickle(canary):
