@@ -218,31 +218,34 @@ def facts(run: Path) -> dict[str, dict[str, Any]]:
 def lineage(arguments: list[str]) -> int:
     """Show what made a file: back through its inputs to settings, seed, code and packages."""
     (file,) = paths(lineage, arguments, file="a file of a run, or a step's folder")
-    changed: list[str] = []
-    tree = grown(Tree(Text(str(file))), file.resolve(), run_of(file), changed, set())
+    tree, grown = Tree(Text(str(file))), Lineage()
+    grown.grow(tree, file.resolve(), run_of(file))
     Terminal(highlight=False).print(tree)
-    return 1 if changed else 0
+    return 1 if grown.changed else 0
 
 
-def grown(tree: Tree, place: Path, run: Path, changed: list[str], shown: set[Path | str]) -> Tree:
-    """Add the origin of `place` to a tree, and the origins of its inputs. changed: gets the inputs that are not as they
-    were.
+@dataclass
+class Lineage:
+    """What a tree of origins holds so far. changed: inputs that are not as they were. shown: places and lines, which
+    are not shown twice."""
 
-    shown: places and lines that stand in the tree already; they are not shown twice.
-    """
-    made = {} if place in shown else _made(place, run)
-    words = [line for line in _words(made) if line not in shown] if made else []
-    for line in words:
-        tree.add(Text(line))
-    shown |= {place, *words}
-    for name, digest in made.get("inputs", {}).items():
-        there = next((path.resolve() for path in (run / name, Path(name)) if path.exists()), None)
-        state = _state(there, digest)
-        changed += [name] if state else []
-        branch = tree.add(Text(f"{name}{state}{' (see above)' if there in shown else ''}"))
-        if there is not None:
-            grown(branch, there, _home(there, run), changed, shown)
-    return tree
+    changed: list[str] = field(default_factory=list)
+    shown: set[Path | str] = field(default_factory=set)
+
+    def grow(self, tree: Tree, place: Path, run: Path) -> None:
+        """Add the origin of `place`, in the folder of `run`, to a tree, and the origins of its inputs."""
+        made = {} if place in self.shown else _made(place, run)
+        words = [line for line in _words(made) if line not in self.shown] if made else []
+        for line in words:
+            tree.add(Text(line))
+        self.shown |= {place, *words}
+        for name, digest in made.get("inputs", {}).items():
+            there = next((path.resolve() for path in (run / name, Path(name)) if path.exists()), None)
+            state = _state(there, digest)
+            self.changed += [name] if state else []
+            branch = tree.add(Text(f"{name}{state}{' (see above)' if there in self.shown else ''}"))
+            if there is not None:
+                self.grow(branch, there, _home(there, run))
 
 
 def _made(place: Path, run: Path) -> dict[str, Any]:
@@ -266,10 +269,8 @@ def _words(made: Mapping[str, Any]) -> list[str]:
     own = leaves({key: made["config"][key] for key in (step, "seed") if key in made["config"]})
     others = [name for name in stages()[step].uses if name not in (step, "seed")] if step in stages() else []
     when = f", {made['made']['at']}, {made['made']['seconds']:.1f} s" if "made" in made else ""
-    settings, packages = (
-        ", ".join(f"{name}{between}{value}" for name, value in values.items())
-        for values, between in ((own, "="), (made["packages"], " "))
-    )
+    settings = ", ".join(f"{name}={value}" for name, value in own.items())
+    packages = ", ".join(f"{name} {value}" for name, value in made["packages"].items())
     return [
         f"made by {step}, seed {made['seed']}{when}",
         f"settings {settings}; and {', '.join(others)} of config.json",
