@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Progress = Callable[[float], object]  # is told the share of a stage that is done
+Progress = Callable[[float], object]  # called with the share of a stage that is done
 NORMAL = 1.4826  # standard deviation over median magnitude, of a normal distribution
 PLACE = 1e-3  # [m] points of two frames so near along the string are of one place
 FULL = 0.9  # of the frames have no more points than a full one
@@ -36,7 +36,13 @@ def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     frame: (N,) number of each point's frame, in order. s: (N,) its arc length [m], in order within a frame. Where
     points were measured at other places in every frame, places are as many as a full frame has points.
     """
-    fixed, most = _binned(frame, s, _narrow(frame, s)), _points(frame)
+    apart = np.diff(s)[np.diff(frame) == 0]  # of neighbours in a frame
+    apart = apart[apart > 0]
+    width = (
+        min(PLACE, float(np.median(apart)) / 2) if apart.size else PLACE
+    )  # of a place that is the same in all frames
+    fixed = _binned(frame, s, width)
+    most = int(np.quantile(np.unique(frame, return_counts=True)[1], FULL)) if len(frame) else 0  # in a full frame
     if most < 2 or np.ptp(s) <= PLACE or _even(frame, fixed):
         return fixed
     return _binned(frame, s, float(np.ptp(s)) / (most - 1))
@@ -55,18 +61,6 @@ def at_places(frame: np.ndarray, s: np.ndarray, points: np.ndarray, places: np.n
         for axis in range(2):
             line[:, axis] = np.interp(places, s[now], points[now, axis], left=np.nan, right=np.nan)
     return result
-
-
-def _points(frame: np.ndarray) -> int:
-    """How many a full frame has."""
-    return int(np.quantile(np.unique(frame, return_counts=True)[1], FULL)) if len(frame) else 0
-
-
-def _narrow(frame: np.ndarray, s: np.ndarray) -> float:
-    """How far along the string [m] points are of one place, if places are the same in all frames."""
-    apart = np.diff(s)[np.diff(frame) == 0]
-    apart = apart[apart > 0]
-    return min(PLACE, float(np.median(apart)) / 2) if apart.size else PLACE
 
 
 def _binned(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:

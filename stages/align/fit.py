@@ -82,7 +82,7 @@ class Problem:
         return np.array([found[n].low for n in names]), np.array([found[n].high for n in names])
 
     def off(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
-        """Told less seen of candidates x (C, P) of these parameters, the others absent, (C, N) [m]."""
+        """Reported less seen positions of candidates x (C, P) of these parameters, the others absent, (C, N) [m]."""
         values = np.tile(self.model.values({}), (len(x), 1))
         values[:, [self.model.names.index(name) for name in names]] = x
         parts = [np.broadcast_to(t.off(self.model, values), (len(x), len(t.sightings.frame))) for t in self.trials]

@@ -12,7 +12,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import joint_motion
 
 NEAR = 1e-3  # [m] of arc length: a point as near to the grasp as that is the grasp
-TOLD = 1e-5  # [m] a point nearer than that to where the joints have it was not measured
+MEASURED = 1e-5  # [m] a point nearer than that to where the joints have it was not measured
 FINEST = 1e-4  # [m] a standard deviation that is not given is not less
 
 
@@ -30,7 +30,7 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
     t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
     reported = np.stack([np.interp(t, observation.arm["t"], observation.arm[q]) for q in JOINTS], axis=-1)
     off = arm.joints(reported)[:, -1] - seen
-    if np.median(np.linalg.norm(off, axis=-1)) < TOLD:
+    if np.median(np.linalg.norm(off, axis=-1)) < MEASURED:
         raise DataError(
             f"trial {observation.trial}: its points begin where the joints say that the grasp is, which "
             "shows nothing. Add the frames."

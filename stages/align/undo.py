@@ -30,13 +30,9 @@ def _moved(model: Model, table: pd.DataFrame, x: str, y: str) -> pd.DataFrame:
     if table.empty:
         return table
     t, seen = table["t"].to_numpy(), table[[x, y]].to_numpy()
-    true = seen
+    true, values = seen, model.values({})[None]
+    moments = 3 if model.camera_effects else 1  # at which the camera is asked for places that do not move
     for _ in range(ROUNDS):
-        true = true + seen - _reported(model, true, t)
+        reported = model.reported(np.tile(true[None, :, None], (1, moments, 1, 1)), values, t)
+        true = true + seen - reported[0, :, 0]
     return table.assign(**dict(zip((x, y), true.T, strict=True)))
-
-
-def _reported(model: Model, places: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Where the camera reports places (N, 2) [m] that do not move. t: (N,) [s]."""
-    moments = 3 if model.camera_effects else 1
-    return model.reported(np.tile(places[None, :, None], (1, moments, 1, 1)), model.values({})[None], t)[0, :, 0]

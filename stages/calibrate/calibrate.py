@@ -23,7 +23,7 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import Call
 
 SOLVABLE = 4  # views below which there is nothing to judge
-FOLDS = 4
+FOLDS = 4  # of the cross-validation of the lens: each view is predicted by a lens that has not seen it
 
 
 def run(call: Call, tilted: Sequence[np.ndarray], flat: Sequence[np.ndarray], board: Board) -> Calibration:
@@ -99,7 +99,7 @@ def _size(views: Sequence[View]) -> tuple[int, int]:
 
 
 def _too_few(seen: Sequence[View], used: Sequence[View]) -> str:
-    """In words, with the reason that most pictures give."""
+    """The message that too few pictures can be used, with the reason that most of them give."""
     reasons = Counter(view.reason for view in seen if view.reason)
     why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
     return (

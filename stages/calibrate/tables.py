@@ -37,10 +37,14 @@ PLANE = (
 
 
 def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration:
-    """All of it. seen: every picture of the tilted board, used or not. reason: why it cannot be used, or empty."""
+    """The calibration as tables. seen: every picture of the tilted board, used or not. reason: why it cannot be used,
+    or empty."""
+    columns = zip(solution.used, solution.lens.errors, strict=True)
+    corners = [_seen(view, view.pixels - error, False) for view, error in columns]
+    corners.append(_seen(solution.held, solution.plane.fit, True))
     return Calibration(
         VIEWS.check(pd.DataFrame([*_views(solution, seen), _flat(solution)])),
-        CORNERS.check(pd.concat(_corners(solution), ignore_index=True)),
+        CORNERS.check(pd.concat(corners, ignore_index=True)),
         MEASURED.check(_measured(solution)),
         OUTCOME.check(pd.DataFrame([_outcome(solution, reason)])),
     )
@@ -73,12 +77,6 @@ def _view(view: View, plane: bool) -> dict[str, object]:
     assert good
     about = {"view": view.number, "plane": plane, "corners": len(view.corners), "reason": view.reason}
     return about | {"picture": jpeg.tobytes()}
-
-
-def _corners(solution: Solution) -> list[pd.DataFrame]:
-    errors = solution.lens.errors
-    parts = [_seen(view, view.pixels - error, False) for view, error in zip(solution.used, errors, strict=True)]
-    return [*parts, _seen(solution.held, solution.plane.fit, True)]
 
 
 def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:

@@ -29,7 +29,10 @@ class View:
 def look(number: int, image: np.ndarray, board: Board) -> View:
     """Find the board's corners in a picture, grey or BGR."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    pixels, corners, at, ids = _detector(board).detectBoard(grey)
+    how = cv2.aruco.DetectorParameters()
+    how.cornerRefinementMinAccuracy = PRECISE  # by itself, OpenCV stops a tenth of a pixel from the corner
+    detector = cv2.aruco.CharucoDetector(board.pattern, cv2.aruco.CharucoParameters(), how)
+    pixels, corners, at, ids = detector.detectBoard(grey)
     if ids is None or not len(ids):
         return View(number, grey, reason="no marker of the dictionary is seen")
     names = np.zeros(0, int) if corners is None else corners.ravel()
@@ -37,13 +40,6 @@ def look(number: int, image: np.ndarray, board: Board) -> View:
     if reason:
         return View(number, grey, reason=reason)
     return View(number, grey, names, pixels.reshape(-1, 2).astype(float))
-
-
-def _detector(board: Board) -> cv2.aruco.CharucoDetector:
-    """OpenCV's, which by itself stops a tenth of a pixel from the corner."""
-    how = cv2.aruco.DetectorParameters()
-    how.cornerRefinementMinAccuracy = PRECISE
-    return cv2.aruco.CharucoDetector(board.pattern, cv2.aruco.CharucoParameters(), how)
 
 
 def _few(board: Board, corners: np.ndarray) -> str:

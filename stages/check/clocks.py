@@ -121,7 +121,7 @@ def scarce(measured: Measured) -> Iterator[Finding]:
                 f"each place was seen {seen.rate:.2g} times a second; a string of {seen.length:.3g} m swings so fast "
                 f"that {seen.least_rate:.2g} are the least"
             )
-            remedy = "Film faster, or track more frames: how the string moves between them is not told"
+            remedy = "Film faster, or track more frames: how the string moves between them is unknown"
             yield Finding(Severity.ERROR, measured.file("points"), "t", said, remedy, (seen.name,))
 
 
@@ -142,15 +142,11 @@ def gaps(measured: Measured) -> Iterator[Finding]:
             if widest < max(GAP * usual(t), LONG):
                 continue
             said = f"{int((steps > GAP * usual(t)).sum())} gap(s), the longest {widest:.3f} s"
-            moved = file == measured.hand_file and moves_in(seen, int(np.argmax(steps)))
+            gap = int(np.argmax(steps))
+            way = float(np.linalg.norm(np.diff(seen.pose[gap : gap + 2, :2], axis=0)))  # of the hand in it
+            moved = file == measured.hand_file and way > 0.01 * seen.length
             severity = Severity.WARNING if moved else Severity.NOTE
             remedy = (
                 "The hand's motion in them is a guess: leave the trial out" if moved else "Nothing needs to be done"
             )
             yield Finding(severity, file, "t", said, remedy, (seen.name,))
-
-
-def moves_in(seen: Seen, gap: int) -> bool:
-    """Whether the hand is elsewhere after a gap between samples."""
-    before, after = seen.pose[gap : gap + 2, :2]
-    return bool(np.linalg.norm(after - before) > 0.01 * seen.length)

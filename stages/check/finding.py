@@ -32,7 +32,7 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """All of it in one line."""
+        """The finding in one line."""
         place = " ".join(filter(None, (self.file, self.field)))
         where = f" (trial {', '.join(self.trials)})" if self.trials else ""
         return f"{place}{where}: {self.said}. {self.remedy}{full_stop(self.remedy)}"

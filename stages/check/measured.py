@@ -23,7 +23,7 @@ GRAVITY = 9.81  # [m/s2]
 SECOND = 2.76  # of a hanging string's swings: its frequency in sqrt(g / length), half the second zero of Bessel's J0
 SAMPLES = 4.0  # of a period, at least: two would tell it only if there were neither noise nor gaps
 MOSTLY, LEAP = 0.9, 0.1  # of the steps from frame to frame, and of the length: who goes further swings in between
-LOST = 0.8  # of the rows: from fewer nothing is told
+LOST = 0.8  # of the rows: from fewer nothing can be said
 
 
 @dataclass(frozen=True)
@@ -162,15 +162,11 @@ class Measured:
         """The trials with measured points."""
         return (trial for trial in self.trials if len(trial.points))
 
-    @property
-    def rows_lost(self) -> float:
-        """Share of the rows of points that cannot be used."""
-        rows = self.data.rows.get(self.file("points"))
-        return sum(rows.dropped.values()) / rows.read if rows and rows.read else 0.0
-
     def telling(self) -> Iterator[Seen]:
         """The trials with enough points to tell how they move, and when they begin to."""
-        return (t for t in self.with_points() if self.rows_lost <= LOST and not t.scarce)
+        rows = self.data.rows.get(self.file("points"))
+        lost = sum(rows.dropped.values()) / rows.read if rows and rows.read else 0.0  # share that cannot be used
+        return (t for t in self.with_points() if lost <= LOST and not t.scarce)
 
     def file(self, name: str) -> str:
         """The file of a table, as it is called here: Parquet or CSV."""

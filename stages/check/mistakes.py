@@ -258,9 +258,8 @@ def explanations(measured: Measured, strange: Mapping[str, tuple[View, View]]) -
     """The mistakes without which all of these strings are possible and least strange, the likeliest first: that with
     which they fall as things do, and millimetres before centimetres. Where no single one is enough, a unit and a
     direction that are both wrong; none if these are not enough either."""
-    units = [
-        m for m in MISTAKES if m.parts and "s" not in m.parts
-    ]  # with s in another unit, all would lie at one place
+    # with s in another unit, all would lie at one place
+    units = [m for m in MISTAKES if m.parts and "s" not in m.parts]
     directions = [m for m in MISTAKES if m.option]
     for tried in (((m,) for m in MISTAKES), product(units, directions)):
         explained = {made: left for made in tried if (left := left_strange(made, strange.values())) is not None}

@@ -43,7 +43,7 @@ def _lines(points: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _near(line: np.ndarray, obstacles: Sequence[Box]) -> np.ndarray:
-    """In which frames (F,) a string (F, S, 2) [m] is near an obstacle; points that were not measured are NaN."""
+    """The frames (F,) in which a string (F, S, 2) [m] is near an obstacle; points that were not measured are NaN."""
     near = np.zeros(len(line), dtype=bool)
     for box in (replace(each, w=each.w + 2 * NEAR, h=each.h + 2 * NEAR) for each in obstacles):
         near |= box.crossed(line[:, :-1], line[:, 1:]).any(axis=1)

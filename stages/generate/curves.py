@@ -10,7 +10,7 @@ from scipy.special import comb
 
 from stringcast.stages.model.arm import Arm
 
-INTERVALS = 5
+INTERVALS = 5  # degree of the Bezier curves of joint speeds (Eq. 2): six control points each
 
 
 @dataclass(frozen=True)

@@ -231,11 +231,11 @@ def _motion(arm: Arm, target: Box, string: String, curve: Curves, seen: Simulate
         **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
     }
     stay = len(inside) * (seen.times[1] - seen.times[0])
-    predicted = _predicted(seen, index, string, duration)
+    ticks = np.flatnonzero(seen.times <= duration + 1e-9)[::FINE]
     return stay, Motion(
         commands_of(arm, curve),
         control_points_of(curve),
-        predicted,
+        string_of(seen.times[ticks], string.arc_lengths(), seen.points[index, ticks]),
         ATTEMPTS.empty(),
         MOTION_OUTCOME.check(pd.DataFrame([outcome])),
     )
@@ -262,11 +262,9 @@ def control_points_of(curve: Curves) -> pd.DataFrame:
     return CONTROL_POINTS.check(pd.DataFrame(columns))
 
 
-def _predicted(seen: Simulated, index: int, string: String, duration: float) -> pd.DataFrame:
-    """The simulated string on the tick."""
-    ticks = np.flatnonzero(seen.times <= duration + 1e-9)[::FINE]
-    points = seen.points[index, ticks]
-    t, s = np.meshgrid(seen.times[ticks], string.arc_lengths(), indexing="ij")
+def string_of(times: np.ndarray, arc: np.ndarray, points: np.ndarray) -> pd.DataFrame:
+    """Table PREDICTED_STRING. times: (T,) ticks [s]. arc: (n,) lengths [m]. points: (T, n, 2) as simulated [m]."""
+    t, s = np.meshgrid(times, arc, indexing="ij")
     columns = {"t": t.ravel(), "s": s.ravel(), "x": points[..., 0].ravel(), "y": points[..., 1].ravel()}
     return PREDICTED_STRING.check(pd.DataFrame(columns))
 

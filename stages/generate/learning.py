@@ -27,10 +27,15 @@ def predictive_sd(task: Task, curves: Curves, draws: Draws, interest: int) -> np
     """
     sigma = max(LEAST, float(np.sqrt(np.mean(draws.off**2))))
     draws = draws.of_the_string()  # by few draws, what is chance would look like what the string does
-    exponents = _exponents(task, draws)
+    chi = np.stack([p.chi(draws.values[:, i]) for i, p in enumerate(task.model.parameters)], axis=-1)
+    exponents = (chi - chi.mean(axis=0))[:, np.ptp(chi, axis=0) > 0]  # (K, P), of parameters that draws do not share
     covariance = exponents.T @ exponents / len(draws) + RIDGE * np.eye(exponents.shape[1])
     _, points = simulated(task.model, curves.only(np.array([interest])), draws)
-    matters = _slopes(exponents, _at_target(task, points))
+    # where each draw's tip is when the middle one is nearest to the target, (K, 2) [m]
+    way = between(points[:, :, -1])
+    away = task.target.away(way)
+    typical = int(np.argsort(away.min(axis=1), kind="stable")[len(way) // 2])
+    matters = _slopes(exponents, way[:, int(np.argmin(away[typical]))])
     result = np.full(len(curves.duration), np.inf)
     for number in range(len(curves.duration)):
         _, points = simulated(task.model, curves.only(np.array([number])), draws)
@@ -40,20 +45,6 @@ def predictive_sd(task: Task, curves: Curves, draws: Draws, interest: int) -> np
             after = np.linalg.inv(np.linalg.inv(covariance) + slopes @ slopes.T)
             result[number] = np.sqrt(np.trace(matters.T @ after @ matters))
     return result
-
-
-def _exponents(task: Task, draws: Draws) -> np.ndarray:
-    """(K, P) of the draws, about their mean; parameters that all draws share are left out."""
-    chi = np.stack([p.chi(draws.values[:, i]) for i, p in enumerate(task.model.parameters)], axis=-1)
-    return (chi - chi.mean(axis=0))[:, np.ptp(chi, axis=0) > 0]
-
-
-def _at_target(task: Task, points: np.ndarray) -> np.ndarray:
-    """Where each draw's tip is when the middle one is nearest to the target, (K, 2) [m]."""
-    way = between(points[:, :, -1])
-    away = task.target.away(way)
-    typical = int(np.argsort(away.min(axis=1), kind="stable")[len(way) // 2])
-    return way[:, int(np.argmin(away[typical]))]
 
 
 def _slopes(exponents: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from stringcast.stages.generate.draws import Draws
 from stringcast.stages.generate.generate import arm_faults
 from stringcast.stages.model.arm import Arm
 
-POPULATION = 12
+POPULATION = 12  # candidates in a generation of CMA-ES
 STEP = 0.02  # first step, as a share of each coordinate's range
 WIDEST = 3.0  # times alpha: accelerations that a refined motion may come to; the arm's limits hold anyway
 SPARE = 2  # times as many are asked for as are simulated: some the arm cannot make

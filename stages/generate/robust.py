@@ -14,13 +14,20 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, PREDICTED_STRING, Estimate, Motion
+from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, Estimate, Motion
 from stringcast.data.later import Later
 from stringcast.stages.common import Progress, SettingsGroup, part
 from stringcast.stages.generate.chance import Task, between, outcome, simulated
 from stringcast.stages.generate.curves import Curves, joined
 from stringcast.stages.generate.draws import Draws, Uncertainty, drawn
-from stringcast.stages.generate.generate import HIT, Drawing, MotionNotFoundError, commands_of, control_points_of
+from stringcast.stages.generate.generate import (
+    HIT,
+    Drawing,
+    MotionNotFoundError,
+    commands_of,
+    control_points_of,
+    string_of,
+)
 from stringcast.stages.generate.learning import predictive_sd
 from stringcast.stages.generate.race import entrants, race
 from stringcast.stages.generate.refine import Space, refine
@@ -146,7 +153,7 @@ def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
     return Motion(
         commands_of(task.model.arm, curve),
         control_points_of(curve),
-        _table(task.model, points),
+        string_of(np.arange(len(points)) * task.model.arm.tick, task.model.string.arc_lengths(), points),
         ATTEMPTS.check(attempts),
         MOTION_OUTCOME.check(pd.DataFrame([_outcome(task, curve, points[:, -1], hit) | {"tried": tried}])),
     )
@@ -164,10 +171,3 @@ def _outcome(task: Task, curve: Curves, tip: np.ndarray, hit: np.ndarray) -> dic
         **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
         **{"chance": float(hit.mean()), "chance_low": share.low, "chance_high": share.high},
     }
-
-
-def _table(model: Model, points: np.ndarray) -> pd.DataFrame:
-    """Table PREDICTED_STRING. points: (T, n, 2) at the ticks [m]."""
-    t, s = np.meshgrid(np.arange(len(points)) * model.arm.tick, model.string.arc_lengths(), indexing="ij")
-    columns = {"t": t.ravel(), "s": s.ravel(), "x": points[..., 0].ravel(), "y": points[..., 1].ravel()}
-    return PREDICTED_STRING.check(pd.DataFrame(columns))

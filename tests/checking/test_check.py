@@ -331,7 +331,7 @@ SUSPICIOUS = {
     "no such trial": (about(trials={"t77": {"role": "held_out"}}), "dataset.yaml trials.t77", "Correct the name"),
     "upside down": (turned, "points.csv y", "y points down"),
     "none valid": (none_valid, " ", "a blank is false"),
-    "two frames": (two_frames, " ", "told by more frames"),
+    "two frames": (two_frames, " ", "takes more frames"),
     "said to be invalid": (about(trials={"t03": {"invalid": "it slipped off"}}), " ", "Take 'invalid' out"),
 }
 

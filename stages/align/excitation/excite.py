@@ -103,7 +103,9 @@ def drawn(
     frequency = rng.uniform(1 / duration, highest, (sines, len(lowest)))
     phase, size = rng.uniform(0, 2 * np.pi, frequency.shape), rng.uniform(0.3, 1, frequency.shape) / frequency
     swing = np.sum(size * np.sin(2 * np.pi * frequency * t[:, None, None] + phase), axis=1)
-    swing *= swell(t / t[-1])[:, None]
+    ends = np.minimum(t / t[-1], 1 - t / t[-1])
+    x = np.clip(ends / RAMP, 0, 1)
+    swing *= (x**3 * (10 - 15 * x + 6 * x**2))[:, None]  # from 0 to 1 and back, with no jump of the second derivative
     rate = np.gradient(swing, arm.tick, axis=0)
     share = _share(arm, middle, swing, rate, speed)
     return middle + share * swing, share * rate
@@ -122,12 +124,6 @@ def _share(arm: Arm, middle: np.ndarray, swing: np.ndarray, rate: np.ndarray, sp
     while fastest(share) > speed:
         share *= 0.99
     return share
-
-
-def swell(u: np.ndarray) -> np.ndarray:
-    """0 at both ends, 1 between, with no jump of the second derivative. u: share of the time."""
-    x = np.clip(np.minimum(u, 1 - u) / RAMP, 0, 1)
-    return x**3 * (10 - 15 * x + 6 * x**2)
 
 
 def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> str:

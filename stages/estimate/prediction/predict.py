@@ -41,7 +41,9 @@ def predict(model: Model, estimate: Estimate, observation: Observation, own: Col
     places = np.array([i for i, name in enumerate(model.names) if name.partition(".")[0] in own], dtype=int)
     still = resting(ready)
     if len(places) and still is not None:
-        values, free = _read(still, values, places), free + len(places)
+        at_rest = _AtRest(still, values, places)
+        start = chi_of(at_rest.parameters, values[places])
+        values, free = at_rest.values_at(fitted(at_rest, start[None], STEPS).chi)[0], free + len(places)
     _, motion = next(ready.simulate(values[None]))
     found = ready.at_measured(motion.points)[0]
     squares, tip = np.sum((found - ready.points) ** 2, axis=-1), ready.s == ready.s.max()
@@ -64,13 +66,6 @@ def resting(ready: Case) -> Case | None:
     kept = ready.frame < frames
     parts = {name: getattr(ready, name)[kept] for name in ("frame", "s", "points", "sigma")}
     return replace(ready, times=ready.times[:frames], **parts) if frames else None
-
-
-def _read(still: Case, values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Values (P,) of which some, at these places, suit a string at rest best."""
-    at_rest = _AtRest(still, values, places)
-    start = chi_of(at_rest.parameters, values[places])
-    return at_rest.values_at(fitted(at_rest, start[None], STEPS).chi)[0]
 
 
 @dataclass(frozen=True)
