@@ -143,7 +143,8 @@ class VelocityArm:
         log = blank(angles[0], self.arm.commanded(angles), self.arm.tick)
         self.moving = True
         try:
-            play(self.wire, log, self._guard(), self.driving.priority)
+            guard = Guard(self.arm, self.driving.misses, self.driving.astray, lambda: self.latched)
+            play(self.wire, log, guard, self.driving.priority)
         except HardwareError:
             self.moving = False  # ramped to rest; on a dead link its watchdog does that, and leaving sends a stop
             raise
@@ -157,9 +158,6 @@ class VelocityArm:
                 f"arm on {self.wire.name}: latched by the emergency stop ({self.latched}). "
                 "Look why, make it safe, then clear it."
             )
-
-    def _guard(self) -> Guard:
-        return Guard(self.arm, self.driving.misses, self.driving.astray, lambda: self.latched)
 
     def _test_link(self) -> None:
         """Round trips before anything moves: a slow link cannot carry a tick, nor a fast one a hasty watchdog."""

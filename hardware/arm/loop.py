@@ -96,7 +96,9 @@ def play(wire: Wire, log: Log, guard: Guard, priority: int) -> None:
             due = log.begun + k * tick
             _listen(wire, log, due - SPIN)
             wait_until(due)
-            _emergency(wire, guard)
+            if guard.pressed():  # the emergency stop comes before anything else that is sent
+                wire.latch()
+                raise HardwareError(f"arm on {wire.name}: emergency stop ({guard.pressed()}).")
             log.sent[k] = time.monotonic() - log.begun
             number, log.carried[k] = wire.send(log.asked[k])
             log.waiting[number] = k
@@ -126,13 +128,6 @@ def _note(log: Log, answer: Answer) -> None:
     log.held = log.held or answer.held
     if at > log.last:
         log.previous, log.last = log.last, at
-
-
-def _emergency(wire: Wire, guard: Guard) -> None:
-    """Obey the emergency stop before anything else is sent."""
-    if guard.pressed():
-        wire.latch()
-        raise HardwareError(f"arm on {wire.name}: emergency stop ({guard.pressed()}).")
 
 
 def _give_up(wire: Wire, log: Log, tick: int, arm: Arm, reason: str) -> None:

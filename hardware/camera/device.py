@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -50,7 +50,8 @@ class Device(Source):
         """Set everything, and see that it obeys and gives what it should; nothing of that is left to the first cast."""
         capture = self._capture()
         try:
-            remarks = obeyed(capture, self.name, format_of(camera), self.controls)
+            wanted = {"FRAME_WIDTH": camera.width, "FRAME_HEIGHT": camera.height, "FPS": camera.fps}
+            remarks = obeyed(capture, self.name, wanted, self.controls)
             stream = DeviceStream(capture, self.name)
             stream.remarks = (*remarks, *warmed(stream, self.name, camera))
         except BaseException:
@@ -88,11 +89,6 @@ class Device(Source):
                 f"{self.name}: it cannot be opened. Check source.number, the cable, and that no other program uses it."
             )
         return capture
-
-
-def format_of(camera: Camera) -> Mapping[str, float]:
-    """The format that is requested from the device."""
-    return {"FRAME_WIDTH": camera.width, "FRAME_HEIGHT": camera.height, "FPS": camera.fps}
 
 
 class DeviceStream(Stream):

@@ -101,7 +101,8 @@ def _summary(schedule: Schedule, film: Film, repeats: int) -> dict[str, float | 
 
 
 def _lost(summary: dict[str, float | int | str], most_lost: float) -> str:
-    """In words, too many frames lost; empty if they are not. A repeated frame left its place on the schedule empty."""
+    """The fault of too many lost frames, in words; empty if they are not. A repeated frame left its place on the
+    schedule empty."""
     share = int(summary["frames_dropped"]) / int(summary["frames_due"])
     if share <= most_lost:
         return ""

@@ -78,7 +78,7 @@ def _check_rate(frames: Sequence[Frame], name: str, camera: Camera) -> None:
 
 
 def _drift(frames: Sequence[Frame]) -> Sequence[str]:
-    """In words, a brightness that changes."""
+    """The fault of a brightness that changes, in words; empty where it does not."""
     quarter = len(frames) // 4
     first, last = (np.mean([frame.image.mean() for frame in part]) for part in (frames[:quarter], frames[-quarter:]))
     if abs(last - first) <= DRIFT * max(first, last):

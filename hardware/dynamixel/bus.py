@@ -48,7 +48,7 @@ try:  # what a pulled cable raises in pyserial, beside its own error
 except ImportError:
     BROKEN = (serial.SerialException, OSError)
 
-TRIES = 3
+TRIES = 3  # of a packet before the bus counts as dead: a disturbed line loses single ones
 BLOCK = 0.001  # [s] that a read sleeps for bytes; the library would spin, and keep a core from everybody else
 
 

@@ -26,7 +26,7 @@ PRESENT_POSITION = Register(132, 4)
 
 STATE = Register(BUS_WATCHDOG.address, PRESENT_POSITION.address + PRESENT_POSITION.size - BUS_WATCHDOG.address)
 
-VELOCITY_MODE = 1
+VELOCITY_MODE = 1  # of OPERATING_MODE: the servo follows GOAL_VELOCITY
 TIMED = 4  # bit of DRIVE_MODE: PROFILE_ACCELERATION would be a time [ms]
 TRIPPED = 255  # of BUS_WATCHDOG: it has stopped the servo, whose goals are read-only until 0 is written
 WATCHDOG_UNIT = 0.020  # [s]

@@ -8,8 +8,8 @@ import zlib
 from dataclasses import dataclass
 from enum import IntEnum
 
-VERSION = 3
-JOINTS = 3
+VERSION = 3  # of the protocol: device and driver must have the same
+JOINTS = 3  # whose velocities a command carries
 LONGEST = 64  # bytes between two delimiters; more cannot be a frame
 
 

@@ -29,7 +29,7 @@ from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
 ANSWER_WITHIN = 0.25  # [s] that an exchange may take before it is tried again
-TRIES = 3
+TRIES = 3  # of a frame before the link counts as dead: a disturbed line loses single ones
 HELD = {
     State.FRESH: "the device restarted",
     State.TRIPPED: "the device's watchdog stopped it",
