@@ -151,13 +151,10 @@ def _seen(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows], need_po
         else with_trial(table).empty()
         for table in (POINTS, READINGS, MASKS)
     )
-    return [_with_sigma(points, known), readings, masks]
-
-
-def _with_sigma(points: pd.DataFrame, known: Mapping[str, Any]) -> pd.DataFrame:
-    """Points with the uncertainty that dataset.yaml gives for all of them, where they have none of their own."""
-    sigma = (known.get("noise") or {}).get("point_sigma")
-    return points if sigma is None or "sigma" in points else points.assign(sigma=float(sigma))
+    sigma = (known.get("noise") or {}).get("point_sigma")  # of all points, where they have none of their own
+    if sigma is not None and "sigma" not in points:
+        points = points.assign(sigma=float(sigma))
+    return [points, readings, masks]
 
 
 def _moving(known: Mapping[str, Any], names: Iterable[str]) -> set[str]:
@@ -295,7 +292,7 @@ def _unusable(moved: np.ndarray, trial: Observation, film: Film | None, begin: f
         seen = film.t
     if len(seen) < FRAMES_NEEDED:
         reason = f"the string was seen in {len(seen)} frame(s) only"
-        return Unusable(reason, "A motion is told by more frames: record it again")
+        return Unusable(reason, "A motion takes more frames: record it again")
     common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
     if common >= OVERLAP:
         return None

@@ -11,7 +11,7 @@ from stringcast.data.foreign import MOST_PIXELS, own, yaml_block
 from stringcast.data.rows import SUREST
 from stringcast.data.schema import DataError
 
-FORMAT = 1
+FORMAT = 1  # of dataset.yaml, which says it under `format`
 NAME = "dataset.yaml"
 WIDEST = 2**20  # [px]: OpenCV reads no wider pictures
 SHOWN = 200  # characters of a value in a message

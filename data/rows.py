@@ -80,30 +80,30 @@ def cleaned(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
 
     table: with the leading column `trial`. frame: of that table, as it was read.
     """
-    sieve = RowFilter(frame)
+    kept = RowFilter(frame)
     for column in table.columns:
         if column.kind == "text":
-            sieve.drop(f"no {column.name}", sieve.frame[column.name].isna())
+            kept.drop(f"no {column.name}", kept.frame[column.name].isna())
     numbers = [c.name for c in table.columns if c.kind == "float" and not c.optional]
     for name in numbers:
-        sieve.drop(f"{name} is not a finite number", ~np.isfinite(sieve.frame[name]))
+        kept.drop(f"{name} is not a finite number", ~np.isfinite(kept.frame[name]))
         most = LATEST if name == "t" else FAR
-        sieve.drop(f"{name} is beyond {most:.0e}", sieve.frame[name].abs() > most)
+        kept.drop(f"{name} is beyond {most:.0e}", kept.frame[name].abs() > most)
     if "s" in numbers:
-        sieve.drop("s is below 0", sieve.frame["s"] < -ROUNDING)
-    if "sigma" in sieve.frame:
-        sieve.drop("sigma is not a number above 0", ~(np.isfinite(sieve.frame["sigma"]) & (sieve.frame["sigma"] > 0)))
-        sieve.drop(f"sigma is below {SUREST:.0e} m", sieve.frame["sigma"] < SUREST)
-    keys = [name for name in ("trial", "t", "s") if name in sieve.frame]
-    sieve.drop("a row twice", sieve.frame.duplicated())
-    sieve.drop(f"another value at the same {', '.join(keys)}; the first is kept", sieve.frame.duplicated(keys))
-    sieve.frame = sieve.frame.assign(trial=sieve.frame["trial"].map(str))
-    series = [name for name in ("trial", "s") if name in sieve.frame]  # points may be listed place by place
-    unordered = int((sieve.frame.groupby(series)["t"].diff() < 0).sum())
-    sieve.frame = sieve.frame.sort_values(["trial", "t"], kind="stable")
+        kept.drop("s is below 0", kept.frame["s"] < -ROUNDING)
+    if "sigma" in kept.frame:
+        kept.drop("sigma is not a number above 0", ~(np.isfinite(kept.frame["sigma"]) & (kept.frame["sigma"] > 0)))
+        kept.drop(f"sigma is below {SUREST:.0e} m", kept.frame["sigma"] < SUREST)
+    keys = [name for name in ("trial", "t", "s") if name in kept.frame]
+    kept.drop("a row twice", kept.frame.duplicated())
+    kept.drop(f"another value at the same {', '.join(keys)}; the first is kept", kept.frame.duplicated(keys))
+    kept.frame = kept.frame.assign(trial=kept.frame["trial"].map(str))
+    series = [name for name in ("trial", "s") if name in kept.frame]  # points may be listed place by place
+    unordered = int((kept.frame.groupby(series)["t"].diff() < 0).sum())
+    kept.frame = kept.frame.sort_values(["trial", "t"], kind="stable")
     if table.name in MOTIONS:
-        sieve.drop("the hand jumps away and back within two samples", _jumps(sieve.frame, numbers))
-    return sieve.frame, Rows(len(frame), sieve.dropped, unordered)
+        kept.drop("the hand jumps away and back within two samples", _jumps(kept.frame, numbers))
+    return kept.frame, Rows(len(frame), kept.dropped, unordered)
 
 
 def _jumps(motion: pd.DataFrame, numbers: list[str]) -> pd.Series:

@@ -31,7 +31,7 @@ FARTHEST = 20.0  # [m] that no string, target or arm reaches: from there on a nu
 
 
 class Answer(NamedTuple):
-    """What is wrong with a word, empty if nothing is, and the words that were meant."""
+    """The fault of a word, empty if there is none, and the words that were meant."""
 
     fault: str
     meant: list[str]
@@ -47,12 +47,12 @@ class Word:
 
     @property
     def name(self) -> str:
-        """What is before the equals sign; all of it where there is none."""
+        """The text before the equals sign; all of it where there is none."""
         return self.text.partition("=")[0]
 
     @property
     def value(self) -> str:
-        """What is behind the equals sign."""
+        """The text behind the equals sign."""
         return self.text.partition("=")[2]
 
     @property
@@ -142,7 +142,8 @@ def _place_as_pair(word: Word) -> Iterator[Answer]:
 
 
 def _unknown_choice(word: Word) -> Iterator[Answer]:
-    """Of a group, such as estimate=least_square; several at once, as in a sweep, are Hydra's to read."""
+    """An unknown option of a group, such as estimate=least_square; several at once, as in a sweep, are Hydra's to
+    read."""
     there = _options(word.setting)
     if not there or word.value in ("", "null", *there) or re.search(r"[,()\[{$]", word.value):
         return

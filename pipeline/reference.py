@@ -56,7 +56,9 @@ def page() -> str:
     chosen, settings = _choices(), composed()
     groups = [group for group in settings if (CONF / group).is_dir()]
     others = {name: value for name, value in settings.items() if name not in groups and name != "plane"}
-    parts = [HEAD, RUN, _run(others), _options("experiment", ""), _options("method", chosen["method"])]
+    rows = [(f"`{name}`", _value(value), meanings().get(name, "")) for name, value in others.items()]
+    parts = [HEAD, RUN, _table(("setting", "default", "what it means"), rows)]
+    parts += [_options("experiment", ""), _options("method", chosen["method"])]
     parts += [part for group in groups for part in _group(group, chosen[group], settings[group])]
     return "\n".join([*parts, _options("hydra/launcher", "serial"), EFFECTS, _effects()])
 
@@ -72,10 +74,10 @@ def _group(group: str, chosen: str, block: Mapping[str, Any]) -> Iterator[str]:
     """A group: its options, then the settings of the chosen one, then what only others have."""
     yield _options(group, chosen)
     others = sorted((CONF / group).glob("*.yaml"), key=lambda file: ("defaults:" in file.read_text(), file.stem))
-    told = [CONF / group / f"{chosen}.yaml", *others]  # those that begin from others, last
+    listed = [CONF / group / f"{chosen}.yaml", *others]  # those that begin from others, last
     known: set[str] = set()
     rows = []
-    for option, settings in ((file.stem, block if file.stem == chosen else _read(file)) for file in told):
+    for option, settings in ((file.stem, block if file.stem == chosen else _read(file)) for file in listed):
         own, kinds = dict(of_file(CONF / group / f"{option}.yaml")), dict(_kinds(group, settings))
         for name, value in leaves(_folded(settings), group).items():
             if any(name == one or name.startswith(f"{one}.") for one in known) or {*name.split(".")} & UNTOLD:
@@ -116,12 +118,6 @@ def _heading(file: Path) -> str:
     lines = [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("# @package")]
     top = re.match(r"(?:#.*\n)*", "\n".join([*lines, ""]))
     return " ".join(line.strip("# ") for line in (top[0] if top else "").splitlines())
-
-
-def _run(settings: Mapping[str, Any]) -> str:
-    """Settings that belong to no group."""
-    rows = [(f"`{name}`", _value(value), meanings().get(name, "")) for name, value in settings.items()]
-    return _table(("setting", "default", "what it means"), rows)
 
 
 def _meaning(name: str) -> str:

@@ -21,7 +21,7 @@ from stringcast.data.schema import DataError
 KINDS = ("JointState", "Pose", "PoseStamped", "PointStamped", "Point", "TransformStamped", "Transform")
 MOST_MESSAGES = 2**20  # of the topics that are read: an hour at 300 a second
 DEEPEST = 6  # messages in one another
-NANO = 1e-9
+NANO = 1e-9  # [s] in a nanosecond
 
 
 def reads(path: Path) -> bool:

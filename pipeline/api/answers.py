@@ -31,7 +31,7 @@ from stringcast.stages.model.library import library
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import DiagnosisRecord
 
-MM = 1e3
+MM = 1e3  # [mm] in a metre
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ def unreadable(folder: Path, reason: str) -> dict[str, Any]:
 
 
 def show(found: Mapping[str, Any], console: Terminal) -> None:
-    """In plain words on the terminal."""
+    """Print the findings in plain words."""
     if found["trials"]:
         console.print(f"{found['folder']}: a string of {found['string_length_m']:.3f} m", soft_wrap=True, markup=False)
         console.print(trials(found["trials"]))

@@ -56,7 +56,8 @@ class Attempt:
 
     def _process(self, job: Job, log: BinaryIO, threads: int) -> int:
         """The exit status of the job's process, which inherits the log, and with it the lock."""
-        place = f"hydra.run.dir={quoted(self.folder / self.key)}"
+        escaped = str(self.folder / self.key).replace("'", "\\'")
+        place = f"hydra.run.dir='{escaped}'"  # as Hydra's grammar takes any text
         return subprocess.run(
             [*self.command, *job.overrides, "hydra.mode=RUN", place],
             cwd=self.place,
@@ -84,9 +85,3 @@ def complaint(said: str) -> str:
     lines = [line.rstrip() for line in said.splitlines() if line.strip()]
     begins = [number for number, line in enumerate(lines) if line.startswith("Error: ")]
     return "\n".join(lines[begins[-1] :] if begins else lines[-1:]).removeprefix("Error: ")
-
-
-def quoted(path: Path) -> str:
-    """A path as Hydra's grammar takes any text."""
-    escaped = str(path).replace("'", "\\'")
-    return f"'{escaped}'"

@@ -22,7 +22,7 @@ from stringcast.stages.model.string import String
 SEGMENTS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112)  # each twice the one before the last
 HALF = 4  # levels of steps that halve it, nearly: 1.2^4 = 2.07
 COARSEST = 5  # level of the largest step tried: 3 steps in a tick
-ORDER_IN_POINTS = 2
+ORDER_IN_POINTS = 2  # of the error in the length of a segment
 SHARE_OF_POINTS = 0.75  # of the tolerance
 
 

@@ -14,7 +14,7 @@ from stringcast.stages.model.effect import HandEffect
 
 interpolate = Later("scipy.interpolate")
 
-HAND_TICK = 0.005
+HAND_TICK = 0.005  # [s] between samples of the hand's motion: the paper's control period
 ARRIVED = 0.5  # [s] of rest after which nothing lags any more; a film may go on for much longer
 Act = tuple[type[HandEffect], Mapping[str, np.ndarray]]  # an effect and its parameters, (C, 1, 1) each
 

@@ -16,7 +16,7 @@ import numpy as np
 from stringcast.stages.model.slots import HELD, PER
 from stringcast.stages.model.string import String
 
-SAFETY = 0.9
+SAFETY = 0.9  # of the largest stable step
 FASTEST = 30.0  # [m/s] speed up to which air resistance is covered
 TAUT = 0.2  # stretch whose tension stiffens the string sideways
 LEVEL = 1.2  # ratio of one size of step to the next

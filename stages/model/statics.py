@@ -14,8 +14,8 @@ import numpy as np
 from stringcast.stages.model.stability import load, slot_sum, vector_sum
 from stringcast.stages.model.string import String
 
-GRAVITY = 9.81
-ITERATIONS = 200
+GRAVITY = 9.81  # [m/s2]
+ITERATIONS = 200  # Newton steps at most
 LARGEST_TURN = 0.3  # [rad] of a segment in one iteration
 FLOOR = 1e-9  # [m3/s2] of what resists a turn, so that a string without stiffness can be turned
 ENOUGH = 1e-12  # [rad] change of an angle that ends the iteration

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm, t
 
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of the intervals of means and rates
 Mean = Callable[[np.ndarray], tuple[float, float, float]]
 
 

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter
 from PIL import Image
 
 STYLE = Path(__file__).parent / "theme.mplstyle"
-MM = 1e3
+MM = 1e3  # [mm] in a metre
 QUALITY = 50  # of WebP
 QUICK = 1  # of WebP's six methods: a third of the time of its own choice, for frames a tenth larger
 # Light and dark side of each colour. Data colours are those of Okabe and Ito, told apart by everyone.

@@ -15,8 +15,8 @@ from stringcast.data.schema import Column, Table
 from stringcast.hardware.virtual.conditions import Shot
 from stringcast.pipeline.studies.extraction.films import Cell, Take
 
-WRONG_PX = 3.0
-WRONG_SIGMAS = 5.0
+WRONG_PX = 3.0  # [px]
+WRONG_SIGMAS = 5.0  # of the standard deviation that is stated
 FRAMES = Table(
     "frames",
     "a row a frame: what was read and how far off it is; NaN where nothing was",

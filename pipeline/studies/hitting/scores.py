@@ -11,7 +11,7 @@ from stringcast.data.schema import Column, Table
 from stringcast.pipeline.studies.counts import COUNTS, UNKNOWN_CODE, counted
 
 BINS = np.array([0.0, 0.25, 0.5, 0.75, 0.9, 1.0])  # of the predicted chance
-WANTED = 0.95
+WANTED = 0.95  # share of the runs within whose casts the tip has hit
 ALL = "all"
 _WHICH = (Column("case", "", "string and target; 'all' for all together", "text"), Column("method", "", "", "text"))
 CASTS = Table(

@@ -81,7 +81,7 @@ class Family:
         return points.assign(valid=~points["held"]) if "held" in points else points
 
     def _weighed(self, folder: Path, string: str) -> dict[str, float]:
-        """Masses of a string and of what was hung at its tip [kg], where they are told."""
+        """Masses of a string and of what was hung at its tip [kg], where they are stated."""
         path = folder / self.folder / WEIGHED
         known = json.loads(path.read_text(encoding="utf-8")).get(string) if path.is_file() else None
         return {} if known is None else {"mass": known["m_cable_kg"], "tip_mass": known["m_tip_kg"]}

@@ -115,7 +115,10 @@ def maps(record: DiagnosisRecord, model: str) -> Picture | None:
     rows = len(record.trials)
     figure = framed(5.4, 1.3 + 1.05 * rows, top=0.45, bottom=1.0, between=0.3)
     panels = figure.subplots(rows, 2, sharex=True, sharey=True, squeeze=False)
-    end = _end(record)
+    sizes = [np.abs(part) for table in record.trials.values() for part in parts(table, "base").values()]
+    end = max(
+        LEAST, float(np.quantile(np.concatenate(sizes), 0.99))
+    )  # of the scale: the same for all trials and models
     scale = AsinhNorm(2.0, -end, end)
     for line, (trial, table) in zip(panels, record.trials.items(), strict=True):
         split = parts(table, model)
@@ -155,15 +158,12 @@ def parts(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
     return {"normal": along.imag, "tangential": along.real}
 
 
-def _end(record: DiagnosisRecord) -> float:
-    """The end of the colour scale, the same for all trials and models."""
-    sizes = [np.abs(part) for table in record.trials.values() for part in parts(table, "base").values()]
-    return max(LEAST, float(np.quantile(np.concatenate(sizes), 0.99)))
-
-
 def _map(axes: Axes, table: pd.DataFrame, values: np.ndarray, scale: AsinhNorm) -> ScalarMappable:
     """Means in cells of arc length and time."""
-    edges = _along(table["s"].to_numpy()), _over(table["t"].to_numpy())
+    times = np.unique(table["t"].to_numpy())
+    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
+    width = max(frame, float(np.ptp(times)) / MOMENTS)  # [s] of even cells: gaps between frames stay empty
+    edges = _along(table["s"].to_numpy()), np.arange(times[0] - width / 2, times[-1] + width, width)
     total, count = (np.histogram2d(table["s"], table["t"], edges, weights=w)[0] for w in (values, None))
     cells = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
     axes.grid(visible=False)
@@ -180,14 +180,6 @@ def _along(s: np.ndarray) -> np.ndarray:
     half = middle[0] - places[0] if len(middle) else max(places[0] / 4, 1e-3)
     last = places[-1] - middle[-1] if len(middle) else half
     return np.concatenate([[max(places[0] - half, 0)], middle, [places[-1] + last]])
-
-
-def _over(t: np.ndarray) -> np.ndarray:
-    """Edges of even cells, a frame or more each; gaps between frames stay empty [s]."""
-    times = np.unique(t)
-    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
-    width = max(frame, float(np.ptp(times)) / MOMENTS)
-    return np.arange(times[0] - width / 2, times[-1] + width, width)
 
 
 def curves(record: DiagnosisRecord, trial: str) -> Chart:

@@ -17,7 +17,7 @@ from stringcast.stages.report.theme import LIGHT, MM, Picture, framed, vector
 from stringcast.stages.report.words import mm, ms, plain
 
 # --- a cast
-SIZE = (5.4, 4.9)
+SIZE = (5.4, 4.9)  # [in] of a drawing of strings
 
 
 def path(record: Record, cast: Cast) -> Picture | None:
@@ -138,46 +138,46 @@ def last(table: pd.DataFrame) -> pd.DataFrame:
 
 
 # --- the motion proposed
-THEORIES = ("after", "before", "measured", "target")  # the likeliest theory first
+COLOURS_OF_HYPOTHESES = ("after", "before", "measured", "target")  # the likeliest hypothesis first
 DASHES = ("-", "--", "-.", ":")
 
 
 def proposed(record: DiagnosisRecord) -> Picture | None:
-    """Where the theories are farthest apart, and how far they are over time; None where no motion is proposed."""
+    """Where the hypotheses are farthest apart, and how far they are over time; None where no motion is proposed."""
     table = record.diagnosis.foretold
     if table.empty:
         return None
-    theories = {str(name): rows.reset_index(drop=True) for name, rows in table.groupby("theory", sort=False)}
-    apart = {name: _apart(rows, theories) for name, rows in list(theories.items())[1:]}
+    hypotheses = {str(name): rows.reset_index(drop=True) for name, rows in table.groupby("theory", sort=False)}
+    apart = {name: _apart(rows, hypotheses) for name, rows in list(hypotheses.items())[1:]}
     closest = min(apart, key=lambda name: float(apart[name].max()))
     t = float(apart[closest].idxmax())
     figure = Figure(figsize=(7.2, 3.2))
     left, right = figure.subplots(1, 2)
-    _strings(left, theories, t)
+    _strings(left, hypotheses, t)
     _distances_apart(right, record, apart)
     right.axvline(t * MM, color=LIGHT["axis"], lw=1)
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     most = ", ".join(f"{plain(name)} {mm(float(way.max()), 1)}" for name, way in apart.items())
-    return vector(figure, f"The proposed motion at {ms(t)}; away from {plain(next(iter(theories)))} at most: {most}.")
+    return vector(figure, f"The proposed motion at {ms(t)}; away from {plain(next(iter(hypotheses)))} at most: {most}.")
 
 
-def _apart(rows: pd.DataFrame, theories: dict[str, pd.DataFrame]) -> pd.Series:
-    """Largest distance from the likeliest theory anywhere on the string [m], by time."""
-    first = next(iter(theories.values()))
+def _apart(rows: pd.DataFrame, hypotheses: dict[str, pd.DataFrame]) -> pd.Series:
+    """Largest distance from the likeliest hypothesis anywhere on the string [m], by time."""
+    first = next(iter(hypotheses.values()))
     return pd.Series(np.hypot(rows["x"] - first["x"], rows["y"] - first["y"])).groupby(first["t"].to_numpy()).max()
 
 
-def _strings(axes: Axes, theories: dict[str, pd.DataFrame], t: float) -> None:
-    """Each theory's string at a moment."""
-    for (name, rows), colour, style in zip(theories.items(), THEORIES, DASHES, strict=False):
+def _strings(axes: Axes, hypotheses: dict[str, pd.DataFrame], t: float) -> None:
+    """Each hypothesis' string at a moment."""
+    for (name, rows), colour, style in zip(hypotheses.items(), COLOURS_OF_HYPOTHESES, DASHES, strict=False):
         now = rows[rows["t"] == t].sort_values("s")
         axes.plot(now["x"] * MM, now["y"] * MM, style, marker=".", ms=4, color=LIGHT[colour], label=plain(name))
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {ms(t)}", aspect="equal", adjustable="datalim")
 
 
 def _distances_apart(axes: Axes, record: DiagnosisRecord, apart: dict[str, pd.Series]) -> None:
-    """How far each theory is from the likeliest, over time, against the noise floor."""
-    for (_, way), colour, style in zip(apart.items(), THEORIES[1:], DASHES[1:], strict=False):
+    """How far each hypothesis is from the likeliest, over time, against the noise floor."""
+    for (_, way), colour, style in zip(apart.items(), COLOURS_OF_HYPOTHESES[1:], DASHES[1:], strict=False):
         axes.plot(way.index * MM, way * MM, style, lw=1.2, color=LIGHT[colour])
     floor = float(record.diagnosis.residuals["sigma"].median() * MM)
     axes.axhspan(0, floor, color=LIGHT["grid"], lw=0)
@@ -240,7 +240,7 @@ def _title(record: PaperRecord, condition: str, number: int) -> str:
 
 
 def _legend_of_kinds(axes: Axes) -> tuple[list[Any], list[str]]:
-    """In the order of CALLED, with the target."""
+    """Handles and labels of the legend, in the order of CALLED, with the target."""
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     names = [name for name in CALLED.values() if name in handles]
     return [handles[name] for name in names], names

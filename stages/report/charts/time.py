@@ -182,15 +182,10 @@ def fig_14(record: PaperRecord, condition: str) -> Drawn | None:
         near[number] = float(np.nanmean(table.loc[(table["t"] - closest).abs() <= AROUND, "before"]))
     axes.set(xlabel="time [ms]", ylabel="matching rate E$_f$ [1]", ylim=(0, 1.02))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2)
-    return Drawn(figure, _near(near))
-
-
-def _near(near: dict[int, float]) -> str:
-    """E_f around the closest approach, by manipulation, and whether it grew."""
     said = ", ".join(f"{rate(mean)} in manipulation {number}" for number, mean in near.items())
     first, last = next(iter(near.values())), list(near.values())[-1]
     grew = "" if len(near) < 2 else ": higher, as in the paper" if last > first else ": not higher, unlike in the paper"
-    return f"Around the closest approach, 50 ms each side, E is {said}{grew}."
+    return Drawn(figure, f"Around the closest approach, 50 ms each side, E is {said}{grew}.")
 
 
 def compared(made: list[int]) -> int:

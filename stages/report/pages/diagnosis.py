@@ -503,7 +503,7 @@ def _estimated(value: float | None, ends: Sequence[float] | None) -> tuple[str, 
 
 
 def _change(ratio: float) -> str:
-    """In percent, or as a factor where it is large."""
+    """A change in percent, or as a factor where it is large."""
     if not 1 / 3 < ratio < 3:
         return f"× {significant(ratio)}"
     percents = round(100 * (ratio - 1))

@@ -288,11 +288,7 @@ def rates(record: PaperRecord) -> Drawn | None:
     axes.set(xlim=(-0.02, 1.02), ylim=(len(labels) - 0.5, -0.5), xlabel="share of runs that hit, with 95 % interval")
     axes.set_xticks(np.linspace(0, 1, 6), ["0", "20 %", "40 %", "60 %", "80 %", "100 %"])
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=4, title="manipulations")
-    return Drawn(figure, _hits(record))
-
-
-def _hits(record: PaperRecord) -> str:
     whole = record.tables["rates"]
     most = whole[whole["within"] == whole["within"].max()].set_index("condition")
     said = [f"{LABELS[name]} {most.loc[name, 'right']} of {most.loc[name, 'count']}" for name in record.conditions]
-    return f"Runs that hit within {whole['within'].max()} manipulations: {', '.join(said)}."
+    return Drawn(figure, f"Runs that hit within {whole['within'].max()} manipulations: {', '.join(said)}.")
