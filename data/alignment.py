@@ -66,7 +66,7 @@ ALIGNED = Table(
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the camera and its clock stand to the arm: what `align` makes."""
+    """The artifact of `align`: pose and clock of the camera relative to the arm's."""
 
     measured: pd.DataFrame
     seen: pd.DataFrame
@@ -82,7 +82,7 @@ class Alignment:
 
     @property
     def sentence(self) -> str:
-        """How it went, in words."""
+        """The outcome in a sentence."""
         return str(self.aligned["sentence"].iloc[0])
 
     @property

@@ -85,7 +85,7 @@ class Calibration:
 
     @property
     def reason(self) -> str:
-        """Why it cannot be used; empty if it can."""
+        """The reason why the calibration cannot be used; empty if it can."""
         return str(self.outcome["reason"].iloc[0])
 
     @property

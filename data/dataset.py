@@ -47,7 +47,7 @@ def with_trial(table: Table) -> Table:
 
 @dataclass(frozen=True)
 class Unusable:
-    """Why a trial cannot be used, and what to do about it."""
+    """The reason why a trial cannot be used, and the remedy."""
 
     reason: str
     remedy: str

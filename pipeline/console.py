@@ -42,7 +42,7 @@ def bars(console: Terminal) -> Iterator[Bar]:
 
 
 def summary(result: Result, config: Mapping[str, Any]) -> Group:
-    """How the run ended: what the stage found that it was for, or manipulation by manipulation. config: settings."""
+    """A summary of the run: of the stage that it was for, or manipulation by manipulation. config: settings."""
     if result.stage is not None:
         return answer(result, result.stage)
     table = _casts(result)
@@ -87,7 +87,7 @@ def listed(frame: pd.DataFrame) -> Table:
 
 
 def page(result: Result) -> Path:
-    """Where the run is to be looked at."""
+    """The file of a run's page; its folder where there is none."""
     report = result.folder / "report.html"
     return report if report.exists() else result.folder
 

@@ -57,7 +57,7 @@ class Iteration:
 
     @property
     def refused(self) -> str:
-        """Why nothing is learned from its trial; empty if it can be trusted."""
+        """The reason why nothing is learned from its trial; empty if it can be trusted."""
         link = self.done["trial"].link.iloc[0] if "trial" in self.done else {"valid": True}
         return "" if link["valid"] else str(link["reason"])
 
@@ -68,13 +68,13 @@ class Iteration:
 
     @property
     def observation(self) -> Observation:
-        """Its trial as estimation sees it."""
+        """The trial as estimation sees it."""
         trial, points = self.done["trial"], self.done["points"]
         return Observation(self.name, points.points, points.readings, points.masks, arm=trial.arm)
 
 
 class Executor(Protocol):
-    """Where the artifacts of steps come from: a run makes and keeps them (`pipeline.run_folder`), `verify` computes
+    """The source of the artifacts of steps: a run makes and keeps them (`pipeline.run_folder`), `verify` computes
     them again, `why` asks what has changed."""
 
     def obtain(self, step: Step) -> Any:

@@ -30,7 +30,7 @@ LINE = _Line("%(asctime)s %(levelname)-7s %(name)s: %(message)s")
 
 
 def shown() -> None:
-    """From here on, lines appear on the terminal, too."""
+    """Show the log's lines on the terminal, too, from here on."""
     _heard(logging.StreamHandler())
 
 

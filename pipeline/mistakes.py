@@ -57,7 +57,7 @@ class Word:
 
     @property
     def setting(self) -> str:
-        """Its name, without the + that adds it."""
+        """The setting's name, without the + that adds it."""
         return self.name.lstrip("+")
 
     @property

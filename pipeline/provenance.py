@@ -179,7 +179,8 @@ def made_now(config: Mapping[str, Any], folder: Path, step: Step) -> dict[str, A
 
 
 def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[str, ...]:
-    """Why a stored step would be made again, by its files and the run's settings alone: no model is built of these."""
+    """The reasons why a stored step would be made again, by its files and the run's settings alone: no model is built
+    of these."""
     try:
         made = store.origin_of(sorted(place.glob("*.parquet"))[0])
         inputs = inputs_there(folder, made["inputs"], settings["trials"])

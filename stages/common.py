@@ -54,7 +54,8 @@ def wander(s: np.ndarray, tracks: Sequence[np.ndarray]) -> bool:
 
 
 def at_places(frame: np.ndarray, s: np.ndarray, points: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Where places (M,) [m] are in each frame, between its points (N, 2) [m]; (F, M, 2), NaN beyond its ends."""
+    """Positions (F, M, 2) [m] of arc lengths (M,) [m] in each frame, between its points (N, 2) [m]; NaN beyond its
+    ends."""
     result = np.full((int(frame.max()) + 1, len(places), 2), np.nan)
     for number, line in enumerate(result):
         now = frame == number

@@ -28,7 +28,7 @@ class _Texts(pickle.Unpickler):
     """Unpickles numbers, texts, lists and tuples; whatever would call something is refused."""
 
     def find_class(self, module: str, name: str) -> NoReturn:
-        """Nothing is looked up."""
+        """Refuse to look a class up: nothing in the file is to be run."""
         raise pickle.UnpicklingError(f"it names {module}.{name}")
 
 

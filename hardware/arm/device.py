@@ -28,7 +28,7 @@ START_TOLERANCE = 0.02  # [rad] between reported and commanded start
 
 @dataclass(frozen=True)
 class Driving:
-    """How an arm is driven.
+    """Settings by which an arm is driven.
 
     round_trip: median of the link test [s] above which nothing moves. misses: unanswered ticks in a row after
     which it is brought to rest. late: lateness [s] above which a tick counts as missed; most_missed: share of missed

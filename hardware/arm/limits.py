@@ -14,7 +14,7 @@ SLACK = 1.001  # limits may be touched to rounding
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where joints and hand may be: a rectangle of the world, corners (x, y) [m]."""
+    """The region in which joints and hand may be: a rectangle of the world, corners (x, y) [m]."""
 
     low: tuple[float, float]
     high: tuple[float, float]

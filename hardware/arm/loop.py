@@ -48,7 +48,7 @@ def blank(start: np.ndarray, speeds: np.ndarray, tick: float) -> Log:
 
 @dataclass(frozen=True)
 class Guard:
-    """Why a movement must end early.
+    """Limits whose violation ends a movement early.
 
     arm: its speed limits bound what an encoder can truly report. misses: unanswered ticks in a row that are
     borne. astray: largest distance from the commanded angles [rad]. pressed: the emergency stop, empty or a reason.

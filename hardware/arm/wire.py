@@ -27,7 +27,7 @@ class Wire(Protocol):
 
     @property
     def name(self) -> str:
-        """Where the arm is, for messages."""
+        """The port or device of the arm, for messages."""
 
     @property
     def watchdog(self) -> float:

@@ -27,7 +27,7 @@ class ImageFolder(Played):
         return f"images in {self.folder}"
 
     def images(self) -> Sequence[np.ndarray]:
-        """Its images."""
+        """The images of the folder."""
         files = sorted(p.name for p in self.folder.glob("*") if p.suffix.lower() in ENDINGS)
         if not files:
             raise DataError(

@@ -50,7 +50,7 @@ class Playing(Stream):
         self.begin()
 
     def begin(self) -> None:
-        """From the first one, now."""
+        """Begin with the first image, now."""
         self.number, self.begun = 0, time.monotonic()
 
     def read(self) -> Frame | None:
@@ -63,4 +63,4 @@ class Playing(Stream):
         return Frame(time.monotonic(), stamp, image)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing: no device is held."""

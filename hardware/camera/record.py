@@ -61,7 +61,7 @@ def repeated(images: Sequence[np.ndarray], resting: int) -> np.ndarray:
 
 
 def exposed(arrived: np.ndarray, stamps: np.ndarray, period: float) -> tuple[np.ndarray, Schedule]:
-    """When each frame was exposed, (F,) [s], and the schedule behind it.
+    """Times of exposure of the frames, (F,) [s], and the schedule behind them.
 
     arrived: (F,), taken back by the delay. A source's own stamps are times of exposure but for a constant, which the
     quickest arrival fixes. Arrivals are late by chance, exposures are not: without stamps they are on schedule.

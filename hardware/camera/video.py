@@ -29,7 +29,7 @@ class VideoFile(Played):
         return f"video {self.path}"
 
     def images(self) -> Sequence[np.ndarray]:
-        """Its frames."""
+        """The frames of the video."""
         return Video(self.path)
 
     def stills(self, camera: Camera, ready: Callable[[], object]) -> Iterator[np.ndarray]:

@@ -131,7 +131,7 @@ class DynamixelBus:
         self.handler = None
 
     def angles(self) -> tuple[float, ...]:
-        """By a sync read."""
+        """Angles of the joints (J,) [rad], by a sync read."""
         for _ in range(TRIES):
             states = self._read_all()
             if states:
@@ -139,7 +139,7 @@ class DynamixelBus:
         raise HardwareError(f"arm on {self.port}: the servos do not answer. Check their supply and the bus.")
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """In units of 0.229 rpm; the watchdogs are armed by the first."""
+        """Send velocities, in units of 0.229 rpm; the watchdogs are armed by the first."""
         if not self.armed:
             self._write_all(BUS_WATCHDOG, self.patience)
             self.armed, self.owed = True, np.zeros(len(self.servos))
@@ -156,7 +156,7 @@ class DynamixelBus:
         return self.number, carried
 
     def answers(self) -> Sequence[Answer]:
-        """Where the servos are, asked once after each velocity."""
+        """Positions of the servos, asked once after each velocity."""
         if not self.pending:
             return []
         self.pending = False

@@ -94,11 +94,11 @@ class SerialWire:
             self.link = None
 
     def angles(self) -> tuple[float, ...]:
-        """By a ping."""
+        """Angles of the joints (J,) [rad], by a ping."""
         return self._report(Kind.PING).angles
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """In single precision."""
+        """Send velocities, in single precision."""
         carried = speeds.astype(np.float32)
         return self._send(Kind.VELOCITY, tuple(carried)), carried
 

@@ -60,7 +60,7 @@ class Specimen:
 
     @property
     def sizes(self) -> dict[str, float]:
-        """Its parameters, by qualified name."""
+        """Values of the string's and of the hidden effects' parameters, by qualified name."""
         hidden = {f"{effect}.{name}": size for effect, own in self.hidden.items() for name, size in own.items()}
         return {**self.parameters, **hidden}
 
@@ -122,7 +122,7 @@ class Bench:
         return joint_motion(*self.performed, tick=tick)
 
     def in_view(self, true: Callable[[np.ndarray], np.ndarray], times: np.ndarray) -> np.ndarray:
-        """Where the camera has points at its own times, (F, n, 2) [m]. true: the points at true times (M,)."""
+        """Points as the camera reports them at its own times, (F, n, 2) [m]. true: the points at true times (M,)."""
         model, values = self.model, self.values
         points = true(model.moments(values, times).ravel())
         return model.reported(points[None], values, times)[0]
@@ -149,7 +149,7 @@ class VirtualArm:
         """Nothing moves on its own."""
 
     def angles(self) -> np.ndarray:
-        """Where it was last, (J,) [rad]; at zero before it was moved."""
+        """Angles after the last movement, (J,) [rad]; zero before the first."""
         return np.zeros(len(self.bench.arm.links)) if self.bench.pose is None else self.bench.pose
 
     def check(self, commands: pd.DataFrame) -> None:

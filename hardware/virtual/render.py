@@ -15,7 +15,7 @@ FINER = 1 << SHIFT
 
 @dataclass(frozen=True)
 class Look:
-    """How the scene looks. Brightness in grey levels, widths in metres.
+    """The appearance of the scene. Brightness in grey levels, widths in metres.
 
     background: mean brightness; unevenness: its slow variation; texture: its fine variation;
     noise: one sigma of the sensor's.

@@ -111,7 +111,7 @@ class Estimated:
 
     @property
     def sentence(self) -> str:
-        """Which parameters the trials determine and which they do not."""
+        """The parameters that the trials determine and those that they do not, in words."""
         return str(self.made.fit["sentence"].iloc[0])
 
     @property

@@ -33,12 +33,12 @@ class KnownString:
 
     @classmethod
     def load(cls, folder: str | Path) -> KnownString:
-        """From the folder of a diagnosis or an alignment, or an extended.yaml. Raises StringcastError."""
+        """The string of the folder of a diagnosis or an alignment, or an extended.yaml. Raises StringcastError."""
         return cls(extended_model(Path(folder)))
 
     @classmethod
     def of_run(cls, folder: str | Path) -> KnownString:
-        """From a run's folder: its extended.yaml, or else what it estimated last. Raises StringcastError."""
+        """The string of a run's folder: of its extended.yaml, or else its last estimate. Raises StringcastError."""
         whole = Path(folder)
         estimates = sorted(whole.glob("iterations/*/estimate/parameters.parquet"))
         if (whole / EXTENDED).exists() or not estimates:

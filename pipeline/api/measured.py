@@ -26,7 +26,7 @@ class Trials:
 
     @property
     def folder(self) -> Path:
-        """Where it lies."""
+        """The dataset's folder."""
         return self.data.folder
 
     @property

@@ -280,7 +280,7 @@ def command(asked: argparse.Namespace) -> str:
 
 
 def columns(what: Gathered) -> Table:
-    """How each column was taken, and what was left out; files of the same columns as one."""
+    """A table of the columns as they were read, and of those left out; files of the same columns as one."""
     table = Table(box=None, pad_edge=False)
     for heading in ("file", "column", "taken as", "from", "to"):
         table.add_column(Text(heading), justify="right" if heading in ("from", "to") else "left", overflow="fold")

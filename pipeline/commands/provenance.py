@@ -226,8 +226,8 @@ def lineage(arguments: list[str]) -> int:
 
 @dataclass
 class Lineage:
-    """What a tree of origins holds so far. changed: inputs that are not as they were. shown: places and lines, which
-    are not shown twice."""
+    """The state of a tree of origins as it grows. changed: inputs that are not as they were. shown: places and lines,
+    which are not shown twice."""
 
     changed: list[str] = field(default_factory=list)
     shown: set[Path | str] = field(default_factory=set)

@@ -32,7 +32,7 @@ class StepReader:
         return self.ask(step)
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Nothing is written."""
+        """Do nothing: a reader writes no dataset."""
 
 
 def walk(here: Experiment, folder: Path, ask: Callable[[Step], Any]) -> Result | None:

@@ -96,7 +96,7 @@ def log_fit(iteration: Iteration) -> None:
 
 
 def ended(iterations: Sequence[Iteration]) -> str:
-    """How casting ended, in a sentence."""
+    """The outcome of the casts in a sentence."""
     last = iterations[-1]
     if last.hit:
         return f"The tip reached the target in manipulation {last.number}."

@@ -56,7 +56,7 @@ def performed(history: History, trials: TrialSet) -> TrialSet:
 
 
 def unusable(current: Iteration) -> str:
-    """Why a trial just performed cannot be used; empty if it can."""
+    """The reason why a trial just performed cannot be used; empty if it can."""
     read = current.done["points"].readings["valid"].any()
     return current.refused or ("" if read else "the string could not be read in any frame")
 

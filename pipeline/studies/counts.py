@@ -19,7 +19,7 @@ UNKNOWN_CODE = "unknown"  # of rows of studies that were begun before they said 
 
 
 def counted(right: pd.Series) -> dict[str, float]:
-    """How many, of how many, the share, and its exact 95 % interval: the columns COUNTS."""
+    """A count, its total, their ratio and its exact 95 % interval: the columns COUNTS."""
     n, k = len(right), int(right.sum())
     if n == 0:
         return {"right": 0, "count": 0, "share": np.nan, "low": 0.0, "high": 1.0}

@@ -89,7 +89,7 @@ class Ledger:
             yield
 
     def elsewhere(self, jobs: Sequence[Job]) -> int:
-        """How many of these jobs are called running, and are: somebody else is at them."""
+        """The number of these jobs that another process is running."""
         return sum(job.state == RUNNING and self._taken(job.key) for job in jobs)
 
     def waiting(self, keys: Sequence[str], states: Sequence[str]) -> list[str]:

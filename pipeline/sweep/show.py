@@ -15,20 +15,20 @@ COLOUR = {DONE: "green", FAILED: "red"}
 
 
 def line(job: Job, left: str) -> Text:
-    """How a job ended, and how much is left."""
+    """A line about a job that ended, and about those left."""
     said = Text.assemble((f"{job.state:<8}", COLOUR.get(job.state, "yellow")), f"{job.seconds:7.1f} s  ")
     said.append(f"{' '.join(job.overrides)}  {left}")
     return said.append(f"\n         {first(job.error)}", "red") if job.error else said
 
 
 def left(seconds: float, waiting: int, of: int) -> str:
-    """How many of the jobs that had to run still wait, and how long at the pace so far. seconds: since the first."""
+    """The number of jobs that still wait, and the time that they take at the pace so far. seconds: since the first."""
     ahead = timedelta(seconds=round(seconds / max(of - waiting, 1) * waiting))
     return f"({waiting} left, about {ahead})" if waiting else ""
 
 
 def summary(jobs: Sequence[Job], folder: Path, elsewhere: int) -> str:
-    """How many ended how, and what to do about the others. elsewhere: how many another process is at."""
+    """Numbers of jobs by how they ended, and what to do about the others. elsewhere: how many another process is at."""
     count = Counter(job.state for job in jobs)
     left = len(jobs) - count[DONE] - count[FAILED] - elsewhere
     said = [f"{count[DONE]} of {len(jobs)} job(s) of the sweep are done."]

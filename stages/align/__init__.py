@@ -13,7 +13,7 @@ from stringcast.stages.spec import EXTENDED, MODEL, StageSpec, Summary, This
 
 
 def summary(made: Alignment) -> Summary:
-    """How camera and clock stand to the arm."""
+    """The alignment in a table: pose and clock of the camera relative to the arm's."""
     rows = [
         {
             "parameter": row.name,

@@ -89,7 +89,7 @@ class Problem:
         return np.concatenate(parts, axis=1)
 
     def slopes(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
-        """How the residuals over sigma change with x (P,), (N, P)."""
+        """The Jacobian (N, P) of the residuals over sigma at x (P,)."""
         low, high = self.ranges(names)
         step = STEP * (high - low)
         middle = np.clip(x, low + step, high - step)
@@ -136,7 +136,7 @@ class Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """By qualified name."""
+        """Values by qualified name."""
         return dict(zip(self.names, map(float, self.x), strict=True))
 
     @cached_property
@@ -161,7 +161,7 @@ class Fit:
 
     @cached_property
     def inflation(self) -> float:
-        """How much wider the noise's correlation makes variances than its sigma says, on average."""
+        """The variance inflation factor of correlated noise, on average over the residuals."""
         plain = np.linalg.pinv((self.weight[:, None] * self.slope).T @ self.slope)
         return float(np.mean(np.diag(self.covariance) / np.diag(plain)))
 

@@ -17,7 +17,7 @@ FINEST = 1e-4  # [m] a standard deviation that is not given is not less
 
 
 def from_points(observation: Observation, arm: Arm) -> Sighted:
-    """Where a trial's points have the grasp, each in x and in y. Raises DataError where they do not show it."""
+    """The grasp as a trial's points have it, each in x and in y. Raises DataError where they do not show it."""
     if observation.arm is None:
         raise DataError(f"trial {observation.trial}: alignment needs joint angles. Add arm.parquet.")
     points = observation.read

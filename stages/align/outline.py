@@ -99,7 +99,7 @@ def without_arm(stack: np.ndarray) -> np.ndarray:
 
 
 def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:
-    """How much the arm differs from the scene [grey levels]: the upper of the two classes of what differs (Otsu)."""
+    """The contrast of the arm with the scene [grey levels]: the upper of the two classes of what differs (Otsu)."""
     off = np.stack([cv2.absdiff(film.images[int(n)].astype(np.float32), scene) for n in chosen])
     level, _ = cv2.threshold(np.clip(off, 0, 255).astype(np.uint8).reshape(1, -1), 0, 255, cv2.THRESH_OTSU)
     size = float(np.median(off[off > level])) if (off > level).any() else 0.0
@@ -143,7 +143,7 @@ def sighted(seen: Silhouettes, some: np.ndarray, table: np.ndarray, sigma: float
 
 
 def pieces(model: Model, pixels: np.ndarray, joints: np.ndarray, width: float, reach: float) -> np.ndarray:
-    """Where the middle of each piece of each link is seen: link, share, x, y, the normal, and how many pixels, (K, 8).
+    """The middle of each piece of each link as it is seen: link, share, x, y, the normal, and how many pixels, (K, 8).
 
     pixels: (n, 2). joints: (J + 1, 2) where they are looked for [m].
     """

@@ -51,7 +51,7 @@ def refuse_sight(problem: Problem) -> None:
 
 
 def spread(problem: Problem, trial: Sighted) -> float:
-    """How far what is seen of the arm spreads, over how far it should."""
+    """The spread of the arm as it is seen, over that which its reported motion makes expect."""
     seen = trial.sightings
     expected = on_links(arm_seen(problem.model, trial.motion, problem.model.values({})[None], seen.times), seen)[0]
     sizes = [TINY + float(np.linalg.norm(np.ptp(places, axis=0))) for places in (seen.seen, expected)]
@@ -119,7 +119,7 @@ def suspects(problem: Problem, fit: Fit) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def moved_by(problem: Problem, fit: Fit, name: str, size: float) -> np.ndarray:
-    """How the residual over sigma changes with components of this size of a hand's effect, (N, K)."""
+    """Changes of the residuals over sigma by components of this size of a hand's effect, (N, K)."""
     effect = named([name])[0]
     model = problem.model.with_effects(effect)
     known = [fit.values, *(fit.values | {effect.qualified(p): size} for p in components(effect))]

@@ -33,7 +33,8 @@ class Sighted:
     sightings: Sightings
 
     def off(self, model: Model, values: np.ndarray) -> np.ndarray:
-        """Where candidates have each point less where it was seen, along its direction, (C, N) [m]. values: (C, P)."""
+        """Residuals of candidates, (C, N) [m]: each point as simulated less as seen, along its direction. values: (C,
+        P)."""
         there = on_links(arm_seen(model, self.motion, values, self.sightings.times), self.sightings)
         return np.sum((there - self.sightings.seen) * self.sightings.along, axis=-1)
 

@@ -65,7 +65,8 @@ class Solution:
 
 
 def reason(solution: Solution, thresholds: Thresholds) -> str:
-    """Why it cannot be used, with the remedy; empty if it can. The first that is wrong explains those after it."""
+    """The reason why a calibration cannot be used, with the remedy; empty if it can. The first that is wrong explains
+    those after it."""
     return next(filter(None, (check(solution, thresholds) for check in CHECKS)), "")
 
 

@@ -33,12 +33,12 @@ class Board:
 
     @property
     def markers(self) -> int:
-        """How many it has."""
+        """The number of markers on the board."""
         return self.squares[0] * self.squares[1] // 2
 
     @property
     def words(self) -> int:
-        """How many markers the dictionary has."""
+        """The number of markers in the dictionary."""
         return len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary)).bytesList)
 
     @property

@@ -86,7 +86,7 @@ def pose(lens: Lens, board: Board, view: View) -> Pose:
 
 
 def projected(lens: Lens, board: Board, view: View, turn: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Where a view's corners would be seen, (N, 2) [px]."""
+    """Corners of a view as the lens projects them, (N, 2) [px]."""
     pixels, _ = cv2.projectPoints(_solid(board, view), turn, place, lens.matrix, np.array(lens.distortion))
     return pixels.reshape(-1, 2)
 

@@ -20,7 +20,7 @@ NAMES = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
 
 @dataclass(frozen=True)
 class BoardPlacement:
-    """Where the lower left corner of the board's pattern lies in the world [m], and by how much its lower edge is
+    """The place of the lower left corner of the board's pattern in the world [m], and by how much its lower edge is
     turned from the world's x, counter-clockwise [rad]."""
 
     corner: tuple[float, float]

@@ -21,14 +21,14 @@ def grasp_of(motion: pd.DataFrame, links: np.ndarray, base: np.ndarray) -> pd.Da
 
 
 def resting(points: pd.DataFrame) -> pd.DataFrame:
-    """Where each point of each trial rests at first: index trial and point, columns x, y [m]."""
+    """The place at which each point of each trial rests at first: index trial and point, columns x, y [m]."""
     known = points[np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)]
     first = known.sort_values("t", kind="stable").groupby(["trial", "point"]).head(STILL)
     return first.groupby(["trial", "point"])[["x", "y"]].median()
 
 
 def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, float]:
-    """How far along the string each of its named points lies [m], as the median over trials.
+    """Arc length of each of the string's named points [m], as the median over trials.
 
     At rest a limp string hangs straight, so that from the grasp on, in the order of their distance, points are as far
     from one another as along the string; a stiff one bends below the grasp, and is longer. points: columns trial, t,

@@ -31,7 +31,8 @@ def usual(t: np.ndarray) -> float:
 
 
 def factor_of(t: np.ndarray) -> float:
-    """By how much times (F,) are too large for seconds: 1 where they may be seconds, infinity where by no unit's."""
+    """The factor by which times (F,) are too large for seconds: 1 where they may be seconds, infinity where by no
+    unit's."""
     return next(f for f in (1.0, *UNITS, np.inf) if usual(t) / f < SLOW or len(t) < CERTAIN)
 
 

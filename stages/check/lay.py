@@ -44,7 +44,7 @@ def _latest(trials: Sequence[Seen], about: float) -> float:
 
 
 def stretched(seen: Seen, tried: np.ndarray) -> np.ndarray:
-    """By how much points are further from the hand than their arc lengths allow, (T,) in lengths of the string (rms).
+    """Excess of the points' distance from the hand over their arc lengths, (T,) in lengths of the string (rms).
 
     tried: (T,) what is added to their times [s].
     """

@@ -91,7 +91,8 @@ class Seen:
 
     @cached_property
     def rate(self) -> float:
-        """How often a place of the string was seen [1/s], gaps and missing points counted; NaN for one frame."""
+        """The rate at which a place of the string was seen [1/s], gaps and missing points counted; NaN for one
+        frame."""
         _, frame = np.unique(self.points["t"], return_inverse=True)
         lengths = [len(track) for track in tracked(frame, self.points["s"].to_numpy())]
         duration = float(np.ptp(self.frame_t))
@@ -99,7 +100,7 @@ class Seen:
 
     @property
     def least_rate(self) -> float:
-        """How often it must be, to tell how a limp string of this length swings [1/s]."""
+        """The least rate that shows how a limp string of this length swings [1/s]."""
         return SAMPLES * SECOND / (2 * np.pi) * float(np.sqrt(GRAVITY / self.length))
 
     @cached_property
@@ -120,14 +121,15 @@ class Seen:
 
     @cached_property
     def hand_onset(self) -> float | None:
-        """When the hand has left its first pose [s], by the arm's clock; None if it never does."""
+        """The time at which the hand has left its first pose [s], by the arm's clock; None if it never does."""
         gone = np.abs(self.pose - np.median(self.pose[:STILL], axis=0))
         away = np.hypot(gone[:, 0], gone[:, 1]) + self.length * np.minimum(gone[:, 2], np.pi)
         return _first(self.hand_t, away > MOVED * self.length)
 
     @cached_property
     def string_onset(self) -> float | None:
-        """When most of the string has left its first place [s], by the camera's clock; None if it never does."""
+        """The time at which most of the string has left its first place [s], by the camera's clock; None if it never
+        does."""
         noise = 0.0 if np.isnan(self.noise) else self.noise
         least = max(MOVED * self.length, CLEAR * noise)
         onsets = []

@@ -53,12 +53,12 @@ class View:
 
     @property
     def grasp(self) -> np.ndarray:
-        """Where the grasp is, (N, 2) [m]."""
+        """Positions of the grasp, (N, 2) [m]."""
         return self.hand if self.joints is None else self.arm.grasp(self.joints)[:, :2]
 
     @property
     def gap(self) -> float:
-        """By how much points are further from the hand than their arc lengths allow, in lengths of the string."""
+        """Excess of the points' distance from the hand over their arc lengths, in lengths of the string."""
         return float(np.quantile((np.linalg.norm(self.xy - self.grasp, axis=1) - self.s) / self.length, MOST))
 
     @property
@@ -271,7 +271,7 @@ def explanations(measured: Measured, strange: Mapping[str, tuple[View, View]]) -
 
 
 def lengths_of(made: tuple[Mistake, ...]) -> float:
-    """By what positions of points are multiplied to undo mistakes."""
+    """The factor on positions of points that undoes mistakes."""
     return float(np.prod([mistake.factor for mistake in made if "xy" in mistake.parts]))
 
 
@@ -285,7 +285,7 @@ def instead(likely: list[tuple[Mistake, ...]], here: View) -> str:
 
 
 def left_strange(made: tuple[Mistake, ...], strange: Iterable[tuple[View, View]]) -> float | None:
-    """How strange strings still are if mistakes are undone, or None if one of them still cannot be."""
+    """The misfit of strings after mistakes are undone, or None if one of them still cannot be."""
     left = []
     for both in strange:
         undone = (reduce(lambda view, mistake: mistake.undone(view), made, here) for here in both)

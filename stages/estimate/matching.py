@@ -24,7 +24,7 @@ Count = Annotated[int, Field(ge=1, le=255)]
 
 @dataclass(frozen=True)
 class Matching:
-    """How E is scored. dilations: p_max; step_px: growth of one dilation; tip_step_px: distance
+    """Settings by which E is scored. dilations: p_max; step_px: growth of one dilation; tip_step_px: distance
     per score lost at the tip; delta_w: increase of the weight from point to point (Eq. 6)."""
 
     dilations: Count

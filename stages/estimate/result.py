@@ -56,7 +56,7 @@ class Interval:
 
 
 def start_chi(parameters: Sequence[Parameter], previous: Estimate | None) -> np.ndarray:
-    """Where the search begins: the previous manipulation's estimate, else the start values, (P,)."""
+    """The start of the search: the previous manipulation's estimate, else the start values, (P,)."""
     known = {} if previous is None else previous.values()
     return np.array([float(p.chi(np.asarray(known.get(p.name, p.start)))) for p in parameters])
 
@@ -118,7 +118,7 @@ def insensitive(goals: Sequence[Target], search: Candidates) -> Interval:
 
 
 def undetermined(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -> str:
-    """Which parameters the data cannot determine, in a sentence; `clear` if there are none."""
+    """The parameters that the data cannot determine, in a sentence; `clear` if there are none."""
     loose = [p.symbol or p.name for p, good in zip(parameters, determined, strict=True) if not good]
     if not loose:
         return clear
@@ -127,7 +127,8 @@ def undetermined(parameters: Sequence[Parameter], determined: np.ndarray, clear:
 
 
 def correlated(parameters: Sequence[Parameter], determined: np.ndarray, correlation: np.ndarray) -> str:
-    """Which parameters, not all determined, the data knows only together. correlation: (P, P)."""
+    """The parameters, not all determined, that the data determines only in combination, in a sentence. correlation: (P,
+    P)."""
     names = [p.symbol or p.name for p in parameters]
     pairs = [
         f"{names[i]} and {names[j]} (correlation {correlation[i, j]:+.2f})"

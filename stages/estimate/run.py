@@ -8,7 +8,7 @@ from stringcast.stages.spec import Call
 
 
 def run(call: Call, trials: TrialSet, estimate: Estimate | None) -> Estimate:
-    """From trials until their string touches an obstacle, beginning with the last estimate."""
+    """Estimate from trials until their string touches an obstacle, beginning with the last estimate."""
     observations = [trimmed_at_contact(trial, call.setup.obstacles) for trial in trials.observations]
     how = {"seed": call.seed, "manipulation": call.number, "progress": call.progress}
     made: Estimate = call.by(call.setup.model, observations, estimate, **how)

@@ -34,7 +34,7 @@ class UnreadableError(Exception):
 
 
 def along(points: np.ndarray) -> np.ndarray:
-    """How far each point of a line (K, 2) is from its first along it, (K,), in their unit."""
+    """Arc length of each point of a line (K, 2) from its first, (K,), in their unit."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 

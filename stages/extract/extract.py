@@ -149,7 +149,7 @@ def _line(
 
 
 def drawn(s: np.ndarray, length: float) -> np.ndarray:
-    """Where arc lengths s (K,) at rest, the last of them the tip's, lie on a line of this length, (K,) [m].
+    """Arc lengths (K,) [m] on a line of this length of those at rest s (K,), whose last is the tip's.
 
     A string that is longer than it was is drawn: by the tension of what is beyond each point, which falls to nothing at
     the free end, evenly where the string is thrown straight. A line that is shorter was read short all along.

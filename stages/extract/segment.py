@@ -200,7 +200,7 @@ def expected(
 
 
 def brightest(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
-    """How bright the string is where nothing blurs it, from where each frame outshines the scene most."""
+    """The brightness of the string where nothing blurs it, from where each frame outshines the scene most."""
     chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES // 4).astype(int))
     return float(np.percentile([images[int(i)].flat[np.argmax(images[int(i)] - scene)] for i in chosen], 90))
 

@@ -25,7 +25,7 @@ class Window:
         return max(self.rows[1] - self.rows[0], 0), max(self.columns[1] - self.columns[0], 0)
 
     def cut(self, image: np.ndarray) -> np.ndarray:
-        """This part of an image."""
+        """The part of an image in the window."""
         return image[slice(*self.rows), slice(*self.columns)]
 
     def paste(self, part: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

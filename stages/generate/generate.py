@@ -46,8 +46,8 @@ class MotionNotFoundError(ExpectedError):
 
 @dataclass(frozen=True)
 class Drawing(SettingsGroup):
-    """How motions are drawn. shortest, longest: range of T [s]. alpha: limit of the random accelerations [rad/s^2].
-    fraction: of the control points' range by which slight changes of the last motion differ."""
+    """Settings by which motions are drawn. shortest, longest: range of T [s]. alpha: limit of the random accelerations
+    [rad/s^2]. fraction: of the control points' range by which slight changes of the last motion differ."""
 
     shortest: Annotated[float, Field(gt=0)]
     longest: Annotated[float, Field(gt=0)]
@@ -176,7 +176,7 @@ def _tried(
 
 
 def arm_faults(arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-    """Why the arm cannot do each movement, '' where it can, (B,). Whole curves are checked."""
+    """The limit of the arm that each movement violates, '' where none, (B,). Whole curves are checked."""
     reasons = np.full(len(angles), "", dtype=object)
     hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
     joints = arm.joints(angles)

@@ -11,7 +11,7 @@ from stringcast.stages.model.model import Model
 
 
 def arm_seen(model: Model, motion: JointMotion, values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Where the camera reports the arm's joints, base to hand, (1 or C, F, J + 1, 2) [m]. times: (F,) its clock's."""
+    """The arm's joints as the camera reports them, base to hand, (1 or C, F, J + 1, 2) [m]. times: (F,) its clock's."""
     moments = np.atleast_2d(model.moments(values, times))
     return model.reported(joints_at(model.arm, model.joints(motion, values), moments), values, times)
 

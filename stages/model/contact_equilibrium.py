@@ -130,7 +130,7 @@ class _Strings:
 
     @cached_property
     def moments(self) -> tuple[np.ndarray, np.ndarray]:
-        """At the hinges, and their slope with the hinge's angle, (C, n) each."""
+        """Moments at the hinges, and their slopes with the hinge's angle, (C, n) each."""
         return moments(self.chain, self.pose[:, 2], self.angles)
 
     @property

@@ -215,7 +215,7 @@ class ModelChange(Effect):
     @staticmethod
     @abstractmethod
     def points(points: int) -> int:
-        """How many mass points there are instead of so many."""
+        """The number of mass points instead of so many."""
 
 
 Made = TypeVar("Made", bound=Effect)

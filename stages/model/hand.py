@@ -89,7 +89,7 @@ class JointMotion:
         return JointMotion(self.start, self.tick, *_rested(self.angles, self.speeds, until - end, self.tick))
 
     def grasp(self, arm: Arm) -> HandMotion:
-        """Where this takes the hand."""
+        """The motion of the hand."""
         return HandMotion(self.start, self.tick, arm.grasp(self.angles), arm.grasp_velocity(self.angles, self.speeds))
 
     def joints(self, acts: Sequence[Act]) -> JointMotion:

@@ -25,7 +25,7 @@ class Invariant(ABC):
 
     @abstractmethod
     def error(self, law: Callable[[Given], np.ndarray], given: Given) -> float:
-        """How far the law is from it on these samples, as a share of the law's size."""
+        """The deviation of a law from it on these samples, as a share of the law's size."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def nothing_at_zero(law: str, *names: str) -> Invariant:
 
 
 def reduces_to(law: str, name: str, *others: str) -> Invariant:
-    """Where the other arguments are zero, the value is this argument."""
+    """The invariant that the value is this argument where the others are zero."""
     return ReducesTo(law, f"{law} is {name} where {', '.join(others)} are zero", name, others)
 
 

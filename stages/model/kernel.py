@@ -98,7 +98,7 @@ def kernel_for(
 def lanes(
     candidates: int, effects: tuple[type[StringEffect], ...], names: tuple[str, ...], integrator: Integrator
 ) -> int:
-    """How many candidates the loop for so many has side by side: one for one alone, once it pays to compile that or
+    """The number of candidates side by side in the loop for so many: one for one alone, once it pays to compile that or
     where it was compiled before."""
     return 1 if candidates == 1 and next(_alone(effects, names, integrator)) >= ALONE else WIDTH
 
@@ -152,7 +152,7 @@ def _constants(integrator: Integrator, effects: Sequence[type[StringEffect]], wi
 
 
 def _moments(laws: Laws, integrator: Integrator) -> dict[str, str]:
-    """What stands in the hinges and in the grasp: laws per curvature or rate, what is held, and the moments of all."""
+    """The template's places in the hinges and in the grasp: laws per curvature or rate, memory, and moments."""
     per = {slot: EXPRESSIONS[other][argument] for slot, (other, argument) in PER.items() if laws.of(slot)}
 
     def at(slot: str, argument: str) -> str:
@@ -204,7 +204,7 @@ class Laws:
         return f"{effect.name}_{slot}({', '.join(given)})"
 
     def sum(self, slot: str, more: Mapping[str, str] | None = None) -> str:
-        """What all laws of a slot add."""
+        """The sum of all laws of a slot."""
         return " + ".join(self.call(effect, slot, more or {}) for effect in self.of(slot)) or "0.0"
 
     def vector(self, slot: str, name: str) -> str:
@@ -214,7 +214,7 @@ class Laws:
         return "\n".join([*calls, *total])
 
     def memory(self, slot: str, passes: int) -> Iterator[str]:
-        """What becomes of what a hinge holds: it is kept with the first pass of a step, of which the others are
+        """The update of what a hinge holds: it is kept with the first pass of a step, of which the others are
         rehearsals."""
         if not self.of(slot):
             return
@@ -232,7 +232,8 @@ class Laws:
 
 
 def kinds(integrator: Integrator, effects: Sequence[type[StringEffect]]) -> dict[str, int]:
-    """Which of a point's rows is which, by name; the last are what its hinge was bent to and each effect holds."""
+    """Numbers of a point's rows by name; the last are those of laws with memory: the hinge's last curvature, and what
+    each effect holds."""
     holding = max(sum(slot in e.laws() for e in effects) for slot, _, _ in HELD.values())
     memory = ("CURVED", *(f"HELD{i}" for i in range(holding))) if holding else ()
     return {name: number for number, name in enumerate((*ROWS, *integrator.rows, *memory))}

@@ -19,7 +19,7 @@ MOST = 100  # effects of a model: three times the library; the generated loop ne
 
 
 class UnknownEffectError(ValueError):
-    """There is no effect of that name, or there are too many; the message says which there are."""
+    """Raised where there is no effect of that name, or more than one; the message lists those there are."""
 
 
 def library() -> dict[str, type[Effect]]:

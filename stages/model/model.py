@@ -114,7 +114,7 @@ class Model:
     def true(
         self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
     ) -> StringMotion:
-        """Where the strings of candidates are. values: (C, P); times: (F,) or (C, F) of the arm's clock [s].
+        """Positions of the strings of candidates. values: (C, P); times: (F,) or (C, F) of the arm's clock [s].
 
         initial: the state from which they move, of the same clock; else they rest before the hand moves.
         """
@@ -126,7 +126,7 @@ class Model:
     def seen(
         self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
     ) -> StringMotion:
-        """Where the camera reports the strings of candidates. values: (C, P); times: (F,) of the camera's clock [s].
+        """The strings of candidates as the camera reports them. values: (C, P); times: (F,) of the camera's clock [s].
 
         initial: the state from which they move, of the same clock; else they rest before the hand moves.
         """

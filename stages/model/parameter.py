@@ -48,7 +48,7 @@ class Parameter:
         return np.clip(position, 0.0, 1.0)
 
     def slope(self, chi: np.ndarray) -> np.ndarray:
-        """How steeply values rise with exponents in [0, 1]. Any shape."""
+        """The slope of values with exponents in [0, 1]. Any shape."""
         if self.low > 0:
             return np.log(self.high / self.low) * self.value(chi)
         return (self.high - self.low) * self.root * np.asarray(chi) ** (self.root - 1)
@@ -65,5 +65,5 @@ def chi_of(parameters: Sequence[Parameter], values: np.ndarray) -> np.ndarray:
 
 
 def slopes_of(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
-    """How steeply parameter values rise with exponents (..., P), likewise."""
+    """Slopes of parameter values with exponents (..., P), likewise."""
     return np.stack([p.slope(chi[..., i]) for i, p in enumerate(parameters)], axis=-1)

@@ -21,7 +21,7 @@ def asked(position: np.ndarray) -> np.ndarray:
 
 
 def stayed(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Which candidates have their tip within a kilometre until their last tick, (C,). ticks: (C, K, n, 2); last: (C,)
+    """Whether candidates have their tip within a kilometre until their last tick, (C,). ticks: (C, K, n, 2); last: (C,)
     or (1,)."""
     with np.errstate(invalid="ignore", over="ignore"):
         within = np.abs(ticks[:, :, -1]).sum(axis=-1) < FAR
@@ -66,7 +66,7 @@ def between(points: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def measured(points: np.ndarray, frame: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Where the measured places are, by the cubic through the four mass points nearest, (C, N, 2).
+    """Positions of the measured places, by the cubic through the four mass points nearest, (C, N, 2).
 
     points: (C, F, n, 2). frame: (N,) in which each is measured; place: (N,) in numbers of points.
     """

@@ -58,7 +58,7 @@ class Chain:
 
 
 def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """From the grasp's direction to straight down over the length on which weight bends the rod."""
+    """A first guess: from the grasp's direction to straight down, over the length on which weight bends the rod."""
     zero = np.zeros((1, 1))
     _, stiffness = sloped(string, material, "moment", "curvature", zero, {"rate": zero})
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY) ** (1 / 3)

@@ -208,7 +208,7 @@ class String:
             yield _value(law, material, given)
 
     def holds(self, slot: str) -> int:
-        """How many effects hold something whose moment belongs to a slot: `moment` or `grasp_moment`."""
+        """The number of effects with memory whose moment belongs to a slot: `moment` or `grasp_moment`."""
         return len(self._laws.get(HELD[slot][0], ()))
 
     def held(

@@ -278,7 +278,7 @@ class Page:
 
     @property
     def again(self) -> Section:
-        """How to make it again."""
+        """The command that makes the page again."""
         origin = f"Origin: seed {self.origin['seed']}, code {self.origin['code']['commit'][:10]}"
         settings = "All settings, by their names on the command line"
         folded = [Details(line, [named(of)]) for line, of in ((origin, self.origin), (settings, self.settings))]

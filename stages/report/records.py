@@ -238,7 +238,7 @@ class SweepRecord:
 
     @property
     def seeds(self) -> int:
-        """How many seeds there are among the jobs that ended."""
+        """The number of seeds among the jobs that ended."""
         return int(self.done[SEED].nunique())
 
 

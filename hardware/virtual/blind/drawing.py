@@ -36,7 +36,7 @@ MOST_STEPS = 250  # of the fine string in a millisecond: strong dry friction wou
 
 
 class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
-    """This string, these casts or this cause do not make the bench that is wanted."""
+    """Raised where this string, these casts or this cause do not make the bench that is wanted."""
 
 
 def draw(seed: int, arm: Arm, camera: Camera, version: int = LATEST) -> BlindBench:

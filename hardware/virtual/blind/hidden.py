@@ -27,7 +27,7 @@ class Hidden:
     only: int | None = None
 
     def at(self, share: float) -> dict[str, float]:
-        """Its parameters at a share of the way from absent to full."""
+        """Parameters of the effect at a share of the way from absent to full."""
         return {name: low + share * (self.full[name] - low) for name, low in self.absent.items()}
 
 

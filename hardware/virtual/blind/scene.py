@@ -64,7 +64,7 @@ class Scene:
         return replace(self, casts=casts)
 
     def seen(self, model: Model, values: Sequence[Values], only: int | None = None) -> np.ndarray:
-        """Where points would be measured without noise, in sigmas, (C, N, S, 2); NaN for a run that fails.
+        """Points as measured without noise, in sigmas, (C, N, S, 2); NaN for a run that fails.
 
         values: of each candidate by name, beside the base. only: the one trial in which what is beyond the base acts.
         """
@@ -115,7 +115,7 @@ class Scene:
     def slopes(
         self, model: Model, values: Values, free: Sequence[str], only: int | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Where points are, (N, S, 2), and how they move with chi of each free parameter, (P, N, S, 2), in sigmas."""
+        """Points (N, S, 2) and their slopes with chi of each free parameter, (P, N, S, 2), in sigmas."""
         own = {p.name: p for p in model.parameters}
         moved, width = [dict(values)], []
         for name in free:

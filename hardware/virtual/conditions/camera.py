@@ -41,7 +41,7 @@ class Noise(Condition):
     sigma: float
 
     def stage(self, shot: Shot) -> Shot:
-        """Another sensor."""
+        """The shot taken with another sensor."""
         return replace(shot, look=replace(shot.look, noise=self.sigma))
 
 

@@ -55,7 +55,7 @@ class Contrast(Condition):
     levels: float
 
     def stage(self, shot: Shot) -> Shot:
-        """Another string."""
+        """The shot of a string that looks otherwise."""
         return replace(shot, look=replace(shot.look, string=shot.look.background + self.levels))
 
 

@@ -125,7 +125,7 @@ def ringing(acceleration: np.ndarray, tick: float) -> np.ndarray:
 
 
 def slid(t: np.ndarray, hand: Hand) -> np.ndarray:
-    """How far the string has slid out, (K,) [m]."""
+    """Distances by which the string has slid out of the gripper, (K,) [m]."""
 
     def since(begin: float) -> np.ndarray:
         return EDGE * np.logaddexp(0.0, (t - begin) / EDGE)

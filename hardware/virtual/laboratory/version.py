@@ -26,7 +26,7 @@ class Version:
         return TURNS[seed % len(TURNS)]
 
     def turn(self, seed: int, kind: str) -> int:
-        """How many benches of a kind come before that of a seed; the seed itself if it has another kind."""
+        """The number of benches of a kind before that of a seed; the seed itself if it has another kind."""
         if kind != self.kind(seed):
             return seed
         return seed // len(TURNS) * TURNS.count(kind) + TURNS[: seed % len(TURNS)].count(kind)

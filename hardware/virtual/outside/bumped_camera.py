@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class BumpedCamera(CameraEffect, Outside):
-    """From one moment on everything is seen shifted."""
+    """A camera that is bumped: from one moment on everything is seen shifted."""
 
     name = "bumped_camera"
     once = True

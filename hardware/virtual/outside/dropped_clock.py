@@ -12,7 +12,8 @@ from stringcast.stages.model.parameter import Parameter
 
 
 class DroppedClock(ClockEffect, Outside):
-    """From one moment on the pictures are stamped early or late, as when frames are lost unnoticed."""
+    """A clock that jumps: from one moment on the pictures are stamped early or late, as when frames are lost
+    unnoticed."""
 
     name = "dropped_clock"
     once = True

@@ -29,7 +29,7 @@ class Magnet(StringEffect, Outside):
 
     @staticmethod
     def circumstances(rng: np.random.Generator, t: np.ndarray, points: np.ndarray) -> dict[str, float]:
-        """Where the string comes by once it moves."""
+        """A place that the string passes once it moves."""
         x, y = place(rng, points, 0.3, 0.7)
         return {"centre_x": x, "centre_y": y, "reach": float(rng.uniform(0.1, 0.2))}
 

@@ -46,7 +46,7 @@ def correct(row: Row) -> bool:
 
 
 def found_of_several(row: Row) -> int:
-    """How many of what is hidden are named, each in a group of its own."""
+    """The number of hidden causes that are named, each in a group of its own."""
     names, said = row["truth"]["names"], answers(row)
     places = {name: [i for i, group in enumerate(said) if name in group] for name in names}
     return min(sum(bool(place) for place in places.values()), len({i for place in places.values() for i in place}))

@@ -103,7 +103,7 @@ def _seen(casts: list[Iteration]) -> TrialSet:
 
 
 def named(block: str) -> str:
-    """Where a block of the settings comes from."""
+    """The place in the settings that a block comes from, for messages."""
     return f"conf/{block}"
 
 

@@ -127,7 +127,7 @@ def _share(arm: Arm, middle: np.ndarray, swing: np.ndarray, rate: np.ndarray, sp
 
 
 def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> str:
-    """Why a motion (K, J) is not allowed; empty if it is."""
+    """The limit that a motion (K, J) violates, in words; empty if none."""
     arm, camera = model.arm, model.camera
     reason = str(arm_faults(arm, obstacles, angles[None], speeds[None])[0])
     joints = arm.joints(angles)

@@ -33,8 +33,8 @@ def run(call: Call, trials: TrialSet, estimate: Estimate) -> Prediction:
 
 
 def predict(model: Model, estimate: Estimate, observation: Observation, own: Collection[str]) -> Prediction:
-    """Where the estimated string is in a trial, which begins as this trial does. own: effects whose values are those of
-    the trial, where the string rests before the hand moves; else they are as estimated."""
+    """Positions of the estimated string in a trial, which begins as this trial does. own: effects whose values are
+    those of the trial, where the string rests before the hand moves; else they are as estimated."""
     ready = settled(case(model, observation), model.values(estimate.values()))
     values = model.values(estimate.values())
     free = 0 if ready.initial is None else len(coefficients(model.string))

@@ -51,7 +51,7 @@ class BoxContact(StringEffect):
 
     @staticmethod
     def derived(width: Quantity, height: Quantity, **others: Quantity) -> dict[str, Quantity]:
-        """From the centre to the sides."""
+        """Distances from the centre to the sides [m]."""
         return {"half_width": 0.5 * width, "half_height": 0.5 * height}
 
     @staticmethod

@@ -46,7 +46,8 @@ class Contact(StringEffect):
 
     @staticmethod
     def bound(stiffness: Quantity, loss: Quantity, **others: Quantity) -> tuple[Quantity, Quantity]:
-        """For impacts up to 10 m/s, which go as deep as speed over frequency. Friction is bounded by its law."""
+        """A bound for impacts up to 10 m/s, which go as deep as speed over frequency. Friction is bounded by its
+        law."""
         speed = 10.0
         return stiffness * (1 + loss * speed), loss * speed * np.sqrt(stiffness)
 

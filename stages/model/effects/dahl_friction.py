@@ -25,7 +25,7 @@ class DahlFriction(StringEffect):
 
     @staticmethod
     def derived(cap: Quantity, slip: Quantity) -> dict[str, Quantity]:
-        """Its stiffness from rest [m4/s2], and one over the curvature [m]."""
+        """Stiffness from rest [m4/s2], and one over the curvature at which it slips [m]."""
         return {"sticking": cap / slip, "per_slip": 1 / slip}
 
     @staticmethod

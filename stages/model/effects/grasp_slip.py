@@ -6,10 +6,11 @@ from stringcast.stages.model.effect import Axes, HandEffect, Parameter, Quantity
 
 
 class GraspSlip(HandEffect):
-    """For some time the string slides out of the gripper, along the grasp's direction, at a constant speed.
+    """A grasp from which the string slides for some time, out of the gripper, along the grasp's direction, at a
+    constant speed.
 
-    The part that has come out is taken to go on straight, and the free string keeps its length:
-    right for a slip that is short against the string. Onset and end are smooth over some 20 ms.
+    The part that has come out is taken to go on straight, and the free string keeps its length: right for a slip that
+    is short against the string. Onset and end are smooth over some 20 ms.
     """
 
     name = "grasp_slip"
@@ -29,7 +30,7 @@ class GraspSlip(HandEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """How far it has slid, over time."""
+        """The distance slid, over time."""
         t = np.linspace(0.0, 2.0, 201)
         still = np.zeros((1, len(t), 3))
         line(axes, t, cls.grasp(t, still, **values)[0, :, 0], "time / s", "slid out / m")

@@ -26,7 +26,7 @@ class MaxwellSlip(StringEffect):
 
     @staticmethod
     def derived(cap: Quantity, slip: Quantity) -> dict[str, Quantity]:
-        """Its stiffness while it sticks [m4/s2]."""
+        """Stiffness of the element while it sticks [m4/s2]."""
         return {"sticking": cap / slip}
 
     @staticmethod

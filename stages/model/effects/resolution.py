@@ -20,7 +20,7 @@ class Resolution(ModelChange):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """How an error of first order goes down with the mass points."""
+        """An error of first order over the number of mass points."""
         points = np.array([10, 19, 37, 73])
         line(axes, points, 9 / (points - 1), "mass points", "error / error at 10")
 

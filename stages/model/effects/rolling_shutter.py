@@ -25,7 +25,7 @@ class RollingShutter(CameraEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """When a row is exposed."""
+        """The time at which each row is exposed."""
         row = np.linspace(0.0, 1.0, 2)
         late = values["readout"] * (row - values["stamped"])
         line(axes, row, late, "row / height", "exposed after the frame's time / s")
@@ -39,7 +39,8 @@ class RollingShutter(CameraEffect):
         readout: Quantity,
         stamped: Quantity,
     ) -> np.ndarray:
-        """Where each point is when its row is exposed: delay = readout (row + rowspeed delay), solved for the delay."""
+        """Positions of points when their rows are exposed: delay = readout (row + rowspeed delay), solved for the
+        delay."""
         row = camera.pixels(points)[..., 1:] / camera.height - stamped
         speed = -velocity[..., 1:] * camera.px_per_m / camera.height
         return points + velocity * readout * row / (1 - readout * speed)

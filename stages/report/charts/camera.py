@@ -32,7 +32,7 @@ class View:
     bottom: int
 
     def crop(self, image: np.ndarray) -> np.ndarray:
-        """This part of an image, grey."""
+        """The part of an image in the view, grey."""
         part = image[self.top : self.bottom, self.left : self.right]
         return part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
 
@@ -216,7 +216,7 @@ def animation(record: Record, cast: Cast, part: View) -> dict[str, Any] | None:
 
 
 def choose(cast: Cast, most: int) -> list[int]:
-    """At most `most` frames, evenly over the movement, the closest approach among them."""
+    """Numbers of at most `most` frames, evenly over the movement, the closest approach among them."""
     first, last = cast.frame(-REST), cast.frame(cast.motion.duration + REST)
     even = np.linspace(first, last, min(most, last - first + 1)).round().astype(int)
     if np.isfinite(cast.verdict.t):

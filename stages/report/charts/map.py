@@ -43,7 +43,7 @@ ALIKE = 1e-9  # relative; a geometric mean of equal values is off by 1e-15, whic
 
 
 def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
-    """None where nothing is known of it. jobs: those that ended."""
+    """A curve of an outcome over a setting; None where nothing is known of it. jobs: those that ended."""
     means = response(jobs, outcome, [factor])
     if means.empty:
         return None
@@ -78,7 +78,8 @@ DARKEST = 0.75  # opacity of the largest mean, dark enough to see and light enou
 
 
 def plane(jobs: pd.DataFrame, outcome: Outcome, across: str, up: str) -> Picture | None:
-    """None where nothing is known of it. jobs: those that ended. across, up: the settings."""
+    """A map of an outcome over two settings; None where nothing is known of it. jobs: those that ended. across, up: the
+    settings."""
     means = response(jobs, outcome, [across, up])
     if means.empty:
         return None

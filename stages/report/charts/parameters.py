@@ -20,7 +20,8 @@ from stringcast.stages.report.words import gain, plain, significant
 
 
 def history(parameter: Parameter, estimates: Sequence[Estimate]) -> Picture:
-    """From the start value (0) on. Bars: 95 % intervals. Hollow: this data does not determine it."""
+    """Estimates cast by cast, from the start value (0) on. Bars: 95 % intervals. Hollow: this data does not determine
+    it."""
     tables = [estimate.parameters.set_index("name") for estimate in estimates]
     rows = pd.DataFrame([table.loc[parameter.name] for table in tables]).reset_index(drop=True)
     figure = framed(2.5, 1.55, left=0.5, top=0.16)

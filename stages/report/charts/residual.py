@@ -39,7 +39,7 @@ def furthest(record: Record) -> float:
 
 
 def residual_map(record: Record, cast: Cast, furthest: float) -> Picture | None:
-    """Where along the string and when the simulation after estimation is off. furthest: end of the colour scale [m]."""
+    """The residual after estimation over arc length and time. furthest: end of the colour scale [m]."""
     if not cast.measured:
         return None
     figure = framed(5.4, 2.6)
@@ -197,7 +197,8 @@ def curves(record: DiagnosisRecord, trial: str) -> Chart:
 
 
 def tip_curves(record: DiagnosisRecord, trial: str, ends: pd.DataFrame) -> Chart:
-    """How far from the tip, or the outermost point measured, the models have it. ends: see `charts.string.last`."""
+    """Residuals of the models at the tip, or the outermost point measured, over time. ends: see
+    `charts.string.last`."""
     lines = [
         Line(NAMES[model], away(ends, model) * MM, colour)
         for model, colour in zip(record.models, ("before", "after"), strict=False)

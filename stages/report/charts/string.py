@@ -143,7 +143,8 @@ DASHES = ("-", "--", "-.", ":")
 
 
 def proposed(record: DiagnosisRecord) -> Picture | None:
-    """Where the hypotheses are farthest apart, and how far they are over time; None where no motion is proposed."""
+    """The strings of the hypotheses where they are farthest apart, and their distance over time; None where no motion
+    is proposed."""
     table = record.diagnosis.foretold
     if table.empty:
         return None

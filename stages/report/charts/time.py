@@ -140,7 +140,7 @@ def missing(record: DiagnosisRecord) -> Picture | None:
 
 
 def latent(record: DiagnosisRecord, trial: str) -> Chart | None:
-    """What nothing explains in a trial over time: the largest displacement anywhere on the string."""
+    """The unexplained displacement in a trial over time: the largest displacement anywhere on the string."""
     table = record.diagnosis.missing
     part = table[table["trial"] == trial]
     if part.empty:

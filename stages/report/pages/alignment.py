@@ -41,7 +41,7 @@ def alignment_page(facts: Facts) -> str:
 
 
 def tiles(made: Alignment) -> Tiles:
-    """How near, from how many frames, how fast."""
+    """Tiles: the residual, the number of frames, the speed."""
     how = made.aligned.iloc[0]
     near = "root mean square of reported less seen, before and after; noise alone would leave " + mm(how["noise"], 2)
     return Tiles(
@@ -115,7 +115,7 @@ def residuals(seen: pd.DataFrame) -> Picture:
 
 
 def likelihood(table: pd.DataFrame) -> Picture:
-    """How much worse the fit is with another offset, with and without a lag of the arm."""
+    """The profile likelihood of the offset, with and without a lag of the arm."""
     figure = Drawing(figsize=(4.4, 3.2))
     axes = figure.subplots()
     for name, words, colour in (("alone", "no lag", "before"), ("with_lag", "the arm may lag", "after")):

@@ -69,7 +69,7 @@ def _lead(made: Calibration) -> Markup:
 
 
 def tiles(outcome: Any) -> Tiles:
-    """How near corners are to where the camera has them, and how much of the picture they cover."""
+    """Tiles: reprojection errors, and the share of the picture that corners cover."""
     seen = "from corners as seen to corners as the camera has them, root mean square"
     return Tiles(
         [
@@ -125,7 +125,7 @@ LENGTH = 0.04  # of the picture's width, of an arrow that is as long as the usua
 
 
 def magnified(corners: pd.DataFrame, width: int) -> float:
-    """By how much errors are magnified: a round number that makes them seen. width: of the pictures [px]."""
+    """The factor by which errors are magnified: a round number that makes them seen. width: of the pictures [px]."""
     errors = np.hypot(corners["u"] - corners["fit_u"], corners["v"] - corners["fit_v"])
     ideal = LENGTH * width / max(float(np.sqrt(np.mean(errors**2))), 1e-6)
     step = 10.0 ** np.floor(np.log10(ideal))
@@ -133,7 +133,7 @@ def magnified(corners: pd.DataFrame, width: int) -> float:
 
 
 def arrows(axes: Axes, corners: pd.DataFrame, times: float, colour: str) -> None:
-    """From where the camera has each corner towards where it was seen."""
+    """Arrows from the projection of each corner towards where it was seen."""
     shift = corners[["u", "v"]].to_numpy() - corners[["fit_u", "fit_v"]].to_numpy()
     at, along = (corners["fit_u"], corners["fit_v"]), (times * shift).T
     axes.quiver(*at, *along, color=colour, angles="xy", scale_units="xy", scale=1, width=0.004)

@@ -96,7 +96,7 @@ def _aim(record: Record) -> str:
 
 # --- all casts ------------------------------------------------------------------------------
 def summary(record: Record) -> list[Part]:
-    """How close it came, how well the simulation agrees, and a row for each cast."""
+    """The summary: closest approach, agreement of the simulation, and a row for each cast."""
     if not record.casts:
         return []
     columns = ["cast", "tip in the box", "closest to centre", "at", "E before", "E after"]
@@ -138,7 +138,7 @@ def _row(n: int, cast: Cast) -> list[Any]:
 
 
 def together(record: Record) -> Section | None:
-    """From cast to cast."""
+    """Charts over the casts."""
     way = paths(record)
     if way is None:
         return None

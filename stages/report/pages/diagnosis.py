@@ -188,7 +188,7 @@ def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> Card:
 
 # --- the budget
 def budget(record: DiagnosisRecord) -> Section | None:
-    """How far each source of error moves the tip, where the diagnosis says so."""
+    """The error budget at the tip, where the diagnosis has one."""
     sources, left = record.document.get("budget"), record.document["unexplained"].get("tip_rms_m")
     if not sources:
         return None

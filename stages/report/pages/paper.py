@@ -194,7 +194,7 @@ def _section(record: PaperRecord, name: str, picture: Picture) -> Figure:
 
 
 def outcome(record: PaperRecord, condition: str) -> str:
-    """How many runs hit, and whether that is what the paper saw in its one run."""
+    """The number of runs that hit, and whether the paper's one run did likewise."""
     table = record.of("rates", condition).set_index("within")
     needed = record.of("needed", condition).iloc[0]
     within = int(needed["paper"]) if needed["paper"] == needed["paper"] else int(table.index.max())

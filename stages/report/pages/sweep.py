@@ -86,7 +86,7 @@ def _varied(record: SweepRecord) -> str:
 
 
 def tiles(record: SweepRecord) -> Tiles:
-    """How many jobs are done, and the mean of each outcome over all."""
+    """Tiles: the number of jobs done, and the mean of each outcome over all."""
     bad = Markup(', <strong class="bad">{} failed</strong>').format(len(record.failed)) if len(record.failed) else ""
     seconds = f"; {record.table['seconds'].sum():.0f} s of computing in their last attempts"
     done = Tile(f"{len(record.done)} of {len(record.table)}", Markup("jobs done{}{}").format(bad, seconds))
@@ -117,7 +117,7 @@ def _job(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
 
 
 def response_to(record: SweepRecord, factor: str) -> Section:
-    """How each outcome responds to a setting."""
+    """Curves of each outcome over a setting."""
     drawn = [(_outcome(outcome), curve(record.done, outcome, factor)) for outcome in record.outcomes]
     known = [(words, picture) for words, picture in drawn if picture is not None]
     lead = Text("Blue: mean over the other settings and the seeds. Grey: the jobs.")
@@ -131,7 +131,7 @@ def _outcome(outcome: Outcome) -> Markup:
 
 
 def reaches(record: SweepRecord) -> Section | None:
-    """Where it hits."""
+    """Maps of the targets, marked by the number of manipulations until they are hit."""
     drawn = list(_reaches(record))
     if not drawn:
         return None
