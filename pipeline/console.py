@@ -18,25 +18,28 @@ from rich.text import Text
 
 from stringcast.pipeline.called import by_the_other_method, called_as
 from stringcast.pipeline.iterations import Iteration
+from stringcast.pipeline.log import heard
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.common import Progress as Report
 from stringcast.stages.spec import StageSpec
 
 Bar = Callable[[str], AbstractContextManager[Report]]
+MOST = 30  # characters of a log line that find room behind a bar, of 80 columns
 
 
 @contextmanager
 def bars(console: Terminal) -> Iterator[Bar]:
-    """A bar for each step; one that reports no share pulses."""
-    columns = (TextColumn("{task.description:<14}", markup=False), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
+    """A bar for each step, with the last line of the log behind it; one that reports no share pulses."""
+    name_of, doing = (TextColumn(text, markup=False) for text in ("{task.description:<14}", "{task.fields[doing]}"))
+    with Progress(name_of, BarColumn(24), TimeElapsedColumn(), doing, console=console) as progress:
 
         @contextmanager
         def bar(name: str) -> Iterator[Report]:
-            task = progress.add_task(name, total=None)
-            yield lambda share: progress.update(task, total=1.0, completed=share)
-            progress.update(task, total=1.0, completed=1.0)
+            task = progress.add_task(name, total=None, doing="")
+            with heard(lambda line: progress.update(task, doing=line[:MOST])):
+                yield lambda share: progress.update(task, total=1.0, completed=share)
+            progress.update(task, total=1.0, completed=1.0, doing="")
 
         yield bar
 

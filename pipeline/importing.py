@@ -26,6 +26,7 @@ from stringcast.stages.check.measured import Seen
 from stringcast.stages.model.arm import Arm
 
 JOINTS = 3  # of an arm whose angles our format holds; the pose of the hand stands for any other
+DISAGREE = 0.1  # of the length: one string hangs nearer to the same in all trials, bent by the way it is held
 LINKS = ("0.25", "0.20", "0.135")  # [m] of an example
 NO_ARM = Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)  # unused: poses of the hand are given
 ABOUT = """\
@@ -121,12 +122,13 @@ def _along(what: Gathered, grasp: pd.DataFrame, bench: BenchHints, notes: list[s
     if "s" in points:
         return _columns(points), bench.length or _noted(float(points["s"].max()), "the largest s", notes)
     hanging = {} if bench.moving else arc_lengths(points, grasp)
-    at = dict(bench.at) or ({names[0]: bench.length} if len(names) == 1 and bench.length else hanging)
+    middle = {name: float(np.median(values)) for name, values in hanging.items()}
+    at = dict(bench.at) or ({names[0]: bench.length} if len(names) == 1 and bench.length else middle)
     if not at:
         _given_length(bench)
         raise DataError("it is not said how far along the string points are. Say it, in metres: --at tip=0.30.")
     length = bench.length or (
-        max(bench.at.values()) if bench.at else _noted(max(at.values()), "it hangs at rest", notes)
+        max(bench.at.values()) if bench.at else _noted(max(at.values()), _hanging(hanging), notes)
     )
     if not bench.at and len(at) > 1:
         at = {name: s * length / max(at.values()) for name, s in at.items()}
@@ -139,6 +141,17 @@ def _given_length(bench: BenchHints) -> float:
     if bench.length is None:
         raise DataError("the string's length is not said. Measure it from the grasp to the tip: --length 0.30.")
     return bench.length
+
+
+def _hanging(by_trial: Mapping[str, np.ndarray]) -> str:
+    """Where a length of a string at rest is from, and how far trials agree. by_trial: arc lengths of points [m]."""
+    values = max(by_trial.values(), key=np.median)
+    said = "it hangs at rest"
+    if len(values) < 2:
+        return said
+    said += f": {values.min():.3f} to {values.max():.3f} m in {len(values)} trials"
+    far = np.ptp(values) > DISAGREE * np.median(values)
+    return said + ", which is too far apart for one string: are --links and --base right?" * bool(far)
 
 
 def _noted(length: float, why: str, notes: list[str]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
@@ -47,6 +47,28 @@ def kept(folder: Path) -> Iterator[None]:
     finally:
         OURS.removeHandler(handler)
         handler.close()
+
+
+@contextmanager
+def heard(by: Callable[[str], object]) -> Iterator[None]:
+    """Meanwhile, every line is told to a function."""
+    handler = _Told(by)
+    _heard(handler)
+    try:
+        yield
+    finally:
+        OURS.removeHandler(handler)
+
+
+class _Told(logging.Handler):
+    """Hands lines on, without time and place."""
+
+    def __init__(self, by: Callable[[str], object]) -> None:
+        super().__init__()
+        self.by = by
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.by(printable(record.getMessage()))
 
 
 class _Kept(logging.FileHandler):

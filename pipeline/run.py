@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from stringcast.data.errors import ExpectedError
 from stringcast.pipeline import run_folder
+from stringcast.pipeline.called import as_called
 from stringcast.pipeline.complaint import complain, interrupted
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import check_bench, moves, refuse_inherited_limits, with_inherited_settings
@@ -34,7 +35,8 @@ def main(config: DictConfig) -> float | None:
         sys.exit(1)
     except KeyboardInterrupt as error:
         place = HydraConfig.get().runtime.output_dir
-        console.print(f"Interrupted. To go on: python -m pipeline resume {place}", soft_wrap=True, markup=False)
+        said = f"Interrupted. What was finished is kept in {place}; the step under way begins anew with"
+        console.print(as_called(f"{said}: python -m pipeline resume {place}"), soft_wrap=True, markup=False)
         sys.exit(interrupted(error))
     return None if result.estimate is None else float(result.estimate.fit["after"].iloc[0])
 

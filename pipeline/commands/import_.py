@@ -275,8 +275,15 @@ def command(asked: argparse.Namespace) -> str:
         elif isinstance(value, list):
             words += [word for one in value for word in (option, one)]
         else:
-            words += [f"{option}={','.join(map('{:g}'.format, value)) if isinstance(value, tuple) else value}"]
+            words += [f"{option}={_written(value)}"]
     return f"{called_as()} {shlex.join(words)}"
+
+
+def _written(value: Any) -> str:
+    """A value of an option: of numbers, nine figures."""
+    if isinstance(value, tuple):
+        return ",".join(map(_written, value))
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def columns(what: Gathered) -> Table:

@@ -27,8 +27,8 @@ def resting(points: pd.DataFrame) -> pd.DataFrame:
     return first.groupby(["trial", "point"])[["x", "y"]].median()
 
 
-def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, float]:
-    """Arc length of each of the string's named points [m], as the median over trials.
+def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Arc length of each of the string's named points [m], nearest first, by every trial (K,).
 
     At rest a limp string hangs straight, so that from the grasp on, in the order of their distance, points are as far
     from one another as along the string; a stiff one bends below the grasp, and is longer. points: columns trial, t,
@@ -45,7 +45,7 @@ def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, float]:
         way = np.linalg.norm(np.diff(np.vstack([place, xy.to_numpy()[order]]), axis=0), axis=1).cumsum()
         for name, s in zip(xy.index[order], way, strict=True):
             found.setdefault(str(name), []).append(float(s))
-    return {name: float(np.median(values)) for name, values in sorted(found.items(), key=lambda item: item[1][0])}
+    return {name: np.array(values) for name, values in sorted(found.items(), key=lambda item: item[1][0])}
 
 
 def with_arc_lengths(points: pd.DataFrame, at: Mapping[str, float]) -> pd.DataFrame:

@@ -84,6 +84,7 @@ def diagnose(
     rest = [i for i, o in enumerate(good) if o.trial in held_out]
     rest = rest if len(rest) < len(good) else []
     kept = [i for i in range(len(good)) if i not in rest]
+    log.info("fitting the base model")
     ready = prepared(model, [good[i] for i in kept], criteria.tolerance, np.random.default_rng(seed), starts, progress)
     rejected = {**rejected, **dict.fromkeys(ready.chaotic, CHAOTIC)}
     kept = [i for i in kept if good[i].trial not in ready.chaotic]

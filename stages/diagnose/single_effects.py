@@ -202,6 +202,7 @@ def moved(data: Data, one: Fit, other: Fit) -> np.ndarray:
 def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
     """Data with the numerical error of a fit, and the fit to these: with other values of its causes' parameters, if
     these suit better."""
+    log.info("fitting %s to the end", " + ".join(fit.hypothesis.names))
     prepared, fit = converged(prepared, fit)
     others = elsewhere(prepared.data, fit)
     if not len(others):
@@ -232,6 +233,7 @@ def refitted(data: Data, fit: Fit, hypothesis: Hypothesis) -> Fit:
 def _fitted(data: Data, parent: Fit, some: Sequence[Proposal]) -> list[Fit]:
     fits = []
     for proposal in some:
+        log.info("fitting %s", " + ".join(proposal.hypothesis.names))
         fits.append(fitted(data, proposal.hypothesis, proposal.starts, parent.sizes, TURNS, STEPS))
         gain = fits[-1].evidence - parent.evidence
         log.info("%s: evidence %+.1f, promised %.1f", proposal.effect.name, gain, proposal.gain)
