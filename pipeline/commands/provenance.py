@@ -32,6 +32,7 @@ from stringcast.pipeline.settings import UserError, leaves
 from stringcast.pipeline.terminal import Terminal
 
 DRAWN = frozenset({"config.json", ENDED, FAILED, LOG, "report.html"})  # compared by another heading, or drawn
+FRESH, STALE, KEPT, MISSING = "fresh", "stale", "stale, but stays: the arm has moved by it", "missing"  # of a step
 HEADINGS = ("settings", "data", "code", "packages", "results")  # of a difference between two runs
 
 
@@ -120,25 +121,17 @@ def why(arguments: list[str]) -> int:
             f"of a step: iterations/<number>/<one of {known}>."
         )
     for state in states:
-        _say(f"{state.place}: {state.words}", state.reasons)
+        _say(f"{state.place}: {state.state}", state.reasons)
     return 1 if any(state.reasons for state in states) else 0
 
 
 @dataclass(frozen=True)
 class StepState:
-    """A step's folder within its run, and why it is not fresh; no reasons if it is. stays: it is used all the same."""
+    """A step's folder within its run, whether it is FRESH, STALE, KEPT or MISSING, and why."""
 
     place: str
+    state: str
     reasons: tuple[str, ...]
-    there: bool = True
-    stays: bool = False
-
-    @property
-    def words(self) -> str:
-        """Fresh, stale or missing."""
-        if not self.there:
-            return "missing"
-        return "fresh" if not self.reasons else "stale, but stays: the arm has moved by it" if self.stays else "stale"
 
 
 def states_of(settings: Mapping[str, Any], folder: Path) -> list[StepState]:
@@ -151,9 +144,10 @@ def states_of(settings: Mapping[str, Any], folder: Path) -> list[StepState]:
     states: dict[str, StepState] = {}
     for name in TopologicalSorter(inputs).static_order():
         above = [states[one] for one in inputs[name]]
-        stale = (f"{one.place}, an input, is stale" for one in above if one.reasons and not one.stays)
-        stays = performed(settings, folder, int(names[name].parent.name), names[name].name)
-        states[name] = StepState(name, (*reasons_of(folder, names[name], settings), *stale), stays=stays)
+        stale = (f"{one.place}, an input, is stale" for one in above if one.state == STALE)
+        reasons = (*reasons_of(folder, names[name], settings), *stale)
+        moved = performed(settings, folder, int(names[name].parent.name), names[name].name)
+        states[name] = StepState(name, FRESH if not reasons else KEPT if moved else STALE, reasons)
     by_iteration = sorted(states.values(), key=lambda state: Path(state.place).parent)
     return [*by_iteration, *_missing(settings, folder, len({place.parent for place in places}))]
 
@@ -172,7 +166,7 @@ def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iter
     places = [place_of(max(iterations, 1), stages()[name].folder) for name in names if name in stages()]
     lacking = [place for place in places if not (folder / place).is_dir()]
     if lacking and not (folder / ENDED).exists():
-        yield StepState(lacking[0].as_posix(), ("it has not been made yet",), there=False)
+        yield StepState(lacking[0].as_posix(), MISSING, ("it has not been made yet",))
 
 
 # --- diff ---------------------------------------------------------------------------------------
@@ -245,7 +239,8 @@ class Lineage:
             self.changed += [name] if state else []
             branch = tree.add(Text(f"{name}{state}{' (see above)' if there in self.shown else ''}"))
             if there is not None:
-                self.grow(branch, there, _home(there, run))
+                home = next((up for up in (there, *there.parents) if (up / "config.json").is_file()), run)
+                self.grow(branch, there, home)
 
 
 def _made(place: Path, run: Path) -> dict[str, Any]:
@@ -287,11 +282,3 @@ def _state(there: Path | None, digest: str) -> str:
         return "" if store.content_hash(there) == digest else " HAS CHANGED SINCE"
     except store.UNREADABLE:
         return " IS DAMAGED"
-
-
-def _home(place: Path, run: Path) -> Path:
-    """The run that an input lies in; `run` itself for what lies in none."""
-    try:
-        return run_of(place)
-    except UserError:
-        return run
