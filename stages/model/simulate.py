@@ -55,7 +55,7 @@ def simulate(
     poses, rates = rested(hand.pose[:, :count], hand.rate[:, :count], max(count - hand.pose.shape[1], 0))
     steps, possible = steps_per_tick(*string.active(material), hand.tick)
     parts = []
-    for level in np.unique(steps[possible]):
+    for level in np.unique(steps[possible]):  # those that share a step share the loop
         chosen = np.flatnonzero(possible & (steps == level))
         own = (each if len(each) == 1 else each[chosen] for each in (poses, rates))
         pose, rate = _begun(string, material[chosen], *own)
@@ -114,7 +114,8 @@ def _run(
     count, loop = len(material), (string.effects, string.rows, string.integrator)
     width = kernel.lanes(count, *loop)
     blocks = -(-count // width)
-    index = np.minimum(np.arange(blocks * width), count - 1)
+    index = np.minimum(np.arange(blocks * width), count - 1)  # the last candidate again, where a block has lanes left
+    # the loop loads a number of all candidates of a block at once: lanes stand last, side by side
     parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1))
     own = pose if len(pose) == 1 else pose[index]
     start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
@@ -125,7 +126,7 @@ def _run(
     let_back = 0.0 if initial is None else np.broadcast_to(initial.let_back, count)[index][:, None]
     further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung, let_back)}
     buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further, width)
-    shared = len(pose) == 1
+    shared = len(pose) == 1  # one hand for all: its cubics are stored once, and not once a block
     cubic = _cubic(own, rate if shared else rate[index], hand.tick)
     cubic = np.repeat(cubic, width, axis=2) if shared else cubic  # as wide as the lanes, so that it loads vectors
     cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
@@ -136,7 +137,7 @@ def _run(
         **{"P": parameters.reshape(blocks, -1), "per_block": 0 if shared else 1, "start": hand.start},
         **{"points": string.points, "length": string.segment},
     )
-    if initial is not None and string.integrator.behind:
+    if initial is not None and string.integrator.behind:  # at rest all velocities are the same: none
         _set_back(string, run, buffers, cubic, hand.tick / steps, steps, width)
     run(buffers, H=cubic, steps=np.full(blocks, steps), tick=hand.tick, out=out, alive=alive)
     return out
@@ -261,6 +262,7 @@ def _memory(
         rows[0, :, place] = bent[slot]
         pulled = bent[slot] - before[slot]
         held = string.held(slot, material, pulled)
+        # beside what is held after the pull, the most that would be held after it was let back all the way
         other = string.held(slot, material, -FAR * np.sign(pulled), held)
         for row, here, there in zip(rows[1:], held, other, strict=False):
             row[:, place] = here + let_back * (there - here)
