@@ -1,6 +1,6 @@
 """Set up and run, with nothing but Python: `python3 tasks.py run`, `python3 tasks.py test`.
 
-run [OVERRIDES]    the main job: `python -m pipeline OVERRIDES`, by default +experiment=stringB method=robust
+run [OVERRIDES]    the main job: `python -m pipeline +experiment=stringB method=robust OVERRIDES`, or another experiment
 test [ARGUMENTS]   style, types and tests; arguments go to pytest
 test --all         ... with the long ones
 bench              how fast strings are simulated and estimated, beside peers; see tests/speed
@@ -32,6 +32,7 @@ PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")  # how the folders of thi
 TYPES = ENVIRONMENT / "types" / "stringcast"
 TIMED = "tests/drivers"  # by real clocks: they run beside one another alone, and wait most of the time
 BY_CLOCKS = ("--numprocesses=3", "--dist=worksteal", TIMED)
+MAIN = ("+experiment=stringB", "method=robust")  # of `run`
 STYLE = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
 
 
@@ -102,8 +103,10 @@ def call(*command: str) -> int:
 
 
 def run(rest: list[str]) -> int:
-    """The pipeline."""
-    return call("pipeline", *(rest or ["+experiment=stringB", "method=robust"]))
+    """The pipeline: the main job with other settings, unless an experiment or a command is named."""
+    named = rest and ("=" not in rest[0] or any(word.startswith("+experiment=") for word in rest))
+    default = [word for word in MAIN if not any(other.startswith(word.partition("=")[0] + "=") for other in rest)]
+    return call("pipeline", *([] if named else default), *rest)
 
 
 def test(rest: list[str]) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -28,6 +28,12 @@ def meanings() -> dict[str, str]:
             name + inner.removeprefix(group): said for inner, said in found.items() if inner.startswith(f"{group}.")
         }
     return found
+
+
+def units(names: Iterable[str]) -> dict[str, str]:
+    """Units of these settings, of those that have one."""
+    found = {name: re.search(r"\[([^\]]+)\]", meanings().get(name, "")) for name in names}
+    return {name: unit[1] for name, unit in found.items() if unit and unit[1] != "1"}
 
 
 def of_file(file: Path) -> Iterator[tuple[str, str]]:

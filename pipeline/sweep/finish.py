@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stringcast.data.store import write_table, write_text
+from stringcast.pipeline.meanings import units
 from stringcast.pipeline.provenance import PACKAGES, code, versions
 from stringcast.pipeline.sweep.ledger import DONE, Job, Ledger
 from stringcast.pipeline.sweep.table import SWEEP, factors, sweep_table
@@ -32,6 +33,7 @@ def finish(folder: Path) -> list[Job]:
         estimated={c.name: (c.unit, c.meaning) for c in table.columns if c.name not in known},
         settings=common(jobs),
         origin={"seed": "of each job"} | made,
+        units=units(given),
     )
     write_text(folder / "report.html", sweep_page(record))
     return jobs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -46,6 +46,13 @@ def unit(measured: Measured) -> Iterator[Finding]:
                 yield Finding(Severity.ERROR, file, "t", said, f"Multiply t by {1 / factor:g}", (seen.name,))
 
 
+def in_seconds(measured: Measured, trials: Iterable[Seen]) -> Iterator[Seen]:
+    """The trials of whose clocks more can be said than that they count in another unit."""
+    for seen in trials:
+        if not any(factor_of(t) in UNITS for t in times(measured, seen).values()):
+            yield seen
+
+
 def lasting(measured: Measured) -> Iterator[Finding]:
     """Trials of hours: a time that is wrong, as a rule."""
     for seen in measured.trials:
@@ -80,7 +87,7 @@ def rate(measured: Measured) -> Iterator[Finding]:
 
 def overlap(measured: Measured) -> Iterator[Finding]:
     """A hand whose motion is known for little of the time."""
-    for seen in measured.with_points():
+    for seen in in_seconds(measured, measured.with_points()):
         first, last = max(seen.hand_t[0], seen.frame_t[0]), min(seen.hand_t[-1], seen.frame_t[-1])
         span = float(np.ptp(seen.frame_t))
         if last - first < FEW * span:
@@ -91,7 +98,7 @@ def overlap(measured: Measured) -> Iterator[Finding]:
 
 def together(measured: Measured) -> Iterator[Finding]:
     """A string at rest that moves long before or after the hand."""
-    for seen in measured.telling():
+    for seen in in_seconds(measured, measured.telling()):
         hand, string = seen.hand_onset, seen.string_onset
         if seen.moving or hand is None or string is None or restless(seen):
             continue
@@ -116,7 +123,7 @@ def rest(measured: Measured) -> Iterator[Finding]:
 
 def scarce(measured: Measured) -> Iterator[Finding]:
     """A string that was seen so seldom that its motion cannot be told."""
-    for seen in measured.with_points():
+    for seen in in_seconds(measured, measured.with_points()):
         if seen.scarce:
             said = (
                 f"each place was seen {seen.rate:.2g} times a second; a string of {seen.length:.3g} m swings so fast "

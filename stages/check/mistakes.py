@@ -276,8 +276,8 @@ def lengths_of(made: tuple[Mistake, ...]) -> float:
 
 
 def instead(likely: list[tuple[Mistake, ...]], here: View) -> str:
-    """The second best explanation in brackets, where two fit; else empty."""
-    if len(likely) < 2:
+    """The second best explanation in brackets, where two units fit; else empty."""
+    if len(likely) < 2 or lengths_of(likely[0]) == lengths_of(likely[1]):
         return ""
     lengths = [reduce(lambda view, mistake: mistake.undone(view), made, here).length for made in likely[:2]]
     unit = likely[1][0].said.partition(" in ")[2].partition(",")[0]

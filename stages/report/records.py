@@ -204,7 +204,8 @@ SEED = "seed"
 @dataclass(frozen=True)
 class SweepRecord:
     """table: a row a job, see `pipeline.sweep.table`. given: its columns that are settings. estimated: unit and meaning
-    of its columns that are parameters, by name. settings: those that all jobs have in common."""
+    of its columns that are parameters, by name. settings: those that all jobs have in common. units: of settings that
+    have one."""
 
     name: str
     sentence: str
@@ -213,6 +214,7 @@ class SweepRecord:
     estimated: Mapping[str, tuple[str, str]]
     settings: Mapping[str, Any] = field(repr=False)
     origin: Mapping[str, Any] = field(repr=False)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def done(self) -> pd.DataFrame:

@@ -33,3 +33,19 @@ def test_a_run_of_which_every_test_was_skipped_fails():
     assert conftest.executed({"passed": [1]})
     assert conftest.executed({"failed": [1]})
     assert not conftest.executed({"skipped": [1], "deselected": [1]})
+
+
+@pytest.mark.parametrize(
+    ("given", "called"),
+    [
+        ("", "+experiment=stringB method=robust"),
+        ("seed=3", "+experiment=stringB method=robust seed=3"),
+        ("method=paper", "+experiment=stringB method=paper"),
+        ("+experiment=stringC", "+experiment=stringC"),
+        ("seed=1 +experiment=quick", "seed=1 +experiment=quick"),
+        ("check data/sample", "check data/sample"),
+    ],
+)
+def test_run_is_the_main_job_with_other_settings_unless_another_is_named(monkeypatch, given, called):
+    monkeypatch.setattr(tasks, "call", lambda *words: " ".join(words))
+    assert tasks.run(given.split()) == f"pipeline {called}"

@@ -424,6 +424,11 @@ def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
     assert 5 * (len(film) + len(overlay(record, cast).source)) < 0.85e6
 
 
+def test_a_page_of_ten_casts_is_at_most_as_large_as_promised(arm, camera):
+    text = cast_page(record_of(arm, camera, [manipulation(arm, camera)] * 10))
+    assert 0.8e6 < len(text.encode()) < 1.5e6  # all pictures are in it
+
+
 def test_the_closest_frame_is_always_among_the_chosen(record):
     cast = record.casts[0]
     for most in (2, 7, 24, 500):

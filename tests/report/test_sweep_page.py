@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stringcast.pipeline.meanings import units
+from stringcast.stages.report.charts.map import curve
 from stringcast.stages.report.outcomes import OUTCOMES, average, magnitude, parameter, response, share
 from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.records import SweepRecord
@@ -152,3 +154,9 @@ def test_the_map_of_the_workspace_says_what_became_of_each_target():
     page = sweep_page(record(twice, ("specimen", "target.x", "target.y", "seed")))
     assert page.count("Of 6 targets") == 2 * 2  # alt and caption of either string's map
     assert "Where it hits" not in sweep_page(record(swept()))
+
+
+def test_axes_name_the_units_of_settings():
+    made = curve(swept(), E, BETA, {BETA: "m/s"})
+    assert f"{BETA} [m/s]" in base64.b64decode(made.source.partition(",")[2]).decode()
+    assert units(["target.x", "string.points", "name", BETA]) == {"target.x": "m"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -42,8 +42,14 @@ def marked(axes: Axes, values: pd.Series) -> Place:
 ALIKE = 1e-9  # relative; a geometric mean of equal values is off by 1e-15, which no axis can show
 
 
-def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
-    """A curve of an outcome over a setting; None where nothing is known of it. jobs: those that ended."""
+def titled(factor: str, units: Mapping[str, str]) -> str:
+    """A setting as it is written at an axis."""
+    return f"{factor} [{units[factor]}]" if factor in units else factor
+
+
+def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str, units: Mapping[str, str]) -> Picture | None:
+    """A curve of an outcome over a setting; None where nothing is known of it. jobs: those that ended. units: of
+    settings, by name."""
     means = response(jobs, outcome, [factor])
     if means.empty:
         return None
@@ -68,7 +74,7 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
         if high < 10 * low:  # where a single power of ten, or none, would be all that is said
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: significant(value)))
-    axes.set_xlabel(factor, fontsize=8)
+    axes.set_xlabel(titled(factor, units), fontsize=8)
     axes.set_ylabel(outcome.title, fontsize=8)
     each = ", ".join(f"{mean_with_interval(row)} at {row[factor]}" for row in means.to_dict("records"))
     return vector(figure, f"{outcome.title} over {factor}: {each}.")
@@ -77,9 +83,9 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str) -> Picture | None:
 DARKEST = 0.75  # opacity of the largest mean, dark enough to see and light enough to read on
 
 
-def plane(jobs: pd.DataFrame, outcome: Outcome, across: str, up: str) -> Picture | None:
+def plane(jobs: pd.DataFrame, outcome: Outcome, across: str, up: str, units: Mapping[str, str]) -> Picture | None:
     """A map of an outcome over two settings; None where nothing is known of it. jobs: those that ended. across, up: the
-    settings."""
+    settings. units: by their names."""
     means = response(jobs, outcome, [across, up])
     if means.empty:
         return None
@@ -94,7 +100,8 @@ def plane(jobs: pd.DataFrame, outcome: Outcome, across: str, up: str) -> Picture
         axes.text(x, y, significant(row["mean"]), ha="center", va="center", fontsize=8)
     axes.set_xticks(range(len(columns)), list(columns.values()), rotation=20, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(len(rows)), list(rows.values()))
-    axes.set(xlim=(-0.5, len(columns) - 0.5), ylim=(-0.5, len(rows) - 0.5), xlabel=across, ylabel=up)
+    axes.set(xlim=(-0.5, len(columns) - 0.5), ylim=(-0.5, len(rows) - 0.5))
+    axes.set(xlabel=titled(across, units), ylabel=titled(up, units))
     axes.grid(False)
     axes.tick_params(length=0)
     return vector(figure, f"Mean {outcome.title} over {across} and {up}: {significant(low)} to {significant(high)}.")

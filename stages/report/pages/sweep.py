@@ -118,7 +118,7 @@ def _job(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
 
 def response_to(record: SweepRecord, factor: str) -> Section:
     """Curves of each outcome over a setting."""
-    drawn = [(_outcome(outcome), curve(record.done, outcome, factor)) for outcome in record.outcomes]
+    drawn = [(_outcome(outcome), curve(record.done, outcome, factor, record.units)) for outcome in record.outcomes]
     known = [(words, picture) for words, picture in drawn if picture is not None]
     lead = Text("Blue: mean over the other settings and the seeds. Grey: the jobs.")
     nothing = Text("Nothing is known: no job is done.", "missing")
@@ -157,7 +157,7 @@ def _reaches(record: SweepRecord) -> Iterator[tuple[str, Picture]]:
 def planes(record: SweepRecord) -> Section | None:
     """A map of each outcome over each pair of settings."""
     pairs = list(combinations(record.factors, 2))
-    drawn = [(_outcome(o), plane(record.done, o, *pair)) for pair in pairs for o in _mapped(record)]
+    drawn = [(_outcome(o), plane(record.done, o, *pair, record.units)) for pair in pairs for o in _mapped(record)]
     known = [(words, picture) for words, picture in drawn if picture is not None]
     lead = Text("Means over the seeds and all other settings; the darker, the larger.")
     return Section("Two settings at a time", [lead, Card("", [Small(known)])]) if known else None
