@@ -83,7 +83,7 @@ def listed(frame: pd.DataFrame) -> Table:
     """A table for people."""
     table = Table(box=None, pad_edge=False)
     for heading in frame.columns:
-        table.add_column(escape(heading))
+        table.add_column(escape(heading), overflow="fold")
     for row in frame.itertuples(index=False):
         table.add_row(*(Text(str(cell)) for cell in row))
     return table

@@ -21,7 +21,8 @@ def summary(made: Diagnosis) -> Summary:
 def _row(cause: Any) -> dict[str, str]:
     ends = f"at least {cause.low:.4g}" if getattr(cause, "at_least", False) else f"{cause.low:.4g} to {cause.high:.4g}"
     known = {"value": f"{cause.value:.4g}", "95 % interval": ends} if cause.parameter else {}
-    row = {"cause": cause.effect, "probability": f"{cause.probability:.2f}", "parameter": cause.parameter}
+    parameter = cause.parameter.rpartition(".")[2]  # which cause's, the first column says
+    row = {"cause": cause.effect, "probability": f"{cause.probability:.2f}", "parameter": parameter}
     return row | {"value": "", "95 % interval": ""} | known | {"unit": cause.unit}
 
 

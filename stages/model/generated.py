@@ -70,5 +70,6 @@ def _ours_alone(folder: Path) -> bool:
         about = folder.lstat()
     except OSError:
         return False
-    user = os.getuid() if hasattr(os, "getuid") else about.st_uid  # Windows has a temporary folder for each user
-    return stat.S_ISDIR(about.st_mode) and about.st_uid == user and not about.st_mode & 0o077
+    if not hasattr(os, "getuid"):  # Windows has a temporary folder for each user, and modes that say nothing
+        return stat.S_ISDIR(about.st_mode)
+    return stat.S_ISDIR(about.st_mode) and about.st_uid == os.getuid() and not about.st_mode & 0o077
