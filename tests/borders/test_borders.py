@@ -15,6 +15,7 @@ ALLOWED = {
     "pipeline": {"data", "stages", "hardware", "pipeline", "hydra", "omegaconf"},
 }
 GUARDED = set(ALLOWED) | {"hydra", "omegaconf", "serial", "dynamixel_sdk"}
+LONGEST = 32  # lines of a function's body: more are not read at a glance
 
 
 def imported(file: Path) -> set[str]:
@@ -54,6 +55,17 @@ def test_no_module_knows_one_that_knows_it():
         TopologicalSorter(known).prepare()
     except CycleError as error:
         pytest.fail(" knows ".join(reversed(error.args[1])))
+
+
+@pytest.mark.parametrize("room", ALLOWED)
+def test_a_function_is_read_at_a_glance(room):
+    """Its body counts, without the docstring."""
+    for file in (ROOT / room).rglob("*.py"):
+        for made in ast.walk(ast.parse(file.read_text())):
+            if isinstance(made, ast.FunctionDef):
+                body = made.body[bool(ast.get_docstring(made)) :]
+                lines = body[-1].end_lineno - body[0].lineno + 1 if body else 0
+                assert lines <= LONGEST, f"{file}:{made.lineno}: {made.name} has {lines} lines"
 
 
 def name(file: Path) -> str:
