@@ -150,8 +150,8 @@ def understood(
             else:
                 written(made, folder, asked.files, "")
                 measured = check.measured(folder, [])
-                strange = impossible(measured)
-                likely = explanations(measured, strange) if strange else []
+                contradictory = impossible(measured)
+                likely = explanations(measured, contradictory) if contradictory else []
                 undoing = (_undoing(mistake, what, asked) for mistake in (likely[0] if likely else ()))
                 change = next(filter(None, undoing), None)
             if change is None:

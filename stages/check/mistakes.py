@@ -28,7 +28,7 @@ STRETCH = 1.5  # times as long as its arc length is no piece of it
 DENSE = 0.15  # of the length: pieces so short are nearly straight
 LENGTHS = (0.01, 20.0)  # [m] of strings at all
 SWUNG = 2.0  # [m] of strings that arms swing: what is taken for a mistake must leave no longer one
-LIKE = 1e-6  # of strangeness: as likely
+LIKE = 1e-6  # of the misfit: as likely
 RADIANS = 4 * np.pi  # a joint does not turn further
 TURNS = 12 * np.pi  # nor does a hand
 MOSTLY = 0.9  # of the samples: others may be outliers
@@ -89,8 +89,8 @@ class View:
         )
 
     @property
-    def strangeness(self) -> float:
-        """0 for a string that is seen to its tip, is as long as it is and begins in the hand."""
+    def misfit(self) -> float:
+        """Misfit of the string, 0 for one that is seen to its tip, is as long as stated and begins in the hand."""
         ratio, _ = self.stretch
         return float(abs(np.log(ratio)) + abs(np.log(self.end / self.length)) + max(self.gap, 0.0))
 
@@ -223,18 +223,18 @@ MISTAKES = (
 
 def mistakes(measured: Measured) -> Iterator[Finding]:
     """Strings that cannot be, and the mistake that would explain all of them best."""
-    strange = impossible(measured)
-    if not strange or unknown_arm(measured):
+    contradictory = impossible(measured)
+    if not contradictory or unknown_arm(measured):
         return
-    likely = explanations(measured, strange)
+    likely = explanations(measured, contradictory)
     if not likely:
-        yield from (unexplained(measured, name, both[0]) for name, both in strange.items())
+        yield from (unexplained(measured, name, both[0]) for name, both in contradictory.items())
         return
-    here = next(iter(strange.values()))[0]
+    here = next(iter(contradictory.values()))[0]
     for mistake in likely[0]:
         file = mistake.table if "." in mistake.table else measured.file(mistake.table)
         said = f"{mistake.said} as it seems: {shown(here)}{instead(likely, here)}"
-        yield Finding(Severity.ERROR, file, mistake.field, said, mistake.remedy, tuple(strange))
+        yield Finding(Severity.ERROR, file, mistake.field, said, mistake.remedy, tuple(contradictory))
 
 
 def impossible(measured: Measured) -> dict[str, tuple[View, View]]:
@@ -254,15 +254,15 @@ def unknown_arm(measured: Measured) -> list[str]:
     return [key for key in ("links", "base") if key not in given and by_joints]
 
 
-def explanations(measured: Measured, strange: Mapping[str, tuple[View, View]]) -> list[tuple[Mistake, ...]]:
-    """The mistakes without which all of these strings are possible and least strange, the likeliest first: that with
+def explanations(measured: Measured, contradictory: Mapping[str, tuple[View, View]]) -> list[tuple[Mistake, ...]]:
+    """The mistakes without which all of these strings are possible and fit best, the likeliest first: that with
     which they fall as things do, and millimetres before centimetres. Where no single one is enough, a unit and a
     direction that are both wrong; none if these are not enough either."""
     # with s in another unit, all would lie at one place
     units = [m for m in MISTAKES if m.parts and "s" not in m.parts]
     directions = [m for m in MISTAKES if m.option]
     for tried in (((m,) for m in MISTAKES), product(units, directions)):
-        explained = {made: left for made in tried if (left := left_strange(made, strange.values())) is not None}
+        explained = {made: left for made in tried if (left := misfit_without(made, contradictory.values())) is not None}
         best = [made for made, left in explained.items() if left <= min(explained.values()) + LIKE]
         if best:
             seen = usual_fall(measured.with_points()) if len(best) > 1 else np.nan
@@ -284,12 +284,12 @@ def instead(likely: list[tuple[Mistake, ...]], here: View) -> str:
     return f" (a string of {lengths[0]:.3g} m; {unit} would fit too, and make it {lengths[1]:.3g} m)"
 
 
-def left_strange(made: tuple[Mistake, ...], strange: Iterable[tuple[View, View]]) -> float | None:
-    """The misfit of strings after mistakes are undone, or None if one of them still cannot be."""
+def misfit_without(made: tuple[Mistake, ...], contradictory: Iterable[tuple[View, View]]) -> float | None:
+    """The misfit of strings after mistakes are undone, summed, or None if one of them still cannot be."""
     left = []
-    for both in strange:
+    for both in contradictory:
         undone = (reduce(lambda view, mistake: mistake.undone(view), made, here) for here in both)
-        left.append([view.strangeness for view in undone if view.possible and view.length <= SWUNG])
+        left.append([view.misfit for view in undone if view.possible and view.length <= SWUNG])
         if not left[-1]:
             return None
     return sum(min(each) for each in left)

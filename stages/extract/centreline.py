@@ -112,7 +112,7 @@ def _centred(light: np.ndarray, outline: np.ndarray, smooth: np.ndarray, noise: 
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
     seen = _across(light, outline, smooth, normal, noise, half)
-    end, unsure = _end(seen.light, seen.blind, half)
+    end, end_sigma = _end(seen.light, seen.blind, half)
     whole = int(end) + 1
     firm = max(whole - int(np.ceil(half)), 1)
     shift = gaussian_filter1d(seen.shift[:firm], max(1.0, half / 3), mode="nearest")
@@ -121,7 +121,7 @@ def _centred(light: np.ndarray, outline: np.ndarray, smooth: np.ndarray, noise: 
     points = np.concatenate([smooth[:whole] + shift[:, None] * normal[:whole], tip[None]])
     each = np.append(np.arange(whole), whole - 1)  # the tip is as the point before it
     lit = np.where(seen.blind, np.nan, seen.light)[each]
-    return Line(points, sigmas(seen.sigma[each], seen.lost[each], firm, unsure), lit)
+    return Line(points, sigmas(seen.sigma[each], seen.lost[each], firm, end_sigma), lit)
 
 
 def _evenly(line: np.ndarray) -> np.ndarray:

@@ -72,8 +72,8 @@ def compared(one: Take, cell: Cell, points: Points, shot: Shot) -> pd.DataFrame:
     found = pd.DataFrame([off.get(round(float(t), 6), {}) for t in readings["t"]], columns=list(_MEASURES))
     frame = readings[["frame", "reason"]].assign(**named, read=readings["valid"]).join(found)
     far = (frame[["line_px", "place_px", "tip_px"]] > WRONG_PX).any(axis=1)
-    unsure = (frame[["line_sigmas", "tip_sigmas"]] > WRONG_SIGMAS).any(axis=1)
-    return FRAMES.check(frame.assign(wrong=frame["read"] & (far | unsure)))
+    overconfident = (frame[["line_sigmas", "tip_sigmas"]] > WRONG_SIGMAS).any(axis=1)
+    return FRAMES.check(frame.assign(wrong=frame["read"] & (far | overconfident)))
 
 
 _MEASURES = tuple(c.name for c in FRAMES.columns if "_" in c.name)

@@ -89,8 +89,8 @@ FAR = 0.75  # quantile along the string that says how wrong a frame is: a few ou
 
 def worst(table: pd.DataFrame) -> pd.DataFrame:
     """Rows of the frame of a trial in which the base model is furthest off, against what may be doubted."""
-    doubts = pd.Series(away(table, "base") / table["doubt"].to_numpy(), index=table.index)
-    moment = doubts.groupby(table["t"]).quantile(FAR).idxmax()
+    ratios = pd.Series(away(table, "base") / table["doubt"].to_numpy(), index=table.index)
+    moment = ratios.groupby(table["t"]).quantile(FAR).idxmax()
     return table[table["t"] == moment].sort_values("s")
 
 
