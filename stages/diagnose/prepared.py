@@ -13,11 +13,12 @@ from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress, tracked
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
-from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed
+from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed, tracked_noise
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import modes
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.noise import WHITE, told
 from stringcast.stages.inference.search import CONVERGE, refined, screened, searched, with_noise
 from stringcast.stages.model.accuracy import extrapolated
 from stringcast.stages.model.implicit import ImplicitLeapfrog
@@ -47,6 +48,7 @@ class Prepared:
     taken off. outliers, resting: points left out. doubt: of numerical error at the tip of each trial [m]. literal: the
     mesh is a part of the model, and has no error. chaotic: names of trials that no simulation tells to the tolerance.
     configured: the base model with the mesh as it is configured, at its best; None where that is the finer one.
+    stated: the data's author states their noise.
     """
 
     data: Data
@@ -58,11 +60,16 @@ class Prepared:
     literal: bool = False
     chaotic: tuple[str, ...] = ()
     configured: Fit | None = None
+    stated: bool = False
 
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
         data, doubt = self.of(self.raw, fit)
         return replace(self, data=data, doubt=doubt)
+
+    def heard(self, fit: Fit) -> Prepared:
+        """As `at`, with noise as what a fit leaves tells it: what a poorer model lacks may have sounded like noise."""
+        return replace(self, raw=_heard(self.raw, fit.residuals, self.stated)).at(fit)
 
     def of(self, trials: Sequence[Case], fit: Fit) -> tuple[Data, np.ndarray]:
         """Data of any trials without the numerical error of a fit, and what is in doubt of that at each tip [m]."""
@@ -74,10 +81,11 @@ class Prepared:
     def others(self, observations: Sequence[Observation]) -> Data:
         """Data of further trials, with the noise of these."""
         base, sigma = self.base, float(np.median(np.concatenate([trial.sigma for trial in self.raw])))
-        model = base.hypothesis.model
-        told = [replace(t, sigma=np.full(len(t.s), sigma)) for t in (awake(case(model, o)) for o in observations)]
-        plain = lacking(told, base.hypothesis, base.chi).residuals(model, base.chi[None])
-        kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(told, plain, strict=True)]
+        model, noise = base.hypothesis.model, self.raw[0].noise
+        whole = [awake(case(model, o)) for o in observations]
+        trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
+        plain = lacking(trials, base.hypothesis, base.chi).residuals(model, base.chi[None])
+        kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(trials, plain, strict=True)]
         return self.of(kept, base)[0]
 
 
@@ -103,7 +111,7 @@ def prepared(
     sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
     base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
-    made, base = converged(Prepared(data, base, trials, outliers, resting, doubt), base)
+    made, base = converged(Prepared(data, base, trials, outliers, resting, doubt, stated=stated), base)
     made = _not_taken_along(replace(made, base=base), tolerance, rng, starts)
     return _with_nearer_mesh(_without_chaotic(made, tolerance), model, tolerance)
 
@@ -269,19 +277,27 @@ def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tup
     Noise is what residuals have beside smooth motion, of which what the model lacks is a part.
     """
     plain = replace(likelihood, scale=1.0, nuisance=(), limit=np.inf)
-    residual, trials, before = plain.residuals(chi[None])[0], [], sum(len(t.s) for t in plain.trials)
+    residual, before = plain.residuals(chi[None])[0], sum(len(t.s) for t in plain.trials)
     ends = np.cumsum([2 * len(t.s) for t in plain.trials])[:-1]
-    for trial, off in zip(plain.trials, np.split(residual, ends), strict=True):
-        trials.append(_without_outliers(trial, off.reshape(-1, 2)))
-    noise = float(np.median([level for _, level in trials]))
-    factor = noise if not stated or noise > STATED_WRONG else 1.0
-    kept = tuple(replace(trial, sigma=factor * trial.sigma) for trial, _ in trials)
-    return kept, before - sum(len(t.s) for t in kept)
+    pairs = zip(plain.trials, np.split(residual, ends), strict=True)
+    trials, left, levels = zip(*(_without_outliers(t, off.reshape(-1, 2)) for t, off in pairs), strict=True)
+    level = float(np.median(levels))
+    factor = level if not stated or level > STATED_WRONG else 1.0
+    kept = tuple(replace(t, sigma=factor * t.sigma) for t in trials)
+    return _heard(kept, [off.ravel() / factor for off in left], stated), before - sum(len(t.s) for t in kept)
 
 
-def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, float]:
-    """A trial without the points whose residuals (n, 2) over sigma are far from smooth motion, and the noise of the
-    others over sigma."""
+def _heard(trials: Sequence[Case], residuals: Sequence[np.ndarray], stated: bool) -> tuple[Case, ...]:
+    """Trials with the noise that residuals (2 n,) over sigma tell; with a white one where it is less than is stated."""
+    pairs = zip(trials, residuals, strict=True)
+    noise = told([tracked_noise(trial, off.reshape(-1, 2)) for trial, off in pairs])
+    noise = WHITE if stated and noise.of_means < 1 else noise
+    return tuple(replace(trial, noise=noise) for trial in trials)
+
+
+def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, np.ndarray, float]:
+    """A trial without the points whose residuals (n, 2) over sigma are far from smooth motion, the residuals of the
+    others, and their noise over sigma."""
     noise = float("nan")
     for _ in range(HIDDEN):
         beside, noise = smoothed(trial, residual)
@@ -290,7 +306,7 @@ def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, float]:
             break
         parts = {name: getattr(trial, name)[near] for name in ("frame", "s", "points", "sigma")}
         trial, residual = replace(trial, **parts), residual[near]
-    return trial, noise
+    return trial, residual, noise
 
 
 def _numerical_error(

@@ -58,12 +58,11 @@ class Criteria:
 @dataclass(frozen=True)
 class Step:
     """One choice. parent: the fit beside which it is made. proposals: of all candidates. tried: those fitted, the most
-    evident first. dropped: causes that left afterwards."""
+    evident first."""
 
     parent: Fit
     proposals: Sequence[Proposal]
     tried: Sequence[Fit]
-    dropped: tuple[str, ...] = ()
 
     @property
     def best(self) -> Fit | None:
@@ -213,16 +212,16 @@ def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
 
 def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generator, starts: int) -> Found:
     """With one more cause, numerical error as it is there, and without causes that are not needed any more."""
-    prepared, fit = found.prepared.at(best), best
+    prepared = found.prepared.heard(best)
+    fit = refitted(prepared.data, best, best.hypothesis)
     if unexplained(prepared.data, fit).max() > criteria.least_size:
         prepared, fit = polished(prepared, searched_again(prepared.data, fit, rng, starts))
-    dropped: list[str] = []
-    for cause in best.hypothesis.causes[:-1]:
+    for cause in best.hypothesis.causes:  # the new one, too: where it led, the others may do without it
         less = refitted(prepared.data, fit, fit.hypothesis.without(cause))
         if less.evidence > fit.evidence - criteria.enough:
-            fit, dropped = less, [*dropped, cause.name]
-    *earlier, last = found.path
-    return Found(prepared, fit, (*earlier, replace(last, dropped=tuple(dropped))))
+            log.info("%s leaves: it is not needed", cause.name)
+            fit = less
+    return Found(prepared, fit, found.path)
 
 
 def refitted(data: Data, fit: Fit, hypothesis: Hypothesis) -> Fit:

@@ -1,42 +1,36 @@
 """What a model lacks in a trial, as a smooth random displacement of the string (Kennedy and O'Hagan 2001).
 
-    simulated - measured = U a + s d + e,        d ~ GP,   a ~ N(0, 1),   e ~ N(0, sigma^2)
+    simulated - measured = U a + s d + e,        d ~ GP,   a ~ N(0, 1),   e: noise
 
 d is zero at the grasp, smooth along the string (squared exponential, 0.35 L) and in time (Matern 3/2), and grows over
 the trial as any small change of the model's parameters does. Its size s [m], root mean square at the tip, is unknown
 for every trial: half-Cauchy, on a grid. U are the modes of the trial's beginning.
 
-A film has thousands of numbers, the motion of a string some hundred. So a trial is told by its coefficients in a basis
-of smooth functions of time and place (Higdon et al. 2008, JASA 103, 570), turned such that noise is white and the
-discrepancy diagonal: a size s then costs nothing to try. What is left beside them is noise, whose size it tells.
+A trial is told by its coefficients in a basis of smooth functions of time and place (Higdon et al. 2008, JASA 103,
+570), turned such that noise (`noise`) is white and the discrepancy diagonal: a size s then costs nothing to try. What
+is left beside them is noise, whose size it tells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.linalg import cholesky, eigh, solve_triangular
-from scipy.sparse import csr_array, hstack
+from scipy.linalg import eigh
+from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
 from stringcast.stages.common import mad_sigma
+from stringcast.stages.inference.basis import KNOTS, RANK, along, beside_noise, columns, in_time, nodes, products
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.noise import Track, gram_roots, track
 from stringcast.stages.inference.whitening import LowRank
 
 MEMORY = 0.08  # [s] of the Matern kernel: a quarter of the swing of a string of 0.3 m, 2 pi / 2.405 sqrt(L/g)
-ALONG = 0.35  # of the length: of a string's first modes, which a hand moves most
-PLACES = 6  # nodes along the string: two for each correlation length
-KNOTS = 0.015  # [s] from spline to spline: motion up to 30 Hz
-MOST = 64  # splines at most: longer trials are told more coarsely
 SIZES = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])  # [m] of s: each 1.56 times the last; no string is as far
 TYPICAL = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
-APART = 3  # frames from spline to spline, at least, where noise is told
 FREE = 0.2  # of all points: with fewer beside what splines tell, they do not tell the noise
-RANK = 1e-8  # of the largest eigenvalue: less is no direction of its own
 
 
 @dataclass(frozen=True)
@@ -58,13 +52,19 @@ class Discrepancy:
     @classmethod
     def of(cls, trial: Case, growth: np.ndarray, nuisance: np.ndarray) -> Discrepancy:
         """growth: of d at each frame, (F,). nuisance: U over sigma, (2 n, m)."""
-        splines = _splines(trial)
-        values, vectors = eigh((splines.T @ splines).toarray())
+        time, place = in_time(trial.times), along(trial.s, trial.model.string.length)
+        splines = products(time[trial.frame], place)
+        spread = trial.noise.covariance(time, gram_roots(place, trial.frame, len(trial.times)))
+        values, vectors = eigh(spread)
         kept = values > RANK * values[-1]
-        told = (vectors[:, kept] / np.sqrt(values[kept])).T  # orthonormal coefficients of what splines tell
+        told = (
+            vectors[:, kept] / np.sqrt(values[kept])
+        ).T  # coefficients of what splines tell, in which noise is white
         smooth = told @ (splines.T @ _kernel_root(trial, growth))
         variance, turn = eigh(smooth @ smooth.T)
-        made = cls(splines, turn.T @ told, told.T @ turn, np.maximum(variance, 0.0), np.zeros((0, 0)), nuisance)
+        of_splines = told @ (splines.T @ splines).toarray() @ vectors[:, kept]
+        unturn = vectors[:, kept] @ np.linalg.solve(of_splines, turn)
+        made = cls(splines, turn.T @ told, unturn, np.maximum(variance, 0.0), np.zeros((0, 0)), nuisance)
         return replace(made, nuisance=made.coefficients(nuisance.T).T)
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
@@ -122,14 +122,20 @@ class Discrepancy:
 def smoothed(trial: Case, residual: np.ndarray) -> tuple[np.ndarray, float]:
     """What residuals (n, 2) over sigma have beside smooth motion, and the noise over sigma that it tells, robustly; all
     of them where there are too few to tell."""
-    frame = float(np.median(np.diff(trial.times))) if len(trial.times) > 1 else 0.0
-    splines = _splines(trial, max(KNOTS, APART * frame))
+    place = along(trial.s, trial.model.string.length)
+    splines = products(in_time(trial.times, beside_noise(trial.times))[trial.frame], place)
     gram = (splines.T @ splines).toarray()
     free = 1 - np.linalg.matrix_rank(gram) / len(residual)
     if free < FREE:
         return residual, float(mad_sigma(residual))
     beside = residual - splines @ np.linalg.lstsq(gram, splines.T @ residual, rcond=RANK)[0]
     return beside, float(mad_sigma(beside) / np.sqrt(free))
+
+
+def tracked_noise(trial: Case, residual: np.ndarray) -> Track:
+    """What residuals (n, 2) over their noise tell of that."""
+    time = in_time(trial.times, beside_noise(trial.times))
+    return track(time, along(trial.s, trial.model.string.length), trial.frame, residual)
 
 
 def log_prior() -> np.ndarray:
@@ -148,43 +154,14 @@ def likeliest(log_likelihoods: np.ndarray) -> np.ndarray:
     return np.asarray(np.argmax(log_likelihoods + log_prior(), axis=-1))
 
 
-def _nodes(trial: Case, every: float) -> np.ndarray:
-    span = float(np.ptp(trial.times))
-    return np.linspace(trial.times[0], trial.times[-1], min(int(np.ceil(span / every)) + 1, MOST))
-
-
-def _splines(trial: Case, every: float = KNOTS) -> csr_array:
-    """Products of cubic B-splines in time, one every so many seconds, with smooth functions of place, at the measured
-    points, (n, M)."""
-    nodes = _nodes(trial, every)
-    knots = np.concatenate([[nodes[0]] * 3, nodes, [nodes[-1]] * 3])
-    time = BSpline.design_matrix(trial.times[trial.frame], knots, 3)
-    along = _along(trial)
-    parts = [csr_array(time.multiply(column[:, None])) for column in along.T]
-    return csr_array(hstack(parts, format="csr"))
-
-
-def _along(trial: Case) -> np.ndarray:
-    """Functions of place that are zero at the grasp, (n, PLACES), whose products are the kernel along the string."""
-    length = trial.model.string.length
-    places = length * np.arange(1, PLACES + 1) / PLACES
-    found = _columns(trial.s, places, lambda gap: np.exp(-0.5 * (gap / (ALONG * length)) ** 2))
-    return np.asarray(found * (trial.s / length)[:, None])
-
-
 def _kernel_root(trial: Case, growth: np.ndarray) -> np.ndarray:
     """Columns (n, K) whose products are the covariance of the discrepancy, of unit mean square at the tip."""
-    nodes = _nodes(trial, KNOTS)
-    memory = max(MEMORY, 2 * (nodes[1] - nodes[0]))
-    time = _columns(trial.times, nodes, lambda gap: _matern(gap / memory))[trial.frame]
+    at = nodes(trial.times, KNOTS)
+    memory = max(MEMORY, 2 * (at[1] - at[0]))
+    time = columns(trial.times, at, lambda gap: _matern(gap / memory))[trial.frame]
     grown = (growth / np.sqrt(np.mean(growth**2)))[trial.frame] / trial.sigma
-    return np.asarray(((grown[:, None] * time)[:, :, None] * _along(trial)[:, None, :]).reshape(len(trial.s), -1))
-
-
-def _columns(where: np.ndarray, nodes: np.ndarray, kernel: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Square root of a kernel told by its nodes (n, M) (Nystrom)."""
-    root = cholesky(kernel(np.abs(nodes[:, None] - nodes)) + 1e-9 * np.eye(len(nodes)), lower=True)
-    return np.asarray(solve_triangular(root, kernel(np.abs(where[:, None] - nodes)).T, lower=True).T)
+    place = along(trial.s, trial.model.string.length)
+    return np.asarray(((grown[:, None] * time)[:, :, None] * place[:, None, :]).reshape(len(trial.s), -1))
 
 
 def _matern(gap: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.inference.initial_state import initial_state, kinematics
+from stringcast.stages.inference.noise import WHITE, Noise
 from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.sampling import measured
@@ -25,7 +26,7 @@ class Case:
 
     times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at frame
     index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m]. initial: the state in which the
-    trial begins, by the camera's clock; None if at rest before the hand moves.
+    trial begins, by the camera's clock; None if at rest before the hand moves. noise: how the points' is correlated.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Case:
     points: np.ndarray
     sigma: np.ndarray
     initial: State | None = None
+    noise: Noise = WHITE
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
         """Strings of candidates (C, P) as the camera reports them at the frame times, chunk by chunk."""

@@ -70,7 +70,7 @@ def test_points_that_are_far_out_are_left_out_and_hardly_any_other(model):
     off = 0.05 * np.sin(9 * T[frame])[:, None] * s[:, None] / 0.3 + SIGMA * rng.standard_normal((len(s), 2))
     wrong = rng.choice(len(s), 8, replace=False)
     off[wrong] += 0.04
-    kept, noise = _without_outliers(trial(model, frame, s, off), off / 1e-3)
+    kept, _, noise = _without_outliers(trial(model, frame, s, off), off / 1e-3)
     assert len(kept.s) > 0.95 * len(s)
     assert not set(map(tuple, off[wrong])) & set(map(tuple, kept.points))
     assert noise == pytest.approx(0.7, rel=0.1)
