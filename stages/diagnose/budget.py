@@ -66,7 +66,7 @@ def _one_after_another(found: Found, base: Fit) -> list[Fit]:
 
 def _tip_square(data: Data, fit: Fit) -> float:
     """Mean square of the residual at the tip, over trials [m2]."""
-    return float(np.mean(data.tip_rms(data.begun(fit.residuals, fit.sizes)) ** 2))
+    return float(np.mean(data.tip_rms(data.of(fit.hypothesis).begun(fit.residuals, fit.sizes)) ** 2))
 
 
 def _known(prepared: Prepared) -> tuple[float, float]:

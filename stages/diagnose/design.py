@@ -86,7 +86,7 @@ class Rivals:
     def _known(self, name: str) -> np.ndarray:
         """What the trials made tell of a rival's parameters, (P, P)."""
         fit = self.fits[name]
-        white = self.data.white(fit.slopes, fit.sizes)
+        white = self.data.of(fit.hypothesis).white(fit.slopes, fit.sizes)
         return np.asarray(white @ white.T + PRIOR * np.eye(len(fit.chi)))
 
 

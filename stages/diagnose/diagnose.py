@@ -171,7 +171,7 @@ def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal
         named,
         gains,
         tables.residuals(found.prepared, base, found.fit),
-        tables.theories(found, budget.by_cause, judgement),
+        tables.theories(found, budget.by_cause, judgement, given.criteria.tolerance),
         tables.screening(found),
         tables.likeness(found),
         tables.missing(data, found.fit, given.criteria),

@@ -75,7 +75,7 @@ def judged(
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
-    if not fit.hypothesis.causes or removed(data, base, fit) < criteria.least_share:
+    if not fit.hypothesis.causes or removed(data, base, fit, criteria.tolerance) < criteria.least_share:
         if unnamed.verdict == "none" and too_few_points:
             return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion={**inclusion, RESOLUTION: 1.0})
         return unnamed

@@ -46,7 +46,7 @@ def _again(data: Data, fit: Fit) -> Fit:
 
 
 def _predicted(data: Data, fit: Fit, number: int) -> Prediction:
-    own = data.only([number])
+    own = data.only([number]).of(fit.hypothesis)
     residuals = own.residuals(fit.hypothesis.model, fit.chi[None])
     told = own.log_likelihoods(residuals)[:, 0]
     (residual,) = own.begun([residuals[0][0]], likeliest(told))

@@ -11,6 +11,7 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.dataset import FRAMES_NEEDED
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress, tracked
+from stringcast.stages.diagnose.varying import varying
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed, tracked_noise
@@ -221,7 +222,8 @@ def lacking(
     pairs = zip(modes(trials, values) or nothing, doubts or nothing, strict=True)
     nuisance = [np.hstack(pair) for pair in pairs]
     growth = _growth(trials, hypothesis, chi)
-    return Data(tuple(trials), tuple(Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True)))
+    told = tuple(Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True))
+    return varying(Data(tuple(trials), told), hypothesis, chi)
 
 
 def corrected(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> tuple[Data, np.ndarray]:

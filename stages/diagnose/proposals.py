@@ -86,9 +86,9 @@ class _Linear:
     """Data about a fit, to first order."""
 
     def __init__(self, data: Data, parent: Fit) -> None:
-        self.data, self.parent = data, parent
-        self.slopes = data.white(parent.slopes, parent.sizes)
-        self.residual = data.white([r[None] for r in parent.residuals], parent.sizes)[0]
+        self.data, self.parent = data.of(parent.hypothesis), parent
+        self.slopes = self.data.white(parent.slopes, parent.sizes)
+        self.residual = self.data.white([r[None] for r in parent.residuals], parent.sizes)[0]
         self.covariance = np.linalg.inv(self.slopes @ self.slopes.T + PRIOR * np.eye(len(parent.chi)))
 
     def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:

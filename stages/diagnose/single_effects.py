@@ -161,7 +161,7 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
     assert best is not None
     gain, by_trial = best.evidence - step.parent.evidence, best.by_trial - step.parent.by_trial
     once = _touches_once(data, best, best.hypothesis.causes[-1], criteria.least_size)
-    enough = removed(data, step.parent, best) if once else gain - by_trial.max()
+    enough = removed(data, step.parent, best, criteria.tolerance) if once else gain - by_trial.max()
     wanted = criteria.least_share if once else criteria.enough
     return bool(
         gain > criteria.enough
@@ -187,10 +187,13 @@ def unexplained(data: Data, fit: Fit) -> np.ndarray:
     return data.tip_rms(lacked(data, fit))
 
 
-def removed(data: Data, parent: Fit, fit: Fit) -> float:
-    """Share of what a parent lacks, in mean square at the tip, that a fit does not."""
-    before, after = (np.sum(unexplained(data, each) ** 2) for each in (parent, fit))
-    return float(1 - after / before) if before > 0 else 0.0
+def removed(data: Data, parent: Fit, fit: Fit, tolerance: float) -> float:
+    """Share of what a parent lacks, in mean square at the tip, that a fit does not: in the median trial of those that
+    lack more than is tolerated [m], for one that is far off says nothing of the others."""
+    before, after = unexplained(data, parent), unexplained(data, fit)
+    asked = before >= min(tolerance, before.max())
+    squares = np.maximum(before[asked], np.finfo(float).tiny) ** 2
+    return float(np.median(1 - after[asked] ** 2 / squares))
 
 
 def moved(data: Data, one: Fit, other: Fit) -> np.ndarray:

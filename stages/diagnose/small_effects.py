@@ -47,6 +47,7 @@ class Tempered:
 def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarray:
     """What each effect does when it moves the tip by 1 m, white, (E, N); none of those that depend on place, which do
     nothing but where they touch."""
+    data = data.of(fit.hypothesis)
     found = [np.zeros((0, sum(2 * len(d.variance) for d in data.discrepancies)))]
     for effect in effects:
         if position_dependent(effect) or effect in fit.hypothesis.causes:
@@ -76,6 +77,7 @@ def _scaled(data: Data, fit: Fit, moved: Sequence[np.ndarray]) -> np.ndarray:
 
 def tempered(data: Data, fit: Fit, small: np.ndarray) -> Tempered:
     """A fit with what small effects (E, N), white, leave of it."""
+    data = data.of(fit.hypothesis)
     slopes = data.white(fit.slopes, fit.sizes)
     residual = data.white([r[None] for r in fit.residuals], fit.sizes)[0]
     both, own = np.concatenate([slopes, small]), len(slopes)

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
+from stringcast.stages.diagnose.document import MM
 from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria, Found, moved, removed, unexplained
@@ -31,7 +32,7 @@ def joined_names(fit: Fit) -> str:
 def residuals(prepared: Prepared, base: Fit, extended: Fit) -> pd.DataFrame:
     """Table RESIDUALS: points as they were measured, and strings without numerical error."""
     frames, data = [], prepared.data
-    plain_and_more = (data.begun(fit.residuals, fit.sizes) for fit in (base, extended))
+    plain_and_more = (data.of(fit.hypothesis).begun(fit.residuals, fit.sizes) for fit in (base, extended))
     for raw, trial, plain, more in zip(prepared.raw, data.trials, *plain_and_more, strict=True):
         off = trial.sigma[:, None] * plain.reshape(-1, 2)
         first, then = raw.points + off, raw.points + trial.sigma[:, None] * more.reshape(-1, 2)
@@ -56,7 +57,7 @@ def tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray
     return np.where(length > 0, along / np.maximum(length, 1e-12), [1.0, 0.0])
 
 
-def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement) -> pd.DataFrame:
+def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolerance: float) -> pd.DataFrame:
     """Table THEORIES: all that were fitted, those with most evidence first."""
     data, base = found.prepared.data, by_cause[0]
     tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
@@ -71,7 +72,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement) -> pd.
             "fit_gain": fit.evidence - base.evidence,
             "held_out_gain": _jackknife(fit, base),
             "moved": float(moved(data, base, fit).max()),
-            "unexplained": 1 - removed(data, base, fit),
+            "unexplained": 1 - removed(data, base, fit, tolerance),
             "probability": chance.get(name, 0.0),
         }
         for name, fit in tried.items()
@@ -123,9 +124,14 @@ def causes(
             rows.append(common | {"sentence": effect.describe({}), "parameter": "", "at_least": False, **nothing})
             continue
         fit = fit_with(found, judgement, name)
-        common["sentence"] = effect.describe(fit.of(effect))
+        common["sentence"] = effect.describe(fit.of(effect)) + _each_time(found.prepared.data.differs(name))
         rows += [common | row for row in _parameters(fit, effect, tempered[name], z)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
+
+
+def _each_time(differs: float) -> str:
+    """differs: [m] at the tip, from trial to trial."""
+    return f", and differs from trial to trial, by about {MM * differs:.0f} mm at the tip" if differs else ""
 
 
 def fit_with(found: Found, judgement: Judgement, name: str) -> Fit:

@@ -74,6 +74,11 @@ class Discrepancy:
         found = self.turn @ (self.splines.T @ by_point)
         return np.asarray(found.reshape(number, count, 2).transpose(1, 0, 2).reshape(count, 2 * number))
 
+    def joined(self, columns: np.ndarray) -> Discrepancy:
+        """With more nuisance: columns U over sigma (2 n, m)."""
+        nuisance = np.hstack([self.nuisance, self.coefficients(columns.T).T])
+        return replace(self, nuisance=nuisance, modes=np.hstack([self.modes, columns]))
+
     def white(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""
         deviation, rank = self._whitening[size]

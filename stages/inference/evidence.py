@@ -11,7 +11,7 @@ being there, and one that moves nothing is no worse than none.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -79,10 +79,35 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Data:
-    """Trials that hypotheses are to explain together, and what each may lack."""
+    """Trials that hypotheses are to explain together, and what each may lack.
+
+    varying: of causes, by name, that differ from trial to trial: how they move each trial, over sigma, by what is as
+    likely as one deviation, (2 n, m).
+    """
 
     trials: tuple[Case, ...]
     discrepancies: tuple[Discrepancy, ...]
+    varying: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+
+    def of(self, hypothesis: Hypothesis) -> Data:
+        """As a hypothesis has them, some of whose causes may differ from trial to trial."""
+        names = tuple(name for name in hypothesis.names if name in self.varying)
+        if not names:
+            return replace(self, varying={}) if self.varying else self
+        if names not in self._of:
+            columns = [np.hstack(each) for each in zip(*(self.varying[name] for name in names), strict=True)]
+            told = tuple(d.joined(each) for d, each in zip(self.discrepancies, columns, strict=True))
+            self._of[names] = Data(self.trials, told)
+        return self._of[names]
+
+    def differs(self, name: str) -> float:
+        """By how much the tip is elsewhere from trial to trial because a cause differs [m]; 0 where it does not."""
+        columns = self.varying.get(name, ())
+        return float(self.tip_sizes([each.T for each in columns])[0]) if columns else 0.0
+
+    @cached_property
+    def _of(self) -> dict[tuple[str, ...], Data]:
+        return {}
 
     def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
         """Simulated less measured over sigma of each trial, (C, 2 n), for exponents (C, P); LOST where a run was
@@ -117,7 +142,8 @@ class Data:
 
     def only(self, chosen: Sequence[int]) -> Data:
         """Some of the trials."""
-        return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen))
+        varying = {name: tuple(columns[k] for k in chosen) for name, columns in self.varying.items()}
+        return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen), varying)
 
     def tip_rms(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
         """Root mean square over each trial of displacements (2 n,) over sigma, at the outermost place [m], (K,)."""
@@ -197,6 +223,7 @@ def fitted(data: Data, hypothesis: Hypothesis, starts: np.ndarray, sizes: np.nda
 
     rounds: turns at most. most: iterations of each.
     """
+    data = data.of(hypothesis)
     first = solver.fitted(Problem(data, hypothesis, sizes), starts, FEW)
     told = data.log_likelihoods(data.residuals(hypothesis.model, first.chi))
     best = int(np.argmax(marginal(told).sum(axis=0)))
@@ -212,6 +239,7 @@ def fitted(data: Data, hypothesis: Hypothesis, starts: np.ndarray, sizes: np.nda
 
 def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
     """What a hypothesis says of the data where it is, exponents (P,)."""
+    data = data.of(hypothesis)
     raw = [each[0] for each in data.residuals(hypothesis.model, chi[None])]
     told = data.log_likelihoods([each[None] for each in raw])[:, 0]
     sizes, by_trial = likeliest(told), marginal(told)
@@ -226,6 +254,7 @@ def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
 
 def lacked(data: Data, fit: Fit) -> list[np.ndarray]:
     """What a fit most likely lacks in each trial, over sigma, (2 n,)."""
+    data = data.of(fit.hypothesis)
     told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
     return [d.mean(each[0], int(size)) for d, each, size in told]
 
@@ -233,6 +262,7 @@ def lacked(data: Data, fit: Fit) -> list[np.ndarray]:
 def tip_draws(data: Data, fit: Fit, count: int, rng: np.random.Generator) -> np.ndarray:
     """Root mean squares at the tip of each trial of what a fit may lack, as likely as the data leave it [m], (K,
     count)."""
+    data = data.of(fit.hypothesis)
     told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
     drawn = [d.draws(each[0], int(size), count, rng) for d, each, size in told]
     return np.array([[data.only([k]).tip_rms([draw])[0] for draw in own] for k, own in enumerate(drawn)])

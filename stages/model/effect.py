@@ -71,7 +71,8 @@ class Effect(ABC):
     """Base of all effects; see the module's docstring. Effects are never instantiated: the class is the effect.
 
     excluded: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, what `align`
-    measures beforehand, or what looks like another that is looked for.
+    measures beforehand, or what looks like another that is looked for. each_time: it comes with how the string was
+    picked up or handled before, and may differ from trial to trial.
     """
 
     name: ClassVar[str]
@@ -79,6 +80,7 @@ class Effect(ABC):
     reference: ClassVar[str]
     invariants: ClassVar[tuple[Invariant, ...]] = ()
     excluded: ClassVar[bool] = False
+    each_time: ClassVar[bool] = False
 
     @staticmethod
     @abstractmethod

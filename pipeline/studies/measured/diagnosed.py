@@ -90,7 +90,7 @@ def answer(measured: Path, name: str, family: Family, trials: list[str], out: Pa
     """A row of the table but for the code; the diagnosis is left in `out`."""
     family.write(measured, name, trials, out / "dataset", {"packages": versions(PACKAGES)})
     begun = time.perf_counter()
-    found = diagnosis(out / "dataset", composed(["+experiment=diagnose"]))
+    found = diagnosis(out / "dataset", composed(["+experiment=diagnose"]) | {"string": family.settings["string"]})
     seconds = time.perf_counter() - begun
     text = found.finding["diagnosis"].iloc[0]
     write_text(out / "diagnosis.json", text)

@@ -10,6 +10,7 @@ class GraspAngle(HandEffect):
 
     name = "grasp_angle"
     parameters = (Parameter("angle", "rad", "direction of the string against the last link", -0.8, 0.8, 0.0),)
+    each_time = True
     reference = "Rotation of the grasp"
     invariants = (carried("grasp", "pose"),)
 

@@ -14,6 +14,7 @@ class RestCurvature(StringEffect):
         Parameter("curvature", "1/m", "curvature at rest in the middle", -20.0, 20.0, 0.0),
         Parameter("slope", "1/m2", "rise of the curvature at rest along the string", -100.0, 100.0, 0.0),
     )
+    each_time = True
     reference = "Antman, Nonlinear Problems of Elasticity (2005), 4.1: intrinsic curvature of a rod"
     invariants = (odd("rest_curvature", "curvature", "slope"),)
 

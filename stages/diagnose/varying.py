@@ -1,0 +1,47 @@
+"""Causes that differ from trial to trial: the string was picked up anew, or handled in between.
+
+A cause that comes with that has a size that all trials share, and one of each trial about it (random effects: Laird and
+Ware 1982, Biometrics 38, 963). To first order a trial's own is a displacement of known shape, and its amplitude is
+integrated out. How far apart trials are, at the tip, is told by the data; where they are no different, that is zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.stages.inference import solver
+from stringcast.stages.inference.discrepancy import marginal
+from stringcast.stages.inference.evidence import WIDTHS, Data, Hypothesis
+from stringcast.stages.model.effect import Effect, components
+
+
+def varying(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Data:
+    """Data with what differs from trial to trial of a hypothesis at exponents (P,), as far as is likeliest."""
+    for cause in hypothesis.causes:
+        if cause.each_time:
+            moved = _moved(data, hypothesis, cause, chi)
+            tried = [data, *(replace(data, varying={**data.varying, cause.name: _times(moved, w)}) for w in WIDTHS)]
+            data = max(tried, key=lambda each: _log_likelihood(each, hypothesis, chi))
+    return data
+
+
+def _moved(data: Data, hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray) -> tuple[np.ndarray, ...]:
+    """How each trial moves, over sigma, with the components of a cause that move all tips by 1 m, (2 n, m)."""
+    places = hypothesis.places(cause, components(cause))
+    beside = np.repeat(chi[None], len(places) + 1, axis=0)
+    beside[range(len(places)), places] += np.where(chi[places] > 0.5, -solver.FIRST, solver.FIRST)
+    moved = [each[:-1] - each[-1] for each in data.residuals(hypothesis.model, beside)]
+    sizes = data.tip_sizes(moved)
+    return tuple((each / sizes[:, None]).T for each in moved)
+
+
+def _times(moved: tuple[np.ndarray, ...], width: float) -> tuple[np.ndarray, ...]:
+    return tuple(width * each for each in moved)
+
+
+def _log_likelihood(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> float:
+    """Of all trials, whatever each lacks."""
+    own = data.of(hypothesis)
+    return float(marginal(own.log_likelihoods(own.residuals(hypothesis.model, chi[None]))).sum())
