@@ -239,6 +239,7 @@ def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Secti
     paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
     parts = [
         Text(_told(cast)),
+        *_estimated(record, cast),
         *(Text(undrawn.format(name), "missing") for name in unstable),
         Explore([Grid(seen), Grid(_over_time(record, cast))], layers),
         Grid([paths, Column([_attempts(cast), _link_and_frames(cast)])]),
@@ -265,7 +266,14 @@ def _told(cast: Cast) -> Markup:
             f"The string lay in an obstacle in {verdict.touched} frame(s); nothing is learned from what it does from "
             "there on, and it is simulated as if nothing stood there."
         )
-    return joined([*said, "" if cast.estimate is None else sentence(cast.estimate.fit["sentence"].iloc[0])])
+    return joined(said)
+
+
+def _estimated(record: Record, cast: Cast) -> list[Text]:
+    """The sentence of its estimation, but for the last, which stands above all casts."""
+    if cast.estimate is None or cast.estimate is record.estimates[-1]:
+        return []
+    return [Text(sentence(cast.estimate.fit["sentence"].iloc[0]))]
 
 
 def _closest(record: Record, cast: Cast) -> Part:
