@@ -16,7 +16,7 @@ from stringcast.data.importers.files import recordings
 from stringcast.data.importers.gathered import gathered
 from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
-from stringcast.pipeline.commands.import_ import parser
+from stringcast.pipeline.commands.import_options import parser
 from stringcast.pipeline.importing import BenchHints, imported, written
 from stringcast.pipeline.settings import UserError
 
