@@ -101,9 +101,9 @@ def _grasp(what: Gathered, bench: BenchHints) -> pd.DataFrame:
         return named.assign(**{axis: what.motion[axis] for axis in "xy"}, theta=what.motion["theta"] + bench.turn)
     count = len(what.joints)
     if len(bench.links) != count:
-        there = f"{len(bench.links)} links are named" if bench.links else "its links are not"
+        there = f"{len(bench.links)} links are named" if bench.links else "no lengths of links"
         raise DataError(
-            f"there are the angles of {count} joint{'s' * (count > 1)}, and {there}. Say how long they are, base "
+            f"there are the angles of {count} joint{'s' * (count > 1)}, and {there}. Say how long the links are, base "
             f"first: --links {','.join((LINKS * count)[:count])} --base 0,0. Where some do not turn in the plane, name "
             "those that do: --map q1=<column> --map q2=<column>."
         )
