@@ -21,6 +21,7 @@ from stringcast.stages.model.statics import grasp_set
 from stringcast.stages.model.string import BASE
 
 SAID = {"acceleration", "flow", "rest_curvature", "density", "tip_mass", "tip_length"}  # slots that MuJoCo has, too
+SAID |= {"hidden_length", "grasp_offset"}
 VISCOSITY, DENSITY = 0.1, 1.0  # of the air [Pa s], [kg/m3]: such that a ball moves no air to speak of along with it
 SMALL = 1e-3  # radius of gyration of a mass point, in segments
 DOWN = np.array([[0.0, 0.0, -np.pi / 2]])  # pose of a grasp from which the string hangs straight
@@ -54,7 +55,7 @@ density="{density:g}" viscosity="{viscosity:g}">
 </mujoco>
 """
 LINK = """\
-{pad}<body name="link_{number}" pos="{start:.9g} 0 0">
+{pad}<body name="link_{number}" pos="{start:.9g} {beside:.9g} 0">
 {pad}  <joint name="hinge_{number}" type="hinge" axis="0 0 1" stiffness="{stiffness:.9g}" damping="{damping:.9g}" \
 springref="{rest:.9g}"/>
 {pad}  <inertial pos="{length:.9g} 0 0" mass="{mass:.9g}" diaginertia="{inertia:.9g} {inertia:.9g} {inertia:.9g}"/>
@@ -110,8 +111,11 @@ def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, An
     hinges += [(named["bending_stiffness"] / length, named["bending_damping"] / length, angle) for angle in rest]
     radius = cells * named["linear_drag"] / (6 * np.pi * VISCOSITY)
     blunt = cells * named["quadratic_drag"] / (DENSITY * np.pi * radius**2)
+    offsets = [np.ravel(offset) for offset in string.added("grasp_offset", material, {})]
+    along, across = np.sum([np.zeros(2), *offsets], axis=0)
     return [
-        {"number": i + 1, "start": length if i else 0.0, "length": length, "mass": masses[i]}
+        {"number": i + 1, "start": length if i else along, "beside": 0.0 if i else across}
+        | {"length": length, "mass": masses[i]}
         | {"stiffness": stiff * over, "damping": damped * over, "rest": angle, "radius": radius[i], "blunt": blunt[i]}
         | {"inertia": masses[i] * (SMALL * length) ** 2}
         for i, (stiff, damped, angle) in enumerate(hinges)

@@ -25,6 +25,7 @@ CASES = {
     "blown about, a weight at its tip": {"wind.along_x": 1.0, "tip_mass.ratio": 0.1},
     "curved, the base not level": {"rest_curvature.curvature": 2.0, "gravity_direction.tilt": 0.05},
     "heavier towards the tip": {"density_taper.taper": 0.5},
+    "clamped elsewhere": {"clamp.hidden": 0.02, "clamp.along": 0.005, "clamp.across": -0.004},
 }
 
 
@@ -77,7 +78,7 @@ def test_what_is_written_weighs_and_measures_what_the_string_does(arm):
 
 
 def test_what_mujoco_has_no_law_for_is_refused_by_name(arm):
-    for name in ("maxwell_slip", "nonlinear_bending", "anisotropic_drag", "contact", "clamp"):
+    for name in ("maxwell_slip", "nonlinear_bending", "anisotropic_drag", "contact"):
         model = ordinary(arm).with_effects(library()[name])
         with pytest.raises(DataError, match=f"effect '{name}': MuJoCo has no such law"):
             mjcf(model, model.values({}), MASS, STEP)
