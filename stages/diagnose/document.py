@@ -178,7 +178,8 @@ def settings(model: Model, fit: Fit, intervals: Mapping[str, Sequence[float]]) -
     string, values = fit.hypothesis.model.string, fit.values
     kind = type(string.integrator)
     integrator = {"_target_": f"{kind.__module__}.{kind.__qualname__}".removeprefix("stringcast.")}
-    told: dict[str, object] = {"points": string.points, "tip_cell": string.tip_cell, "grasp_cell": string.grasp_cell}
+    told: dict[str, object] = {"length": float(f"{string.length:.8g}"), "points": string.points}
+    told |= {"tip_cell": string.tip_cell, "grasp_cell": string.grasp_cell}
     told |= {"largest_step": string.largest_step, "ranges": wider(model.string, string), "integrator": integrator}
     known: dict[str, object] = {name: float(f"{value:.8g}") for name, value in values.items()}
     for name, (low, high) in {**intervals, **model.measured}.items():

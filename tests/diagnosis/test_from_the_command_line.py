@@ -67,6 +67,7 @@ def test_other_experiments_take_the_extended_model(places, called):
     settings = json.loads((places / "again" / "config.json").read_text())
     assert settings["effects"] == extended["effects"]
     assert settings["string"]["points"] == extended["string"]["points"]
+    assert settings["string"]["length"] == pytest.approx(extended["string"]["length"])
     assert settings["known"] == extended["known"]
 
 
