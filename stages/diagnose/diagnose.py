@@ -133,8 +133,9 @@ def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
 def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria) -> bool:
     """Whether trials that were set aside lack more at the tip than is tolerated, the model fitted to them as well: what
     the others leave open of its parameters is no cause."""
-    seen, aside = found.prepared.data, found.prepared.others(observations)
-    data = Data(seen.trials + aside.trials, seen.discrepancies + aside.discrepancies)
+    seen, aside = found.prepared.data, found.prepared.others(observations, found.fit)
+    varying = {name: seen.varying[name] + aside.varying[name] for name in seen.varying.keys() & aside.varying.keys()}
+    data = Data(seen.trials + aside.trials, seen.discrepancies + aside.discrepancies, varying)
     sizes = np.concatenate([found.fit.sizes, np.zeros(len(aside.trials), dtype=int)])
     fit = fitted(data, found.fit.hypothesis, found.fit.chi[None], sizes, ROUNDS, MOST)
     return bool(unexplained(data, fit).max() > criteria.tolerance)
@@ -192,7 +193,7 @@ def _gained(given: Given, found: Found, base: Fit) -> tuple[pd.DataFrame, bool]:
     if len(given.observations) == 1:
         return HELD_OUT.empty(), False
     seen = [given.observations[i] for i in given.rest or given.kept]
-    data = found.prepared.others(seen) if given.rest else found.prepared.data
+    data = found.prepared.others(seen, found.fit) if given.rest else found.prepared.data
     more = predicted(data, found.fit, unseen=True) if given.rest else found.predictions
     plain = more if base is found.fit else predicted(data, base, unseen=bool(given.rest))
     return held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more)

@@ -79,15 +79,15 @@ class Prepared:
             return lacking(own, fit.hypothesis, fit.chi), np.zeros(len(own))
         return corrected(own, fit.hypothesis, fit.chi)
 
-    def others(self, observations: Sequence[Observation]) -> Data:
-        """Data of further trials, with the noise of these."""
+    def others(self, observations: Sequence[Observation], fit: Fit) -> Data:
+        """Data of further trials, with the noise of these and the numerical error of a fit."""
         base, sigma = self.base, float(np.median(np.concatenate([trial.sigma for trial in self.raw])))
         model, noise = base.hypothesis.model, self.raw[0].noise
         whole = [awake(case(model, o)) for o in observations]
         trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
         plain = lacking(trials, base.hypothesis, base.chi).residuals(model, base.chi[None])
         kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(trials, plain, strict=True)]
-        return self.of(kept, base)[0]
+        return self.of(kept, fit)[0]
 
 
 def prepared(
