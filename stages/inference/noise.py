@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 from stringcast.stages.inference.basis import PLACES, RANK
 
 LONGEST = 0.5  # correlation with the frame before, as of means over two frames: more is motion
-LOUDER = 2.0  # than the middle trial, in variance: no two films of one camera differ as much
+LOUDER = 2.0  # than the middle trial, in variance: films of laboratories differ by up to 1.8 (nodal, seed 1)
 
 
 @dataclass(frozen=True)
