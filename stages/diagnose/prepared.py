@@ -19,7 +19,7 @@ from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluate
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import modes
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.noise import WHITE, middle, told
+from stringcast.stages.inference.noise import WHITE, told
 from stringcast.stages.inference.search import CONVERGE, refined, screened, searched, with_noise
 from stringcast.stages.model.accuracy import extrapolated
 from stringcast.stages.model.implicit import ImplicitLeapfrog
@@ -82,7 +82,7 @@ class Prepared:
     def others(self, observations: Sequence[Observation], fit: Fit) -> Data:
         """Data of further trials, with the noise of these and the numerical error of a fit."""
         base, sigma = self.base, float(np.median(np.concatenate([trial.sigma for trial in self.raw])))
-        model, noise = base.hypothesis.model, middle([trial.noise for trial in self.raw])
+        model, noise = base.hypothesis.model, self.raw[0].noise
         whole = [awake(case(model, o)) for o in observations]
         trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
         plain = lacking(trials, base.hypothesis, base.chi).residuals(model, base.chi[None])
@@ -112,8 +112,7 @@ def prepared(
     sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
     base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
-    made = Prepared(data, base, trials, outliers, resting, doubt, stated=stated).heard(base)
-    made, base = converged(made, fitted(made.data, hypothesis, base.chi[None], base.sizes, ROUNDS, MOST))
+    made, base = converged(Prepared(data, base, trials, outliers, resting, doubt, stated=stated), base)
     made = _not_taken_along(replace(made, base=base), tolerance, rng, starts)
     return _with_nearer_mesh(_without_chaotic(made, tolerance), model, tolerance)
 
@@ -293,9 +292,9 @@ def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tup
 def _heard(trials: Sequence[Case], residuals: Sequence[np.ndarray], stated: bool) -> tuple[Case, ...]:
     """Trials with the noise that residuals (2 n,) over sigma tell; with a white one where it is less than is stated."""
     pairs = zip(trials, residuals, strict=True)
-    noises = told([tracked_noise(trial, off.reshape(-1, 2)) for trial, off in pairs])
-    heard = [WHITE if stated and noise.of_means < 1 else noise for noise in noises]
-    return tuple(replace(trial, noise=noise) for trial, noise in zip(trials, heard, strict=True))
+    noise = told([tracked_noise(trial, off.reshape(-1, 2)) for trial, off in pairs])
+    noise = WHITE if stated and noise.of_means < 1 else noise
+    return tuple(replace(trial, noise=noise) for trial in trials)
 
 
 def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, np.ndarray, float]:

@@ -3,8 +3,8 @@
 Centre-lines are read from images with widths, and trackers smooth. Thousands of readings that are not independent say
 less than as many that are: smooth motion, which is what they are asked for, is then known worse than each reading by
 itself. So noise is told in the functions of place of `basis`, made orthonormal in each frame: their covariance, the
-same in all frames of a trial, and the correlation with the frame before (AR(1)). Both are told by what residuals have
-beside smooth motion; restricted likelihood knows what the smooth part has taken of them (Patterson and Thompson 1971,
+same in all frames, and the correlation with the frame before (AR(1)). Both are told by what residuals have beside
+smooth motion; restricted likelihood knows what the smooth part has taken of them (Patterson and Thompson 1971,
 Biometrika 58, 545).
 """
 
@@ -21,7 +21,6 @@ from scipy.sparse import csr_array
 from stringcast.stages.inference.basis import PLACES, RANK
 
 LONGEST = 0.5  # correlation with the frame before, as of means over two frames: more is motion
-LOUDER = 2.0  # than the middle trial, in variance: films of laboratories differ by up to 1.8 (nodal, seed 1)
 
 
 @dataclass(frozen=True)
@@ -80,38 +79,32 @@ def track(time: csr_array, place: np.ndarray, frame: np.ndarray, residual: np.nd
     return Track(time.toarray(), (inverse @ sums).reshape(frames, -1))
 
 
-def told(tracks: Sequence[Track]) -> list[Noise]:
-    """The noise of each trial. What a model lacks in a trial looks like more noise, never like less: none is taken for
-    more than twice as loud as the middle one."""
-    found = [_likeliest(each) for each in tracks]
-    usual = middle(found)
-    loudest = Noise(LOUDER * usual.places, usual.before)
-    return [min(each, loudest, key=lambda noise: noise.of_means) for each in found]
+def told(tracks: Sequence[Track]) -> Noise:
+    """The noise of all trials. What a model lacks in a trial looks like more noise, never like less, so the quieter
+    half of them is asked (least trimmed: Rousseeuw 1984, JASA 79, 871)."""
+    quiet = sorted(tracks, key=lambda each: _likeliest([each]).of_means)
+    return _likeliest(quiet[: len(tracks) // 2 + 1])
 
 
-def middle(noises: Sequence[Noise]) -> Noise:
-    """That which is as loud as half of them at most."""
-    return sorted(noises, key=lambda each: each.of_means)[(len(noises) - 1) // 2]
+def _likeliest(tracks: Sequence[Track]) -> Noise:
+    """That of some trials together. Before they speak it is white, which counts as much as PLACES frames."""
+    found = minimize_scalar(lambda before: -_restricted(tracks, before)[0], bounds=(0.0, LONGEST), method="bounded")
+    return Noise(_restricted(tracks, found.x)[1], float(found.x))
 
 
-def _likeliest(each: Track) -> Noise:
-    """That of one trial. Before it speaks noise is white, which counts as much as PLACES frames, and frames are
-    independent, but for a log-likelihood that is higher by one (Akaike 1974, IEEE Trans. Automatic Control 19, 716)."""
-    found = minimize_scalar(lambda before: -_restricted(each, before)[0], bounds=(0.0, LONGEST), method="bounded")
-    before = float(found.x) if -found.fun > _restricted(each, 0.0)[0] + 1.0 else 0.0
-    return Noise(_restricted(each, before)[1], before)
-
-
-def _restricted(each: Track, before: float) -> tuple[float, np.ndarray]:
+def _restricted(tracks: Sequence[Track], before: float) -> tuple[float, np.ndarray]:
     """Restricted log-likelihood of a correlation with the frame before, and the covariance that is likeliest then."""
-    time, seen = _innovations(each.time, before), _innovations(each.told, before)
-    q, r = np.linalg.qr(time)
-    kept = np.abs(np.diag(r)) > np.sqrt(RANK) * np.abs(r).max()
-    left = (seen - q[:, kept] @ (q[:, kept].T @ seen)).reshape(-1, PLACES, 2)
-    free = PLACES + 2 * int(len(seen) - kept.sum())
-    places = (PLACES * np.eye(PLACES) + np.einsum("fic,fjc->ij", left, left)) / free
-    volume = (len(seen) - 1) * np.log1p(-(before**2)) + 2 * np.log(np.abs(np.diag(r)[kept])).sum()
-    return -0.5 * (2 * PLACES * volume + free * np.linalg.slogdet(places)[1]), places
+    scatter, free, log_volume = PLACES * np.eye(PLACES), PLACES, 0.0
+    for each in tracks:
+        time, seen = _innovations(each.time, before), _innovations(each.told, before)
+        q, r = np.linalg.qr(time)
+        kept = np.abs(np.diag(r)) > np.sqrt(RANK) * np.abs(r).max()
+        left = (seen - q[:, kept] @ (q[:, kept].T @ seen)).reshape(-1, PLACES, 2)
+        scatter += np.einsum("fic,fjc->ij", left, left)
+        free += 2 * (len(seen) - kept.sum())
+        log_volume += (len(seen) - 1) * np.log1p(-(before**2)) + 2 * np.log(np.abs(np.diag(r)[kept])).sum()
+    places = scatter / free
+    return -0.5 * (2 * PLACES * log_volume + free * np.linalg.slogdet(places)[1]), places
 
 
 def _innovations(values: np.ndarray, before: float) -> np.ndarray:
