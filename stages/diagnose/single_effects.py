@@ -161,14 +161,25 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
     assert best is not None
     gain, by_trial = best.evidence - step.parent.evidence, best.by_trial - step.parent.by_trial
     once = _touches_once(data, best, best.hypothesis.causes[-1], criteria.least_size)
-    enough = removed(data, step.parent, best, criteria.tolerance) if once else gain - by_trial.max()
-    wanted = criteria.least_share if once else criteria.enough
-    return bool(
-        gain > criteria.enough
-        and enough > wanted
-        and moved(data, step.parent, best).max() > criteria.least_size
-        and not best.lost
-    )
+    if gain < criteria.enough or best.lost or moved(data, step.parent, best).max() < criteria.least_size:
+        return False
+    if once:
+        return removed(data, step.parent, best, criteria.tolerance) > criteria.least_share
+    return bool(gain - by_trial.max() > criteria.enough or _jackknife(data, step) > criteria.enough)
+
+
+def _jackknife(data: Data, step: Step) -> float:
+    """Gain of the evidence without the trial that says most for the best of a step, fitted anew to the others: that one
+    may have taken the fit along."""
+    best = step.best
+    assert best is not None
+    most = int(np.argmax(best.by_trial - step.parent.by_trial))
+    rest = [k for k in range(len(data.trials)) if k != most]
+    if not rest:
+        return -np.inf
+    fits = (best, step.parent)
+    others = [fitted(data.only(rest), f.hypothesis, f.chi[None], f.sizes[rest], TURNS, STEPS) for f in fits]
+    return others[0].evidence - others[1].evidence
 
 
 def _touches_once(data: Data, fit: Fit, cause: type[Effect], least_size: float) -> bool:
@@ -188,12 +199,12 @@ def unexplained(data: Data, fit: Fit) -> np.ndarray:
 
 
 def removed(data: Data, parent: Fit, fit: Fit, tolerance: float) -> float:
-    """Share of what a parent lacks, in mean square at the tip, that a fit does not: in the median trial of those that
-    lack more than is tolerated [m], for one that is far off says nothing of the others."""
-    before, after = unexplained(data, parent), unexplained(data, fit)
-    asked = before >= min(tolerance, before.max())
-    squares = np.maximum(before[asked], np.finfo(float).tiny) ** 2
-    return float(np.median(1 - after[asked] ** 2 / squares))
+    """Share of what a parent lacks, in mean square at the tip, that a fit does not: of all trials together or in the
+    median one of those that lack more than is tolerated [m], whichever is less. One that is far off says nothing of the
+    others, nor do they of it."""
+    before, after = (np.maximum(unexplained(data, f), np.finfo(float).tiny) ** 2 for f in (parent, fit))
+    asked = before >= min(tolerance**2, before.max())
+    return float(min(1 - after.sum() / before.sum(), np.median(1 - after[asked] / before[asked])))
 
 
 def moved(data: Data, one: Fit, other: Fit) -> np.ndarray:

@@ -6,21 +6,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from conftest import TRUTH, ordinary
 from scipy.stats import cauchy, multivariate_normal
 
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.casts import Design
+from stringcast.stages.diagnose.prepared import lacking as lacking_at
+from stringcast.stages.diagnose.prepared import resolved
 from stringcast.stages.diagnose.single_effects import Step, enters
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.discrepancy import SIZES, TYPICAL, Discrepancy, _kernel_root, log_prior, smoothed
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
-from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted
+from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.library import library, named
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import chi_of
 from stringcast.stages.model.string import String
-from tests.diagnosis.performed import CRITERIA, performed
+from tests.diagnosis.performed import CRITERIA, performed, swings
 
 BASE = {
     **{"axial_stiffness": 5e5, "axial_damping": 30.0, "bending_stiffness": 3.0, "bending_damping": 0.005},
@@ -83,23 +87,41 @@ def test_noise_is_told_beside_motion_however_large(trial):
     assert np.abs(beside).max() < 6
 
 
-def test_what_one_trial_says_alone_is_not_believed(trial):
+@pytest.mark.parametrize(("heavy", "believed"), [((1, 1, 1), True), ((1, 0, 0), False)])
+def test_what_one_trial_says_alone_is_asked_of_the_others(arm, heavy, believed):
+    """heavy: in which trials something hangs at the tip. The first says all for it, the others speak against the fit
+    that it took along; fitted to them alone it is there, or it is not."""
+    base = Hypothesis(resolved(ordinary(arm)))
+    heavier = base.joined(library()["tip_mass"])
+    rng, places = np.random.default_rng(0), np.array([8, 14, 20])
+    pairs = enumerate(zip(heavy, swings(arm, 3, 0.3), strict=True))
+    masses = [(f"t{k}", {**TRUTH, "tip_mass.ratio": 0.1 * there}, angles) for k, (there, angles) in pairs]
+    observed = [performed(name, arm, heavier.model, own, angles, places, rng) for name, own, angles in masses]
+    chi = chi_of(base.parameters, np.array([TRUTH[p.name] for p in base.parameters]))
+    data = lacking_at([case(base.model, each) for each in observed], base, chi)
+    parent = fitted(data, base, chi[None], np.full(3, 9), 4, 10)
+    best = evaluated(data, heavier, chi_of(heavier.parameters, np.array(base_values(heavier, 0.1))))
+    said = np.array([623.0, -36.0, -75.0])
+    best = replace(best, by_trial=parent.by_trial + said, evidence=parent.evidence + said.sum())
+    assert enters(data, Step(parent, (), [best]), CRITERIA) is believed
+
+
+def base_values(hypothesis, ratio):
+    return [{**TRUTH, "tip_mass.ratio": ratio}[p.name] for p in hypothesis.parameters]
+
+
+def test_what_hardly_moves_the_tip_does_not_enter(trial):
     growth, none = np.ones(25), np.zeros((2 * len(trial.s), 0))
     data = Data((trial,) * 3, (Discrepancy.of(trial, growth, none),) * 3)
     hypothesis = Hypothesis(trial.model)
     still = tuple(np.zeros(2 * len(trial.s)) for _ in range(3))
-    moves = tuple(each + 10.0 for each in still)
     parent = Fit(hypothesis, np.zeros(8), still, (), np.zeros(3, dtype=int), np.zeros(3), 0.0)
-    heavier = hypothesis.joined(library()["tip_mass"])
-
-    def fit(*by_trial):
-        return replace(parent, hypothesis=heavier, residuals=moves, by_trial=np.array(by_trial), evidence=sum(by_trial))
-
-    assert enters(data, Step(parent, (), [fit(20.0, 20.0, 20.0)]), CRITERIA)
-    assert not enters(data, Step(parent, (), [fit(623.0, -36.0, -75.0)]), CRITERIA)
-    assert not enters(data, Step(parent, (), [fit(100.0, 3.0, 1.0)]), CRITERIA)
-    small = replace(fit(20.0, 20.0, 20.0), residuals=tuple(each + 0.1 for each in still))
-    assert not enters(data, Step(parent, (), [small]), CRITERIA)
+    heavier = replace(
+        parent, hypothesis=hypothesis.joined(library()["tip_mass"]), by_trial=np.full(3, 20.0), evidence=60.0
+    )
+    far, near = (replace(heavier, residuals=tuple(each + off for each in still)) for off in (10.0, 0.1))
+    assert enters(data, Step(parent, (), [far]), CRITERIA)
+    assert not enters(data, Step(parent, (), [near]), CRITERIA)
 
 
 def said_of(model, observations, monkeypatch):
