@@ -202,7 +202,7 @@ def removed(data: Data, parent: Fit, fit: Fit, tolerance: float) -> float:
     """Share of what a parent lacks, in mean square at the tip, that a fit does not: of all trials together or in the
     median one of those that lack more than is tolerated [m], whichever is less. One that is far off says nothing of the
     others, nor do they of it."""
-    before, after = (np.maximum(unexplained(data, f), np.finfo(float).tiny) ** 2 for f in (parent, fit))
+    before, after = (np.maximum(unexplained(data, f) ** 2, np.finfo(float).tiny) for f in (parent, fit))
     asked = before >= min(tolerance**2, before.max())
     return float(min(1 - after.sum() / before.sum(), np.median(1 - after[asked] / before[asked])))
 

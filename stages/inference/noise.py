@@ -55,10 +55,10 @@ WHITE = Noise(np.eye(PLACES), 0.0)
 
 @dataclass(frozen=True)
 class Track:
-    """What is told of a trial's noise. time: smooth functions of time (F, B). told: residuals in functions of place,
+    """What is told of a trial's noise. smooth: functions of time (F, B). told: residuals in functions of place,
     orthonormal in each frame, of both coordinates, (F, 2 PLACES)."""
 
-    time: np.ndarray
+    smooth: np.ndarray
     told: np.ndarray
 
 
@@ -96,8 +96,8 @@ def _restricted(tracks: Sequence[Track], before: float) -> tuple[float, np.ndarr
     """Restricted log-likelihood of a correlation with the frame before, and the covariance that is likeliest then."""
     scatter, free, log_volume = PLACES * np.eye(PLACES), PLACES, 0.0
     for each in tracks:
-        time, seen = _innovations(each.time, before), _innovations(each.told, before)
-        q, r = np.linalg.qr(time)
+        smooth, seen = _innovations(each.smooth, before), _innovations(each.told, before)
+        q, r = np.linalg.qr(smooth)
         kept = np.abs(np.diag(r)) > np.sqrt(RANK) * np.abs(r).max()
         left = (seen - q[:, kept] @ (q[:, kept].T @ seen)).reshape(-1, PLACES, 2)
         scatter += np.einsum("fic,fjc->ij", left, left)

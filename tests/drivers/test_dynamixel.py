@@ -138,13 +138,16 @@ def test_a_fault_of_the_bus_ends_with_the_arm_at_rest_and_one_error(log, kind):
 class Interrupted(VelocityArm):
     """A driver whose user loses patience in mid-movement."""
 
-    def _guard(self):
-        def pressed():
-            if self.wire.number > 20:
-                raise KeyboardInterrupt
-            return ""
+    @property
+    def latched(self):
+        """Asked before each velocity."""
+        if self.moving and self.wire.number > 20:
+            raise KeyboardInterrupt
+        return self.why
 
-        return replace(super()._guard(), pressed=pressed)
+    @latched.setter
+    def latched(self, why):
+        self.why = why
 
 
 def test_an_emergency_stop_is_the_servos_own_latch_until_it_is_cleared(log):
