@@ -38,9 +38,8 @@ def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     """
     apart = np.diff(s)[np.diff(frame) == 0]  # of neighbours in a frame
     apart = apart[apart > 0]
-    width = (
-        min(PLACE, float(np.median(apart)) / 2) if apart.size else PLACE
-    )  # of a place that is the same in all frames
+    # of a place that is the same in all frames
+    width = min(PLACE, float(np.median(apart)) / 2) if apart.size else PLACE
     fixed = _binned(frame, s, width)
     most = int(np.quantile(np.unique(frame, return_counts=True)[1], FULL)) if len(frame) else 0  # in a full frame
     if most < 2 or np.ptp(s) <= PLACE or _even(frame, fixed):

@@ -85,7 +85,7 @@ class Prepared:
         model, noise = base.hypothesis.model, self.raw[0].noise
         whole = [awake(case(model, o)) for o in observations]
         trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
-        plain = lacking(trials, base.hypothesis, base.chi).residuals(model, base.chi[None])
+        plain = Data(tuple(trials), ()).residuals(model, base.chi[None])
         kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(trials, plain, strict=True)]
         return self.of(kept, fit)[0]
 

@@ -58,11 +58,12 @@ class Criteria:
 @dataclass(frozen=True)
 class Step:
     """One choice. parent: the fit beside which it is made. proposals: of all candidates. tried: those fitted, the most
-    evident first."""
+    evident first. entered: whether the best of them is there beyond doubt."""
 
     parent: Fit
     proposals: Sequence[Proposal]
     tried: Sequence[Fit]
+    entered: bool = False
 
     @property
     def best(self) -> Fit | None:
@@ -94,7 +95,7 @@ def searched(
         step = compared(found.prepared, found.fit, effects, criteria, seed)
         progress((number + 1) / (criteria.causes + 1))
         found = replace(found, path=(*found.path, step))
-        if step.best is None or not enters(found.prepared.data, step, criteria):
+        if step.best is None or not step.entered:
             break
         found = _joined(found, step.best, criteria, np.random.default_rng([seed, number]), starts)
         log.info(
@@ -131,10 +132,8 @@ def compared(prepared: Prepared, parent: Fit, effects: Sequence[type[Effect]], c
     free = [e for e in effects if e not in parent.hypothesis.causes]
     ranked = proposals(data, parent, free, seed)
     first = [p for p in ranked[:PROMISING] if p.gain > WORTH]
-    step = Step(parent, ranked, _fitted(data, parent, first))
-    step = _contested(prepared, step, criteria)
-    lacking = unexplained(data, parent).max() > criteria.least_size
-    if lacking and not (step.best and enters(data, step, criteria)):
+    step = _contested(prepared, Step(parent, ranked, _fitted(data, parent, first)), criteria)
+    if not step.entered and unexplained(data, parent).max() > criteria.least_size:
         rest = [p for p in ranked if p not in first]
         step = replace(step, tried=_ranked([*step.tried, *_fitted(data, parent, rest)]))
         step = _contested(prepared, step, criteria)
@@ -142,14 +141,16 @@ def compared(prepared: Prepared, parent: Fit, effects: Sequence[type[Effect]], c
 
 
 def _contested(prepared: Prepared, step: Step, criteria: Criteria) -> Step:
-    """With those fitted to the end that come near to the most evident, if that is evident at all."""
+    """With those fitted to the end that come near to the most evident, if that is evident at all, and whether the best
+    then enters."""
     parent = step.parent
     if step.best is None or step.best.evidence < parent.evidence + criteria.enough:
         return step
     enough = parent.evidence + criteria.least_share * (step.best.evidence - parent.evidence)
     count = sum(fit.evidence > enough for fit in step.tried[:RIVALS])
     rivals = [polished(prepared, fit)[1] for fit in step.tried[:count]]
-    return replace(step, tried=_ranked([*rivals, *step.tried[count:]]))
+    step = replace(step, tried=_ranked([*rivals, *step.tried[count:]]))
+    return replace(step, entered=enters(prepared.data, step, criteria))
 
 
 def enters(data: Data, step: Step, criteria: Criteria) -> bool:
@@ -159,16 +160,20 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
     """
     best = step.best
     assert best is not None
-    gain, by_trial = best.evidence - step.parent.evidence, best.by_trial - step.parent.by_trial
-    once = _touches_once(data, best, best.hypothesis.causes[-1], criteria.least_size)
+    gain = best.evidence - step.parent.evidence
     if gain < criteria.enough or best.lost or moved(data, step.parent, best).max() < criteria.least_size:
         return False
-    if once:
+    if _touches_once(data, best, best.hypothesis.causes[-1], criteria.least_size):
         return removed(data, step.parent, best, criteria.tolerance) > criteria.least_share
-    return bool(gain - by_trial.max() > criteria.enough or _jackknife(data, step) > criteria.enough)
+    return least_gain(step.parent, best) > criteria.enough or _gain_anew(data, step) > criteria.enough
 
 
-def _jackknife(data: Data, step: Step) -> float:
+def least_gain(parent: Fit, fit: Fit) -> float:
+    """Gain of the evidence, whichever trial is left out, both fits staying where they are."""
+    return float(fit.evidence - parent.evidence - (fit.by_trial - parent.by_trial).max())
+
+
+def _gain_anew(data: Data, step: Step) -> float:
     """Gain of the evidence without the trial that says most for the best of a step, fitted anew to the others: that one
     may have taken the fit along."""
     best = step.best

@@ -13,7 +13,7 @@ from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCRE
 from stringcast.stages.diagnose.document import MM
 from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
-from stringcast.stages.diagnose.single_effects import Criteria, Found, moved, removed, unexplained
+from stringcast.stages.diagnose.single_effects import Criteria, Found, least_gain, moved, removed, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered
 from stringcast.stages.inference.evidence import Data, Fit, lacked
 from stringcast.stages.model.effect import Effect, ModelChange
@@ -70,7 +70,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
             "parameters": len(fit.chi),
             "mean_square": float(np.mean(np.concatenate(fit.residuals) ** 2)),
             "fit_gain": fit.evidence - base.evidence,
-            "held_out_gain": _jackknife(fit, base),
+            "held_out_gain": _held_out_gain(fit, base),
             "moved": float(moved(data, base, fit).max()),
             "unexplained": 1 - removed(data, base, fit, tolerance),
             "probability": chance.get(name, 0.0),
@@ -80,11 +80,10 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
     return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
 
 
-def _jackknife(fit: Fit, base: Fit) -> float:
+def _held_out_gain(fit: Fit, base: Fit) -> float:
     """What is left of the evidence over the base model without the trial that says most."""
-    if fit is base or len(fit.by_trial) != len(base.by_trial):
-        return float("nan")
-    return float(fit.evidence - base.evidence - (fit.by_trial - base.by_trial).max())
+    same = fit is not base and len(fit.by_trial) == len(base.by_trial)
+    return least_gain(base, fit) if same else float("nan")
 
 
 def screening(found: Found) -> pd.DataFrame:

@@ -21,27 +21,22 @@ def varying(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Data:
     """Data with what differs from trial to trial of a hypothesis at exponents (P,), as far as is likeliest."""
     for cause in hypothesis.causes:
         if cause.each_time:
-            moved = _moved(data, hypothesis, cause, chi)
-            tried = [data, *(replace(data, varying={**data.varying, cause.name: _times(moved, w)}) for w in WIDTHS)]
-            data = max(tried, key=lambda each: _log_likelihood(each, hypothesis, chi))
+            here, moved = _moved(data, hypothesis, cause, chi)
+            widths = [tuple(width * each for each in moved) for width in WIDTHS]
+            tried = [data, *(replace(data, varying={**data.varying, cause.name: each}) for each in widths)]
+            data = max(tried, key=lambda each: marginal(each.of(hypothesis).log_likelihoods(here)).sum())
     return data
 
 
-def _moved(data: Data, hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray) -> tuple[np.ndarray, ...]:
-    """How each trial moves, over sigma, with the components of a cause that move all tips by 1 m, (2 n, m)."""
+def _moved(
+    data: Data, hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Residuals of each trial, (1, 2 n), and how it moves, over sigma, with the components of a cause that move all
+    tips by 1 m, (2 n, m)."""
     places = hypothesis.places(cause, components(cause))
     beside = np.repeat(chi[None], len(places) + 1, axis=0)
     beside[range(len(places)), places] += np.where(chi[places] > 0.5, -solver.FIRST, solver.FIRST)
-    moved = [each[:-1] - each[-1] for each in data.residuals(hypothesis.model, beside)]
+    residuals = data.residuals(hypothesis.model, beside)
+    here, moved = [each[-1:] for each in residuals], [each[:-1] - each[-1] for each in residuals]
     sizes = data.tip_sizes(moved)
-    return tuple((each / sizes[:, None]).T for each in moved)
-
-
-def _times(moved: tuple[np.ndarray, ...], width: float) -> tuple[np.ndarray, ...]:
-    return tuple(width * each for each in moved)
-
-
-def _log_likelihood(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> float:
-    """Of all trials, whatever each lacks."""
-    own = data.of(hypothesis)
-    return float(marginal(own.log_likelihoods(own.residuals(hypothesis.model, chi[None]))).sum())
+    return here, [(each / sizes[:, None]).T for each in moved]

@@ -57,15 +57,14 @@ class Discrepancy:
         spread = trial.noise.covariance(time, gram_roots(place, trial.frame, len(trial.times)))
         values, vectors = eigh(spread)
         kept = values > RANK * values[-1]
-        told = (
-            vectors[:, kept] / np.sqrt(values[kept])
-        ).T  # coefficients of what splines tell, in which noise is white
+        # of sums over points to coefficients of what splines tell, in which noise is white
+        told = (vectors[:, kept] / np.sqrt(values[kept])).T
         smooth = told @ (splines.T @ _kernel_root(trial, growth))
         variance, turn = eigh(smooth @ smooth.T)
         of_splines = told @ (splines.T @ splines).toarray() @ vectors[:, kept]
         unturn = vectors[:, kept] @ np.linalg.solve(of_splines, turn)
-        made = cls(splines, turn.T @ told, unturn, np.maximum(variance, 0.0), np.zeros((0, 0)), nuisance)
-        return replace(made, nuisance=made.coefficients(nuisance.T).T)
+        none = (np.zeros((2 * len(variance), 0)), np.zeros((2 * len(trial.s), 0)))
+        return cls(splines, turn.T @ told, unturn, np.maximum(variance, 0.0), *none).joined(nuisance)
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
         """(C, 2 M) of residuals over sigma (C, 2 n)."""
@@ -74,10 +73,10 @@ class Discrepancy:
         found = self.turn @ (self.splines.T @ by_point)
         return np.asarray(found.reshape(number, count, 2).transpose(1, 0, 2).reshape(count, 2 * number))
 
-    def joined(self, columns: np.ndarray) -> Discrepancy:
-        """With more nuisance: columns U over sigma (2 n, m)."""
-        nuisance = np.hstack([self.nuisance, self.coefficients(columns.T).T])
-        return replace(self, nuisance=nuisance, modes=np.hstack([self.modes, columns]))
+    def joined(self, modes: np.ndarray) -> Discrepancy:
+        """With more nuisance: U over sigma (2 n, m)."""
+        nuisance = np.hstack([self.nuisance, self.coefficients(modes.T).T])
+        return replace(self, nuisance=nuisance, modes=np.hstack([self.modes, modes]))
 
     def white(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""

@@ -93,7 +93,7 @@ class Data:
         """As a hypothesis has them, some of whose causes may differ from trial to trial."""
         names = tuple(name for name in hypothesis.names if name in self.varying)
         if not names:
-            return replace(self, varying={}) if self.varying else self
+            return self
         if names not in self._of:
             columns = [np.hstack(each) for each in zip(*(self.varying[name] for name in names), strict=True)]
             told = tuple(d.joined(each) for d, each in zip(self.discrepancies, columns, strict=True))

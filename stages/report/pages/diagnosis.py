@@ -481,9 +481,8 @@ def _together(record: DiagnosisRecord) -> list[Text]:
     """Parameters of the extended model that these trials tell together better than each alone, in a sentence."""
     pairs = record.document.get("extended", {}).get("correlations", [])
     said = [f"{' and '.join(map(plain, one['parameters']))} ({one['value']:+.2f})".replace("-", "−") for one in pairs]
-    return [Text(f"Known better together than each alone, by their correlation: {', '.join(said)}.", "caption")] * bool(
-        said
-    )
+    sentence = f"Known better together than each alone, by their correlation: {', '.join(said)}."
+    return [Text(sentence, "caption")] if said else []
 
 
 def _parameter(of: Parameter, values: tuple[float, float | None], ends: Sequence[Sequence[float] | None]) -> list[Any]:
