@@ -175,7 +175,7 @@ class String:
         """Material properties from per-mass-point values, and what effects derive. (..., P) to (..., rows)."""
         reference = self.length / (self.reference_points - 1)
         material = values * reference ** np.array([p.per_length for p in self.parameters], dtype=float)
-        material = self._in_series(self._in_series(material, "stiffness"), "damping")
+        material = self._in_series(material)
         columns = [column for e in self.effects for column in e.derived(**self.own(e, material)).values()]
         if self._hides:
             columns += [self.longer(material), 1 / self.segments(material)]
@@ -186,15 +186,22 @@ class String:
         places = {p.name: self.names.index(effect.qualified(p)) for p in effect.parameters}
         return {name: material[..., place] for name, place in places.items()}
 
-    def _in_series(self, material: np.ndarray, kind: str) -> np.ndarray:
-        """The hinge at the grasp, softened by the bending of its share of the first segment."""
-        names = (f"grasp_{kind}", f"bending_{kind}")
+    def _in_series(self, material: np.ndarray) -> np.ndarray:
+        """The hinge at the grasp, softened by the bending of its share of the first segment.
+
+        Of its angle the string's share is that of the compliances, and so it is of its rate: that is how springs in
+        series divide it, as long as dampers beside them are slow. Moments follow by virtual work.
+        """
+        names = ("grasp_stiffness", "grasp_damping", "bending_stiffness", "bending_damping")
         if self.grasp_cell == 0 or not set(names) <= set(self.names):
             return material
-        grasp, bending = (self.names.index(name) for name in names)
-        softened = material.copy()
+        places = [self.names.index(name) for name in names]
+        stiffness, damping, own_stiffness, own_damping = (material[..., place] for place in places)
         cell = self.grasp_cell * self.segments(material)
-        softened[..., grasp] = 1 / (1 / material[..., grasp] + cell / material[..., bending])
+        share = stiffness / (stiffness + own_stiffness / cell)
+        softened = material.copy()
+        softened[..., places[0]] = share * own_stiffness / cell
+        softened[..., places[1]] = (1 - share) ** 2 * damping + share**2 * own_damping / cell
         return softened
 
     def asks(self, slots: Sequence[str], names: Sequence[str]) -> bool:
