@@ -47,10 +47,13 @@ def with_trial(table: Table) -> Table:
 
 @dataclass(frozen=True)
 class Unusable:
-    """The reason why a trial cannot be used, and the remedy."""
+    """Why a trial cannot be used. file: dataset.yaml, or the name of the table in which that is so. field: key or
+    column there."""
 
     reason: str
     remedy: str
+    file: str
+    field: str
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,7 @@ def read(folder: Path) -> Dataset:
         hand = {motion_table.name: moved}
         trial = replace(Observation(name, *seen, **hand), moving=name in moving)
         film = Film(shots[name][0] - begin, shots[name][1], **hand) if name in shots else None
-        fault = _invalid(known, name) or _unusable(moved["t"].to_numpy(), trial, film, begin)
+        fault = _invalid(known, name) or _unusable(moved["t"].to_numpy(), motion_table.name, trial, film, begin)
         if fault:
             unusable[name] = fault
         else:
@@ -267,7 +270,7 @@ def fits(data: Dataset, length: float) -> Dataset:
         if beyond[observation.read.index].mean() > STRAY:
             far = observation.read["s"].max()
             reason = f"points up to s = {far:.3f} m on a string of {length:.3f} m (string.length)"
-            faults[name] = Unusable(reason, "Correct s or string.length")
+            faults[name] = Unusable(reason, "Correct s or string.length", POINTS.name, "s")
         else:
             kept[name] = replace(observation, points=observation.points[~beyond].reset_index(drop=True))
     return replace(data, trials=kept, unusable={**data.unusable, **faults})
@@ -276,29 +279,30 @@ def fits(data: Dataset, length: float) -> Dataset:
 def _invalid(known: Mapping[str, Any], name: str) -> Unusable | None:
     """Why dataset.yaml says that a trial is not to be used, if it does."""
     reason = known.get("trials", {}).get(name, {}).get("invalid")
-    return Unusable(str(reason), f"Take 'invalid' out of {NAME} if it should count") if reason else None
+    remedy = f"Take 'invalid' out of {NAME} if it should count"
+    return Unusable(str(reason), remedy, NAME, f"trials.{name}.invalid") if reason else None
 
 
-def _unusable(moved: np.ndarray, trial: Observation, film: Film | None, begin: float) -> Unusable | None:
-    """Why a trial cannot be used, whose hand was seen at these times [s]; None if it can. begin: what was taken from
-    all of its times [s]."""
+def _unusable(moved: np.ndarray, table: str, trial: Observation, film: Film | None, begin: float) -> Unusable | None:
+    """Why a trial cannot be used, whose hand was seen at these times [s] by a table; None if it can. begin: what was
+    taken from all of its times [s]."""
     if not len(moved):
         named = "Add its rows to the arm's or the grasp's table, or see that its name is the same in both"
-        return Unusable("no motion of the hand", named)
-    seen = np.unique(trial.read["t"])
+        return Unusable("no motion of the hand", named, table, TRIAL.name)
+    seen, where = np.unique(trial.read["t"]), POINTS.name
     if not len(seen):
         if film is None:
             return _pointless(trial)
-        seen = film.t
+        seen, where = film.t, FRAMES.name
     if len(seen) < FRAMES_NEEDED:
         reason = f"the string was seen in {len(seen)} frame(s) only"
-        return Unusable(reason, "A motion takes more frames: record it again")
+        return Unusable(reason, "A motion takes more frames: record it again", where, "t")
     common = min(moved.max(), seen.max()) - max(moved.min(), seen.min())
     if common >= OVERLAP:
         return None
     reason = f"arm and camera overlap for {max(common, 0):.2f} s only{_two_clocks(moved + begin, seen + begin)}"
     remedy = "See that both clocks begin together and that both count seconds; `import` lays them over one another"
-    return Unusable(reason, remedy)
+    return Unusable(reason, remedy, where, "t")
 
 
 def _two_clocks(moved: np.ndarray, seen: np.ndarray) -> str:
@@ -316,5 +320,7 @@ def _pointless(trial: Observation) -> Unusable:
     """The reason why a trial without a valid point and without frames is unusable."""
     if trial.points.empty:
         named = "Add its rows to points or frames, or see that its name is the same in both"
-        return Unusable("no measured point and no frame", named)
-    return Unusable("no measured point is valid", "Look at 'valid' in its points: a blank is false")
+        return Unusable("no measured point and no frame", named, POINTS.name, TRIAL.name)
+    return Unusable(
+        "no measured point is valid", "Look at 'valid' in its points: a blank is false", POINTS.name, "valid"
+    )

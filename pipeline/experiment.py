@@ -55,6 +55,10 @@ class Mode(ABC):
         """Whether an arm is moved, real or not."""
         return False
 
+    def sources(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+        """The settings that name where the pictures come from which are looked at."""
+        return ("source",) if "source" in config["hardware"] and self.moves(config) else ()
+
 
 @dataclass(frozen=True)
 class Experiment:

@@ -15,6 +15,7 @@ from stringcast.pipeline import run_folder
 from stringcast.pipeline.called import as_called
 from stringcast.pipeline.complaint import complain, interrupted
 from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.filmed import refuse_source
 from stringcast.pipeline.inherited import check_bench, moves, refuse_inherited_limits, with_inherited_settings
 from stringcast.pipeline.log import kept
 from stringcast.pipeline.result import Result
@@ -48,6 +49,7 @@ def run(config: DictConfig, console: Terminal) -> Result:
         check_bench(Path(config.trials), given)
     settings = with_inherited_settings(config, given)
     refuse_inherited_limits(settings, OmegaConf.to_container(config, resolve=True), f"trials={config.trials}")
+    refuse_source(settings, given)
     here = prepare(settings, where)
     return perform(here, Path(HydraConfig.get().runtime.output_dir), console)
 

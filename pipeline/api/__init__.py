@@ -2,7 +2,7 @@
 
     import stringcast as sc
 
-    trials = sc.read("my-folder")                 # or sc.trials(points, grasp=poses, length=0.3)
+    trials = sc.read("my-folder")                 # or sc.sample(), or sc.trials(points, grasp=poses, length=0.3)
     result = sc.diagnose(trials)                  # result.sentence, .causes, .gain, .plot(), .report("page.html")
     motion = sc.generate(result.extended, target=(0.4, 0.7))
     string = sc.simulate(result.extended, motion)
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from stringcast.answers import Diagnosed, Estimated, diagnose, estimate
     from stringcast.casting import cast, generate, simulate
     from stringcast.known import KnownString
-    from stringcast.measured import Trials, read, trials
+    from stringcast.measured import Trials, read, sample, trials
 
 __version__ = version("stringcast")
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "estimate",
     "generate",
     "read",
+    "sample",
     "simulate",
     "trials",
 ]
@@ -44,7 +45,7 @@ HOMES = {
     "answers": ("Diagnosed", "Estimated", "diagnose", "estimate"),
     "casting": ("cast", "generate", "simulate"),
     "known": ("KnownString",),
-    "measured": ("Trials", "read", "trials"),
+    "measured": ("Trials", "read", "sample", "trials"),
 }
 
 

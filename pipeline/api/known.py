@@ -18,6 +18,7 @@ from stringcast.data.artifacts import PARAMETERS
 from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.complaint import refusal
 from stringcast.pipeline.experiment import Experiment, prepare
+from stringcast.pipeline.filmed import refuse_source
 from stringcast.pipeline.inherited import EXTENDED, extended_model, with_inherited_settings
 from stringcast.pipeline.older import modern
 from stringcast.pipeline.settings import UserError, composed, flat, names_given
@@ -77,19 +78,21 @@ class KnownString:
         return f"KnownString(effects={self.effects}, {len(self.parameters)} parameters known)"
 
 
-def prepared(settings: Sequence[str], string: KnownString | None, **given: Any) -> Experiment:
-    """All that a call works with. settings: words as on the command line, which stand above all. string: what is known
+def prepared(words: Sequence[str], string: KnownString | None, **given: Any) -> Experiment:
+    """All that a call works with. words: settings as on the command line, which stand above all. string: what is known
     of it. given: further settings by name."""
     try:
-        asked, words = OmegaConf.create(composed(settings) | given), names_given(settings)
+        asked, names = OmegaConf.create(composed(words) | given), names_given(words)
     except HydraException as error:
         raise UserError(refusal(error)) from error
     whole = asked.copy()
     for block, value in ({} if string is None else string.settings).items():
         OmegaConf.update(whole, block, value, merge=True)
-    for name in sorted(words & set(flat(OmegaConf.to_container(asked)))):
+    for name in sorted(names & set(flat(OmegaConf.to_container(asked)))):
         OmegaConf.update(whole, name, OmegaConf.select(asked, name))
-    return prepare(with_inherited_settings(whole, words), lambda block: f"conf/{block} or this call")
+    settings = with_inherited_settings(whole, names)
+    refuse_source(settings, names)
+    return prepare(settings, lambda block: f"conf/{block} or this call")
 
 
 def model_of(settings: Sequence[str], string: KnownString | None) -> Model:

@@ -66,6 +66,11 @@ def read(folder: str | Path) -> Trials:
     return found
 
 
+def sample() -> Trials:
+    """Five trials of a virtual lab that come with the package: what the simulation lacks in them is a riddle."""
+    return read(Path(dataset.__file__).with_name("sample"))
+
+
 def trials(
     points: pd.DataFrame,
     *,
@@ -73,17 +78,22 @@ def trials(
     grasp: pd.DataFrame | None = None,
     arm: pd.DataFrame | None = None,
     links: Sequence[float] = (),
+    base: Sequence[float] = (),
     sigma: float | None = None,
     initial: Literal["rest", "moving"] = "rest",
 ) -> Trials:
     """Trials from tables; each may lack the column `trial` where there is one trial only.
 
     points: t [s], s [m] arc length from the grasp, x, y [m], optional sigma [m]. length: of the string [m]. One of
-    grasp: t, x, y [m], theta [rad], and arm: t, q1, q2, q3 [rad], with links: their lengths [m]. sigma: noise of a
-    coordinate [m]. initial: how the string begins. Raises StringcastError.
+    grasp: t, x, y [m], theta [rad], and arm: t, q1, q2, q3 [rad], with links: their lengths, base: x, y of joint 1 [m].
+    sigma: noise of a coordinate [m]. initial: how the string begins. Raises StringcastError.
     """
     if (grasp is None) == (arm is None):
         raise DataError("trials(): give either grasp= (poses of the grasp) or arm= (joint angles), and not both.")
+    if arm is not None and not (len(links) == 3 and len(base) == 2):
+        raise DataError(
+            "trials(): joint angles alone do not say where the hand is. Give links=(.., .., ..), base=(x, y)."
+        )
     home = TemporaryDirectory(prefix="stringcast-")
     for name, table in {"points": points, "grasp": grasp, "arm": arm}.items():
         if table is not None:
@@ -95,7 +105,7 @@ def trials(
         "string": {"length": float(length)},
         "initial": initial,
     }
-    known |= {"arm": {"links": list(map(float, links))}} if links else {}
+    known |= {"arm": {"links": list(map(float, links)), "base": list(map(float, base))}} if arm is not None else {}
     known |= {"noise": {"point_sigma": float(sigma)}} if sigma is not None else {}
     (Path(home.name) / NAME).write_text(yaml.safe_dump(known), encoding="utf-8")
     return Trials(read(home.name).data, home)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from rich.console import Group
 from rich.markup import escape
@@ -34,6 +36,9 @@ class Calibrate(Mode):
 
     def check(self, experiment: Experiment) -> None:
         needs_none(experiment)
+
+    def sources(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+        return ("source", "plane")
 
     def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:
         """Calibrate, write the page, then raise UserError for a calibration that cannot be used."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+import shlex
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stringcast.data.artifacts import ARM, GRASP, POINTS
+from stringcast.data.dataset import Dataset, fits, with_trial
 from stringcast.data.metadata import NAME, ArmBlock, Block, CameraBlock, Metadata, NoiseBlock, StringBlock, TrialBlock
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import LOST, Measured, Seen
@@ -22,6 +24,7 @@ COARSE = 0.1  # of the length: no point is measured so badly
 OTHER = 1.1  # times as long is another string
 FASTEST = 1e7  # [1/s]: no camera films faster
 SHORT = 0.5  # of the length: if nothing is seen beyond, the tip was not
+GEOMETRY = {"links": "how long its links are", "base": "where its joint 1 sits"}
 BLOCKS: Mapping[str, type[Block]] = {"string": StringBlock, "noise": NoiseBlock, "arm": ArmBlock, "camera": CameraBlock}
 
 
@@ -35,7 +38,7 @@ def rows(measured: Measured) -> Iterator[Finding]:
             severity = Severity.WARNING if lost > MUCH * what.read else Severity.NOTE
             if lost > LOST * what.read:
                 severity, said = Severity.ERROR, f"{said}: too few are left to tell anything"
-            yield Finding(severity, file, "", said, "Correct them if they should count")
+            yield Finding(severity, file, _columns(what.dropped), said, "Correct them if they should count")
         if what.unordered:
             said = f"{what.unordered} rows are earlier than the row before them"
             yield Finding(
@@ -43,17 +46,28 @@ def rows(measured: Measured) -> Iterator[Finding]:
             )
 
 
+def _columns(reasons: Iterable[str]) -> str:
+    """The columns of which reasons to drop rows speak; none of those that are about whole rows."""
+    known = {column.name for table in (ARM, GRASP, POINTS) for column in with_trial(table).columns}
+    spoken = (word for reason in reasons for word in reason.split()[:2] if word in known)
+    return ", ".join(dict.fromkeys(spoken))
+
+
 def empty(measured: Measured) -> Iterator[Finding]:
     """Tables without a row."""
     for file, what in measured.data.rows.items():
         if not what.read:
-            yield Finding(Severity.ERROR, file, "", "it holds no rows", "Fill it in")
+            yield Finding(Severity.ERROR, file, "trial", "it holds no rows", "Fill it in")
 
 
 def rejected(measured: Measured) -> Iterator[Finding]:
-    """Trials that cannot be used."""
-    for name, fault in measured.data.unusable.items():
-        yield Finding(Severity.WARNING, "", "", f"the trial is left out: {fault.reason}", fault.remedy, (name,))
+    """Trials that cannot be used: an error where no other is left."""
+    kept, contradictory = fits(measured.data, measured.length), impossible(measured)
+    severity = Severity.WARNING if kept.trials else Severity.ERROR
+    for name, fault in kept.unusable.items():
+        if name not in contradictory:  # of which `mistakes` says more
+            said = f"the trial is left out: {fault.reason}"
+            yield Finding(severity, measured.file(fault.file), fault.field, said, fault.remedy, (name,))
 
 
 def twice(measured: Measured) -> Iterator[Finding]:
@@ -68,7 +82,9 @@ def one_trial(measured: Measured) -> Iterator[Finding]:
     """Too few trials to confirm anything."""
     if len(measured.trials) == 1:
         said = "one trial can be used: a cause found in it could not be confirmed on another"
-        yield Finding(Severity.WARNING, "", "", said, "Record two more", (measured.trials[0].name,))
+        yield Finding(
+            Severity.WARNING, measured.hand_file, "trial", said, "Record two more", (measured.trials[0].name,)
+        )
 
 
 def length(measured: Measured) -> Iterator[Finding]:
@@ -89,14 +105,30 @@ def length(measured: Measured) -> Iterator[Finding]:
 
 
 def arm(measured: Measured) -> Iterator[Finding]:
-    """Joint angles of an arm that is not described: an error where the string cannot hang from the one assumed."""
-    severity = Severity.ERROR if impossible(measured) else Severity.WARNING
-    for key in unknown_arm(measured):
-        said = f"it is missing; {list(getattr(measured.arm, key))} m is assumed"
-        if severity is Severity.ERROR:
-            said += ", and the string does not begin there where its hand would be"
-        remedy = "Write what your arm has, in metres: arm: {links: [0.25, 0.20, 0.135], base: [0, 0]}"
-        yield Finding(severity, NAME, f"arm.{key}", said, remedy)
+    """Joint angles of an arm of which nobody says how long its links are, or where it stands."""
+    missing = unknown_arm(measured)
+    if not missing:
+        return
+    configured = {key: f"{key}: {list(getattr(measured.arm, key))}" for key in missing}
+    lacking = " and ".join(GEOMETRY[key] for key in missing)
+    held = "not be held where its hand would be" if impossible(measured) else "be held, as it could by another"
+    said = (
+        f"{measured.hand_file} holds joint angles of an arm, and nothing says {lacking}; of the configured arm "
+        f"({', '.join(configured.values())}, in metres) this string could {held}"
+    )
+    where = ", ".join(f"arm.{key}" for key in missing)
+    yield Finding(Severity.ERROR, NAME, where, said, _described(measured.data, configured))
+
+
+def _described(data: Dataset, configured: Mapping[str, str]) -> str:
+    """The remedy for an arm that is not described. configured: what the configured arm has of it, as YAML."""
+    if data.metadata.get("arm"):
+        return (
+            f"Write beside it what your arm has, in metres, as the configured one {' and '.join(configured.values())}"
+        )
+    block = f"\\narm: {{{', '.join(configured.values())}}}\\n"
+    file = shlex.quote(str(data.folder / NAME))
+    return f"Write what your arm has; if it is the configured one: printf '{block}' >> {file}"
 
 
 def hands(measured: Measured) -> Iterator[Finding]:
@@ -105,7 +137,7 @@ def hands(measured: Measured) -> Iterator[Finding]:
     if len(there) > 1:
         said = f"{' and '.join(there)} both say how the hand moved"
         remedy = f"Keep the one that is right, and take the other away: rm {measured.data.folder / there[-1]}"
-        yield Finding(Severity.ERROR, ", ".join(there), "", said, remedy)
+        yield Finding(Severity.ERROR, ", ".join(there), "q1, q2, q3, x, y, theta", said, remedy)
 
 
 def camera(measured: Measured) -> Iterator[Finding]:

@@ -40,4 +40,4 @@ class Finding:
 
 def full_stop(remedy: str) -> str:
     """The full stop behind a remedy; none behind a command, which is to be pasted."""
-    return "" if re.search(r": (python|rm) \S", remedy) else "."
+    return "" if re.search(r": (python|rm|printf) \S", remedy) else "."

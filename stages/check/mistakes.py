@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from stringcast.data.dataset import BEYOND
+from stringcast.data.dataset import BEYOND, fits
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.gravity import usual_fall
 from stringcast.stages.check.measured import GRAVITY, Measured, Seen
@@ -307,7 +307,8 @@ def shown(here: View) -> str:
 
 
 def unexplained(measured: Measured, name: str, here: View) -> Finding:
-    """An impossible string that no common mistake explains. One that is merely too short is left out of a run."""
+    """An impossible string that no common mistake explains. One that is merely too short is left out of a run, which
+    is an error where no other is left."""
     nearest = here.s == here.s.min()
     off = np.median((here.xy - here.grasp)[nearest], axis=0)
     severity = Severity.ERROR
@@ -318,7 +319,7 @@ def unexplained(measured: Measured, name: str, here: View) -> Finding:
             "whether the angles count from +x, counter-clockwise"
         )
     elif replace(here, length=float(here.s.max())).possible:
-        severity = Severity.WARNING
+        severity = Severity.WARNING if fits(measured.data, measured.length).trials else Severity.ERROR
         said = f"s goes up to {here.s.max():.3f} m on a string of {here.length:.3f} m, and the trial is left out"
         remedy = "Correct string.length in dataset.yaml, or s"
     else:

@@ -111,4 +111,4 @@ def still(measured: Measured) -> Iterator[Finding]:
     for seen in measured.with_points():
         if seen.hand_onset is None and seen.string_onset is None:
             said = "neither hand nor string leaves its place"
-            yield Finding(Severity.WARNING, measured.hand_file, "", said, "It says little: leave it out", (seen.name,))
+            yield Finding(Severity.WARNING, measured.hand_file, "t", said, "It says little: leave it out", (seen.name,))

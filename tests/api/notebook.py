@@ -4,19 +4,17 @@
 # `tests/api/test_notebook.py` runs it. All is in metres, seconds and radians.
 
 # %%
-from pathlib import Path
-
 import numpy as np
 
 import stringcast as sc
 
 # %% [markdown]
 # ## Trials
-# A folder in the format of `data/README.md`: a run of ours, what `import` wrote, or tables by `sc.trials(...)`.
+# Those that come with the package; else `sc.read(folder)` of a run of ours or of what `import` wrote, or tables by
+# `sc.trials(...)`. The format is in `data/README.md`.
 
 # %%
-SAMPLE = Path(sc.__file__).resolve().parents[2] / "data" / "sample"
-trials = sc.read(SAMPLE)
+trials = sc.sample()
 print(trials.table)
 
 # %% [markdown]

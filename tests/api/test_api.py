@@ -14,6 +14,7 @@ from stringcast.known import prepared
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "data" / "sample"
+BENCH = {"links": [0.25, 0.20, 0.135], "base": [0.2, 0.2]}
 HEAVY = ("numba", "cv2", "matplotlib", "pandas", "hydra", "pyarrow")
 
 
@@ -29,15 +30,15 @@ def test_the_package_alone_loads_nothing():
 def test_trials_are_the_same_from_a_folder_and_from_tables():
     read = sc.read(SAMPLE)
     assert len(read) == 5
+    pd.testing.assert_frame_equal(sc.sample().table, read.table)
     points, arm = (pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("points", "arm"))
-    made = sc.trials(points, arm=arm, links=[0.25, 0.20, 0.135], length=0.304, sigma=0.0007)
+    made = sc.trials(points, arm=arm, length=0.304, sigma=0.0007, **BENCH)
     pd.testing.assert_frame_equal(made.table, read.table)
     assert "<table" in read._repr_html_()
     assert repr(read) == f"Trials(5 of {SAMPLE})"
     one = points[points["trial"] == "t00"].drop(columns="trial")
-    assert list(sc.trials(one, arm=arm[arm["trial"] == "t00"].drop(columns="trial"), length=0.304).table["trial"]) == [
-        "t00"
-    ]
+    its_arm = arm[arm["trial"] == "t00"].drop(columns="trial")
+    assert list(sc.trials(one, arm=its_arm, length=0.304, **BENCH).table["trial"]) == ["t00"]
 
 
 @pytest.mark.parametrize(
@@ -45,8 +46,10 @@ def test_trials_are_the_same_from_a_folder_and_from_tables():
     [
         (lambda: sc.read("nowhere"), "nowhere: there is no such folder. Name"),
         (lambda: sc.trials(pd.DataFrame(), length=0.3), "either grasp= .* or arm="),
+        (lambda: sc.trials(pd.DataFrame(), arm=pd.DataFrame(), length=0.3, links=[0.2] * 3), "Give links=.*base="),
         (lambda: sc.generate(target=(400, 700)), "out of reach.*Choose target.x and target.y closer"),
         (lambda: sc.generate(None, "generate.longst=1", target=(0.4, 0.7)), "longest"),
+        (lambda: sc.generate(None, "source=video", "source.path=film.mp4", target=(0.4, 0.7)), "virtual lab films"),
         (lambda: sc.KnownString.load("nowhere"), "Name the run folder of a diagnosis"),
         (lambda: prepared((), sc.KnownString({"effects": ["tipmass"]})), "Did you mean 'tip_mass'"),
     ],

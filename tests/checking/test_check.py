@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import subprocess
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -139,8 +140,21 @@ def arm_and_grasp(dirty):
 
 
 def unknown_arm(dirty):
-    del dirty.about["arm"]
+    undescribed(dirty)
     dirty.points["x"] -= 0.3  # as of an arm that stands elsewhere
+
+
+def undescribed(dirty):
+    """Of the configured arm, as nobody can know."""
+    del dirty.about["arm"]
+
+
+def somewhere(dirty):
+    del dirty.about["arm"]["base"]
+
+
+def none_left(dirty):
+    dirty.points["valid"] = False
 
 
 def poses(dirty):
@@ -173,9 +187,21 @@ CERTAIN = {
     "all in mm": (everything, "points.csv s, x, y", "Multiply all of them, and arm.links and arm.base, by 0.001"),
     "mm and y down": (mm_and_down, "points.csv x, y; points.csv y", "Multiply x and y by 0.001"),
     "five frames a second": (five_frames, "points.csv t", "Film faster"),
-    "nine of ten lost": (nine_lost, "points.csv ", "Correct them"),
-    "arm and grasp": (arm_and_grasp, "arm.csv, grasp.csv ", "take the other away: rm "),
-    "unknown arm": (unknown_arm, "dataset.yaml arm.base; dataset.yaml arm.links", "arm: {links: ["),
+    "nine of ten lost": (nine_lost, "points.csv x", "Correct them"),
+    "arm and grasp": (arm_and_grasp, "arm.csv, grasp.csv q1, q2, q3, x, y, theta", "take the other away: rm "),
+    "unknown arm": (
+        unknown_arm,
+        "dataset.yaml arm.links, arm.base",
+        "printf '\\narm: {links: [0.25, 0.2, 0.135], base",
+    ),
+    "undescribed arm": (
+        undescribed,
+        "dataset.yaml arm.links, arm.base",
+        "printf '\\narm: {links: [0.25, 0.2, 0.135], base",
+    ),
+    "arm anywhere": (somewhere, "dataset.yaml arm.base", "base: [0.2, 0.2]"),
+    "no trial left": (none_left, "points.csv valid", "a blank is false"),
+    "shorter string": (length(0.8), "points.csv s, x, y", "Correct string.length"),
     "degrees": (scaled("arm", ANGLES, 180 / np.pi), "arm.csv q1, q2, q3", "Multiply them by pi / 180"),
     "theta in degrees": (degrees_of_poses, "grasp.csv theta", "Multiply them by pi / 180"),
     "y down": (scaled("points", ["y"], -1), "points.csv y", "Multiply y by -1"),
@@ -308,6 +334,12 @@ def two_frames(dirty):
     dirty.points = dirty.points[(dirty.points["trial"] != "t03") | ~late]
 
 
+def beyond(dirty):
+    """Of one trial, and not at its beginning."""
+    late = (dirty.points["trial"] == "t03") & (dirty.points["t"] > dirty.points["t"].min() + 0.3)
+    dirty.points.loc[late, "s"] *= 1.2
+
+
 SUSPICIOUS = {
     "camera early": (offset(-0.3), "points.csv t", "add it to"),
     "camera late": (offset(0.4), "points.csv t", "subtract it from"),
@@ -316,13 +348,12 @@ SUSPICIOUS = {
     "constant joint": (constant, "arm.csv q2", "its log is frozen"),
     "let go": (let_go, "points.csv t", "initial: moving"),
     "held points": (held, "points.csv x, y", "'valid' to false"),
-    "lost points": (many_lost, "points.csv ", "Correct them"),
+    "lost points": (many_lost, "points.csv x", "Correct them"),
     "hole in the log": (hole_in_the_log, "arm.csv t", "leave the trial out"),
-    "only in arm": (without("points", "t03"), " ", "Add its rows to points"),
-    "only in points": (without("arm", "t03"), " ", "Add its rows to the arm's"),
-    "one trial": (one_trial, " ", "Record two more"),
+    "only in arm": (without("points", "t03"), "points.csv trial", "Add its rows to points"),
+    "only in points": (without("arm", "t03"), "arm.csv trial", "Add its rows to the arm's"),
+    "one trial": (one_trial, "arm.csv trial", "Record two more"),
     "no length": (no_length, "dataset.yaml string.length", "grasp to tip"),
-    "shorter string": (length(0.8), "points.csv s, x, y", "Correct string.length"),
     "longer string": (length(3.0), "points.csv s", "Correct s or string.length"),
     "other fps": (about(camera={"fps": 240}), "points.csv t", "as filmed"),
     "noise too small": (about(noise={"point_sigma": 5e-5}), "dataset.yaml noise.point_sigma", "estimated"),
@@ -330,9 +361,13 @@ SUSPICIOUS = {
     "misspelt column": (named_sigma, "points.csv Sigma", "Call it 'sigma'"),
     "no such trial": (about(trials={"t77": {"role": "held_out"}}), "dataset.yaml trials.t77", "Correct the name"),
     "upside down": (turned, "points.csv y", "y points down"),
-    "none valid": (none_valid, " ", "a blank is false"),
-    "two frames": (two_frames, " ", "takes more frames"),
-    "said to be invalid": (about(trials={"t03": {"invalid": "it slipped off"}}), " ", "Take 'invalid' out"),
+    "none valid": (none_valid, "points.csv valid", "a blank is false"),
+    "two frames": (two_frames, "points.csv t", "takes more frames"),
+    "said to be invalid": (
+        *(about(trials={"t03": {"invalid": "it slipped off"}}), "dataset.yaml trials.t03.invalid"),
+        "Take 'invalid' out",
+    ),
+    "points beyond": (beyond, "points.csv s", "Correct s or string.length"),
 }
 
 
@@ -343,6 +378,29 @@ def test_what_is_suspicious_is_told(dirty, tmp_path, kind):
     told = found(dirty.write(tmp_path))
     assert any(f"{f.file} {f.field}" == place and remedy in f.remedy for f in told), [f.sentence for f in told]
     assert all(f.severity is not Severity.ERROR for f in told), [f.sentence for f in told]
+
+
+@pytest.mark.parametrize("kind", {**CERTAIN, **SUSPICIOUS})
+def test_programs_find_file_field_and_remedy_of_all_that_is_told(dirty, tmp_path, kind):
+    (CERTAIN | SUSPICIOUS)[kind][0](dirty)
+    for one in overview(looked_at(dirty.write(tmp_path)))["findings"]:
+        assert all(one[name] for name in ("file", "field", "said", "remedy")), one
+
+
+def test_the_command_that_describes_the_arm_mends_it(dirty, tmp_path):
+    undescribed(dirty)
+    (told,) = found(dirty.write(tmp_path))
+    assert told.sentence.startswith("dataset.yaml arm.links, arm.base: arm.csv holds joint angles of an arm")
+    subprocess.run(["sh", "-c", told.remedy.partition("one: ")[2]], check=True)
+    assert found(tmp_path) == []
+
+
+def test_data_of_which_no_trial_is_left_say_why(dirty, called, tmp_path):
+    none_left(dirty)
+    done = called("check", dirty.write(tmp_path))
+    assert done.returncode == 1
+    assert "error points.csv valid (trial t00, t03, t04): the trial is left out" in done.stdout
+    assert done.stdout.strip().endswith("Not usable: 1 error.")
 
 
 def test_the_sample_is_clean_as_joints_and_as_poses_and_in_csv(dirty, tmp_path):
@@ -568,7 +626,8 @@ def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(dirty, 
 @pytest.mark.skipif(not MEASURED.exists(), reason="the measured sets are not here")
 @pytest.mark.parametrize("name", ["l4dc_strip_video", "tudelft_cable_fr3"])
 def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_is_told(name):
-    here = measured(MEASURED / name, [])
-    told = findings(here)
-    assert all(f.severity is not Severity.ERROR for f in told)
+    told = findings(measured(MEASURED / name, []))
+    errors = findings(measured(MEASURED / name, ["string.length=0.75"]))
+    assert all(f.severity is not Severity.ERROR for f in errors)
+    assert all("on a string of 0.300 m (string.length)" in f.said for f in told if f.severity is Severity.ERROR)
     assert {"string.length", "s", "t"} <= {f.field for f in told}

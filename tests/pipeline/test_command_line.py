@@ -181,6 +181,22 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, 
         (["hardwear=virtual"], "Try: .* hardware=virtual"),
         (["hydra.run.dir=/proc/nope"], "cannot be written"),
         (["hardware=serial", "hardware.port=/dev/nowhere", "generate.longest=0.4"], "source.number"),
+        (
+            ["source=video", "source.path=film.mp4"],
+            r"source.path = film.mp4 \(command line\): .* virtual lab .*Leave it out",
+        ),
+        (
+            ["+experiment=diagnose", "trials=data/sample", "source=images"],
+            "source = .*this films nothing. Leave it out",
+        ),
+        (
+            ["hardware=serial", "hardware.port=/dev/nowhere", "source=video", "source.path=film.mp4"],
+            r"Error: source.path = film.mp4 \(.*\): there is no such film. Name one that is there",
+        ),
+        (
+            ["+experiment=calibrate", "source=images", "source.folder=data", "plane.folder=flat"],
+            r"plane.folder = flat \(.*\): there is no such folder of images. Name one",
+        ),
     ],
 )
 def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):

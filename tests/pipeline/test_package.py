@@ -15,7 +15,6 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("conf", "data", "hardware", "pipeline", "stages")
 LEFT_OUT = (
     "data/results/",
-    "data/sample/",
     "data/tutorial/",
     "data/envelopes/",
     "hardware/serial/device/",
@@ -61,11 +60,11 @@ def test_all_that_a_clone_holds_is_in_the_one_package(site):
 def test_what_is_installed_runs_in_any_folder(site, tmp_path):
     """Ahead of this clone on the path: settings composed from the package, a command's answer, no folder of ours needed."""
     where = os.environ | {"PYTHONPATH": str(site), "STRINGCAST_CACHE": str(tmp_path / "kernels")}
-    code = "import stringcast; print(stringcast.__version__, stringcast.__file__)"
+    code = "import stringcast; print(stringcast.__version__, stringcast.__file__, len(stringcast.sample()))"
     said = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=where, capture_output=True, text=True, check=True
     )
-    assert said.stdout.split() == [stringcast.__version__, str(site / "stringcast" / "__init__.py")]
+    assert said.stdout.split() == [stringcast.__version__, str(site / "stringcast" / "__init__.py"), "5"]
     call = [sys.executable, "-m", "stringcast", "target.x=2", f"hydra.run.dir={tmp_path / 'run'}"]
     refused = subprocess.run(call, cwd=tmp_path, env=where, capture_output=True, text=True, check=False)
     assert refused.returncode == 1

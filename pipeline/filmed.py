@@ -1,0 +1,48 @@
+"""Where a run's pictures come from: refused before it begins where nothing would look there, or where nothing is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stringcast.pipeline.experiment import Mode
+from stringcast.pipeline.settings import UserError, chosen
+
+PLACES = {"path": "film", "folder": "folder of images"}  # settings of a source that name a place, and what is there
+
+
+def refuse_source(settings: Mapping[str, Any], given: set[str]) -> None:
+    """Raise UserError for a source that nothing would look at, and for a film or a folder that is not there.
+
+    settings: of the run. given: names on the command line.
+    """
+    mode: Mode = chosen(settings["mode"], "mode", "conf/mode")
+    looked_at = mode.sources(settings)
+    named = sorted(name for name in given if name.partition(".")[0] == "source")
+    if named and not looked_at:
+        _refuse_unseen(named[-1], settings, mode.moves(settings))
+    for block in looked_at:
+        for key in PLACES.keys() & settings[block]:
+            _refuse_missing(f"{block}.{key}", PLACES[key], settings[block][key])
+
+
+def _refuse_unseen(name: str, settings: Mapping[str, Any], casts: bool) -> None:
+    """Raise UserError for a setting of a source. casts: whether this makes trials, and does not look at stored ones."""
+    block, _, key = name.partition(".")
+    value = settings[block][key or "_target_"]
+    why = "the virtual lab films with a camera of its own" if casts else "this films nothing"
+    raise UserError(
+        f"{name} = {value} (command line): it would not be looked at, for {why}. Leave it out, or give what films: "
+        "hardware=serial, hardware=dynamixel or +experiment=calibrate. Films of casts that were made are read by: "
+        "python -m pipeline import <films> --to mine"
+    )
+
+
+def _refuse_missing(name: str, what: str, place: str | None) -> None:
+    """Raise UserError where a place is named and nothing is there."""
+    if place is not None and not Path(place).exists():
+        raise UserError(
+            f"{name} = {place} (conf/source or the command line): there is no such {what}. Name one that is there, by "
+            f"its path from {Path.cwd()}."
+        )
