@@ -23,7 +23,7 @@ from stringcast.stages.diagnose.budget import budgeted
 from stringcast.stages.diagnose.casts import Design
 from stringcast.stages.diagnose.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
-from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, judged, likelier
+from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, settled
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
 from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, prepared, usable
 from stringcast.stages.diagnose.proposals import candidates
@@ -90,10 +90,7 @@ def diagnose(
     kept = [i for i in kept if good[i].trial not in ready.chaotic]
     effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
-    few = _too_few_points(ready, criteria)
-    judgement = judged(found, effects, criteria, few, seed)
-    if (better_found := likelier(found, judgement)) is not found:
-        found, judgement = better_found, judged(better_found, effects, criteria, few, seed)
+    found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
     if rest and not judgement.causes and _shown(found, [good[i] for i in rest], criteria):
         log.info("the trials set aside show what the others do not: they are looked at as well")
         again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)

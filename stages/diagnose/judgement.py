@@ -45,7 +45,7 @@ class Judgement:
     """verdict: as in diagnosis.json. causes: named, as they entered, and those that cannot be told from them. groups:
     of effects that cannot be told apart. inclusion: probability that each effect is at work. unknown: probability that
     more is left at the tip than is tolerated. base: the base model's fit to the same data. small: what other effects
-    do, (E, N), as of `responses`. tempered: of the final fit."""
+    do, as of `responses`. tempered: of the final fit."""
 
     verdict: str
     causes: tuple[str, ...]
@@ -54,7 +54,7 @@ class Judgement:
     unknown: float
     slots: tuple[Slot, ...]
     base: Fit
-    small: np.ndarray
+    small: Sequence[np.ndarray]
     tempered: Tempered
     sentence: str = ""
 
@@ -84,13 +84,28 @@ def judged(
     return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
 
 
-def likelier(found: Found, judgement: Judgement) -> Found:
-    """With the cause that, every effect a little wrong, is the likeliest in its place, where another had entered."""
+def settled(
+    found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
+) -> tuple[Found, Judgement]:
+    """Where each cause is the likeliest in its place, every effect a little wrong, and what is said there: look-alikes
+    may have entered for one another."""
+    judgement = judged(found, effects, criteria, too_few_points, seed)
+    for _ in found.fit.hypothesis.causes:
+        other = _likelier(found, judgement)
+        if other is None:
+            break
+        found = replace(found, fit=other)
+        judgement = judged(found, effects, criteria, too_few_points, seed)
+    return found, judgement
+
+
+def _likelier(found: Found, judgement: Judgement) -> Fit | None:
+    """The fit with a cause that is likelier in the place of another."""
     for slot in judgement.slots if found.fit.hypothesis.causes else ():
         name = max(slot.chances, key=lambda each: slot.chances[each])
         if name and name not in found.fit.hypothesis.names:
-            return replace(found, fit=slot.fits[name])
-    return found
+            return slot.fits[name]
+    return None
 
 
 def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:
@@ -110,7 +125,7 @@ def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], 
     return replace(step, tried=[named, *(fit for fit in step.tried if fit.hypothesis.names[-1] != cause.name)])
 
 
-def _slot(data: Data, step: Step, small: np.ndarray, count: int, least_size: float) -> Slot:
+def _slot(data: Data, step: Step, small: Sequence[np.ndarray], count: int, least_size: float) -> Slot:
     """Chances of what may be in one place of the sum, with all effects a little wrong. count: of candidates.
     least_size: [m] at the tip, below which an effect counts as none."""
     fits = {fit.hypothesis.names[-1]: fit for fit in step.tried if not fit.lost}

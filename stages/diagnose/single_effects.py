@@ -107,19 +107,20 @@ def searched(
 def pruned(found: Found, least_size: float) -> Found:
     """Without causes that do not help to predict trials left out, the last that entered first.
 
-    The log-likelihood of what was not seen must rise, whichever trial is left aside; of what acts in one trial alone no
-    other trial can tell.
+    The log-likelihood of what was not seen must rise (cross-validation by trials: Vehtari, Gelman and Gabry 2017, Stat.
+    Comput. 27, 1413); of what acts in one trial alone no other trial can tell.
     """
-    data, fit = found.prepared.data, found.fit
+    data = found.prepared.data
     if len(data.trials) < 2:
         return found
-    for cause in reversed(fit.hypothesis.causes):
-        if _touches_once(data, found.fit, cause, least_size):
+    for cause in reversed(found.fit.hypothesis.causes):
+        if len(_touched(data, found.fit, cause, least_size)) == 1:
             continue
         less = replace(found, fit=refitted(data, found.fit, found.fit.hypothesis.without(cause)))
         pairs = zip(found.predictions, less.predictions, strict=True)
         gains = np.array([a.log_likelihood - b.log_likelihood for a, b in pairs])
-        if gains.sum() - gains.max() <= 0:
+        log.info("without %s trials left out are %s likelier", cause.name, np.round(-gains, 1))
+        if gains.sum() <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
             found = less
     return found
@@ -163,8 +164,9 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
     gain = best.evidence - step.parent.evidence
     if gain < criteria.enough or best.lost or moved(data, step.parent, best).max() < criteria.least_size:
         return False
-    if _touches_once(data, best, best.hypothesis.causes[-1], criteria.least_size):
-        return removed(data, step.parent, best, criteria.tolerance) > criteria.least_share
+    touched = _touched(data, best, best.hypothesis.causes[-1], criteria.least_size)
+    if len(touched) == 1:
+        return bool(shares(data, step.parent, best)[touched[0]] > criteria.least_share)
     return least_gain(step.parent, best) > criteria.enough or _gain_anew(data, step) > criteria.enough
 
 
@@ -187,15 +189,15 @@ def _gain_anew(data: Data, step: Step) -> float:
     return others[0].evidence - others[1].evidence
 
 
-def _touches_once(data: Data, fit: Fit, cause: type[Effect], least_size: float) -> bool:
-    """Whether a cause of a fit depends on place and moves the tip by that much [m] in one trial alone."""
+def _touched(data: Data, fit: Fit, cause: type[Effect], least_size: float) -> np.ndarray:
+    """Numbers of the trials in which a cause of a fit that depends on place moves the tip by that much [m]."""
     if not position_dependent(cause):
-        return False
+        return np.zeros(0, dtype=int)
     sizes = {cause.qualified(parameter) for parameter in components(cause)}
     absent = fit.hypothesis.carried({name: chi for name, chi in fit.named.items() if name not in sizes})
     others = [each[0] for each in data.residuals(fit.hypothesis.model, absent[None])]
     acts = data.tip_rms([a - b for a, b in zip(fit.residuals, others, strict=True)])
-    return int((acts > least_size).sum()) == 1
+    return np.flatnonzero(acts > least_size)
 
 
 def unexplained(data: Data, fit: Fit) -> np.ndarray:
@@ -204,12 +206,17 @@ def unexplained(data: Data, fit: Fit) -> np.ndarray:
 
 
 def removed(data: Data, parent: Fit, fit: Fit, tolerance: float) -> float:
-    """Share of what a parent lacks, in mean square at the tip, that a fit does not: of all trials together or in the
-    median one of those that lack more than is tolerated [m], whichever is less. One that is far off says nothing of the
-    others, nor do they of it."""
-    before, after = (np.maximum(unexplained(data, f) ** 2, np.finfo(float).tiny) for f in (parent, fit))
-    asked = before >= min(tolerance**2, before.max())
-    return float(min(1 - after.sum() / before.sum(), np.median(1 - after[asked] / before[asked])))
+    """Share of what a parent lacks that a fit does not, the mean of the trials in which either lacks more than is
+    tolerated [m]: one vote each, for one that is far off says nothing of the others, nor do they of it."""
+    lacking = np.maximum(unexplained(data, parent), unexplained(data, fit))
+    return float(shares(data, parent, fit)[lacking >= min(tolerance, lacking.max())].mean())
+
+
+def shares(data: Data, parent: Fit, fit: Fit) -> np.ndarray:
+    """By how much less a fit lacks in each trial than its parent, in mean square at the tip, over the larger of both,
+    (K,): 1 where it lacks nothing, -1 where its parent does not."""
+    before, after = unexplained(data, parent) ** 2, unexplained(data, fit) ** 2
+    return np.asarray((before - after) / np.maximum(np.maximum(before, after), np.finfo(float).tiny))
 
 
 def moved(data: Data, one: Fit, other: Fit) -> np.ndarray:

@@ -44,11 +44,10 @@ class Tempered:
         return self.covariance / np.outer(self.deviation, self.deviation)
 
 
-def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarray:
-    """What each effect does when it moves the tip by 1 m, white, (E, N); none of those that depend on place, which do
-    nothing but where they touch."""
-    data = data.of(fit.hypothesis)
-    found = [np.zeros((0, sum(2 * len(d.variance) for d in data.discrepancies)))]
+def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> list[np.ndarray]:
+    """What each effect does in each trial when it moves the tip by 1 m, over sigma, (E, 2 n); none of those that depend
+    on place, which do nothing but where they touch."""
+    found = [[np.zeros((0, 2 * len(trial.s))) for trial in data.trials]]
     for effect in effects:
         if position_dependent(effect) or effect in fit.hypothesis.causes:
             continue
@@ -59,28 +58,27 @@ def responses(data: Data, fit: Fit, effects: Sequence[type[Effect]]) -> np.ndarr
         chi = np.repeat(start[None], len(size), axis=0)
         chi[range(len(size)), size] += TRIED * (end - start[size])
         moved = [each - own for each, own in zip(data.residuals(hypothesis.model, chi), fit.residuals, strict=True)]
-        found.append(_scaled(data, fit, moved))
+        found.append(_scaled(data, moved))
     for cause in fit.hypothesis.causes:
         size = fit.hypothesis.places(cause, components(cause))
-        found.append(_scaled(data, fit, [slope[size] for slope in fit.slopes]))
-    return np.concatenate(found)
+        found.append(_scaled(data, [slope[size] for slope in fit.slopes]))
+    return [np.concatenate(each) for each in zip(*found, strict=True)]
 
 
-def _scaled(data: Data, fit: Fit, moved: Sequence[np.ndarray]) -> np.ndarray:
-    """Displacements (C, 2 n) of each trial, white, (C, N), as if they moved the tip by 1 m."""
-    white = data.white(moved, fit.sizes)
+def _scaled(data: Data, moved: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Displacements (C, 2 n) of each trial as if they moved the tip by 1 m, of those that can be simulated."""
     sizes = data.tip_sizes(moved)
     lost = np.any([np.abs(each).max(axis=1) > LOST / 2 for each in moved], axis=0)
     seen = ~lost & (sizes > 0)
-    return white[seen] / sizes[seen, None]
+    return [each[seen] / sizes[seen, None] for each in moved]
 
 
-def tempered(data: Data, fit: Fit, small: np.ndarray) -> Tempered:
-    """A fit with what small effects (E, N), white, leave of it."""
+def tempered(data: Data, fit: Fit, small: Sequence[np.ndarray]) -> Tempered:
+    """A fit with what small effects, (E, 2 n) over sigma in each trial, leave of it."""
     data = data.of(fit.hypothesis)
-    slopes = data.white(fit.slopes, fit.sizes)
     residual = data.white([r[None] for r in fit.residuals], fit.sizes)[0]
-    both, own = np.concatenate([slopes, small]), len(slopes)
+    both = data.white([np.concatenate(pair) for pair in zip(fit.slopes, small, strict=True)], fit.sizes)
+    own = len(fit.chi)
     products, along = both @ both.T, both @ residual
     said = [_at(products, along, own, size) for size in SMALL]
     evidence = np.array([each[0] for each in said]) + log_prior()[: len(SMALL)]

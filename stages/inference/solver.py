@@ -155,7 +155,8 @@ def _trials(parameters: Sequence[Parameter], fits: Fits, run: int) -> np.ndarray
     in_exponents = [chi + least_in_box(each, gradient, low - chi, high - chi) for each in damped]
     value, rise = values_of(parameters, chi), np.maximum(slopes_of(parameters, chi), TINY)
     ends = [np.clip(chi + way, 0.0, 1.0) for way in (-REACH_IN_VALUES, REACH_IN_VALUES)]
-    low, high = ((values_of(parameters, end) - value) / rise for end in ends)
+    with np.errstate(over="ignore"):  # where a value hardly rises there, no end is near
+        low, high = ((values_of(parameters, end) - value) / rise for end in ends)
     in_values = [chi_of(parameters, value + rise * least_in_box(each, gradient, low, high)) for each in damped]
     return np.clip([*in_exponents, *in_values], 0.0, 1.0)
 

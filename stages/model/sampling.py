@@ -54,14 +54,27 @@ def between(points: np.ndarray, place: np.ndarray) -> np.ndarray:
     """
     width = min(ALONG, points.shape[2])
     first = np.clip(np.floor(place).astype(int) - (width // 2 - 1), 0, points.shape[2] - width)
-    result = np.zeros((*points.shape[:2], place.shape[1], 2))
+    weight = np.empty((*place.shape, width))
     for i in range(width):
         others = np.array([m for m in range(width) if m != i])
-        weight = np.prod((place - first - others[:, None, None]) / (i - others[:, None, None]), axis=0)
+        cubic = np.prod((place - first - others[:, None, None]) / (i - others[:, None, None]), axis=0)
         straight = (1 - place, place, *[0 * place] * (width - 2))[i]
-        share = np.where(place < 0, straight, weight)[:, None, :, None]
-        result += share * np.take_along_axis(points, (first + i)[:, None, :, None], axis=2)
+        weight[..., i] = np.where(place < 0, straight, cubic)
+    result = np.zeros((*points.shape[:2], place.shape[1], 2))
+    side_by_side(lambda one, end: _weighed(points, first, weight, one, end, result), len(points), PIECE)
     return result
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _weighed(points: np.ndarray, first: np.ndarray, weight: np.ndarray, one: int, end: int, result: np.ndarray) -> None:
+    """Candidates from one to before end. points: (C, F, n, 2). first: of the points that each place lies between, (C,
+    M); weight: of these, (C, M, W). result: zeros (C, F, M, 2), filled in place."""
+    for c in range(one, end):
+        for f in range(points.shape[1]):
+            for m in range(first.shape[1]):
+                for i in range(weight.shape[2]):
+                    result[c, f, m, 0] += weight[c, m, i] * points[c, f, first[c, m] + i, 0]
+                    result[c, f, m, 1] += weight[c, m, i] * points[c, f, first[c, m] + i, 1]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

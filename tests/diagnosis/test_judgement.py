@@ -1,0 +1,57 @@
+"""What is judged: against dense algebra, and by one vote of each trial."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from stringcast.stages.diagnose import single_effects
+from stringcast.stages.diagnose.small_effects import SMALL, tempered
+from stringcast.stages.inference.covariance import PRIOR
+from stringcast.stages.inference.discrepancy import log_prior
+
+
+class Scaled:
+    """Two trials whose residuals are white once divided by the size of each."""
+
+    def of(self, hypothesis: None) -> "Scaled":
+        return self
+
+    def white(self, residuals: list[np.ndarray], sizes: np.ndarray) -> np.ndarray:
+        return np.concatenate([each / size for each, size in zip(residuals, sizes, strict=True)], axis=1)
+
+
+def test_small_effects_are_as_likely_as_a_dense_covariance_says_whatever_the_sizes_of_a_fit():
+    rng, sizes = np.random.default_rng(0), np.array([1.0, 3.0])
+    slopes, small = (
+        [rng.standard_normal((rows, 20)) * scale for _ in range(2)] for rows, scale in ((2, 1.0), (3, 1e3))
+    )
+    residuals = [rng.standard_normal(20) + 1e-3 * own[0] for own in small]
+    fit = SimpleNamespace(hypothesis=None, residuals=residuals, slopes=slopes, sizes=sizes, chi=np.zeros(2))
+    scale = np.repeat(sizes, 20)
+    a, s, r = (np.concatenate(each, axis=-1) / scale for each in (slopes, small, residuals))
+
+    def said(size: float) -> float:
+        covariance = np.eye(40) + a.T @ a / PRIOR + size**2 * s.T @ s
+        return float(multivariate_normal(np.zeros(40), covariance).logpdf(r))
+
+    expected = logsumexp(np.array([said(size) for size in SMALL]) + log_prior()[: len(SMALL)]) - said(0.0)
+    assert tempered(Scaled(), fit, small).gain == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "share"),
+    [
+        ((40.0, 4.0, 4.0, 4.0), (40.0, 0.1, 0.1, 0.1), 0.75),  # one that is far off and stays so speaks for itself
+        ((40.0, 4.0, 4.0, 4.0), (1.0, 4.0, 4.0, 4.0), 0.25),  # and so does one that alone is explained
+        ((4.0, 4.0, 1.0, 1.0), (0.1, 0.1, 1.5, 1.5), 1.0),  # what is tolerated does not count
+        ((4.0, 1.0), (0.1, 4.0), 0.03),  # what gets worse counts as what gets better
+        ((1.0, 0.5), (0.5, 0.5), 0.75),  # where all is tolerated, that which lacks most does
+    ],
+)
+def test_each_trial_has_one_vote_on_what_causes_remove(before, after, share, monkeypatch):
+    lacking = {"parent": np.array(before) / 1e3, "fit": np.array(after) / 1e3}
+    monkeypatch.setattr(single_effects, "unexplained", lambda data, fit: lacking[fit])
+    assert single_effects.removed(None, "parent", "fit", 2e-3) == pytest.approx(share, abs=0.01)
