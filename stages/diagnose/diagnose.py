@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 import pandas as pd
 import yaml
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from scipy.stats import norm
 
 from stringcast.data.artifacts import FINDING, HELD_OUT, Diagnosis, Observation, TrialSet
@@ -33,11 +33,18 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trimmed_at_contact
 from stringcast.stages.inference.evidence import Data, Fit, fitted
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.library import library
+from stringcast.stages.model.library import library, named
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import Call
 
 log = logging.getLogger(__name__)
+
+
+def there(names: Sequence[str]) -> Sequence[str]:
+    """Names of effects. Raises UnknownEffectError where there is none of that name."""
+    named(names)
+    return names
+
 
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
 CHAOTIC = "it is so sensitive that no simulation tells it to the tolerance; it was set aside"
@@ -66,6 +73,7 @@ def diagnose(
     criteria: Criteria,
     matching: Matching,
     design: Design,
+    without: Annotated[Sequence[str], AfterValidator(there)] = (),
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """What the model gets wrong in these trials, and why.
@@ -73,8 +81,8 @@ def diagnose(
     rejected: trials that cannot be used, with the reason. held_out: names of trials that are kept for measuring the
     gain; where there are none, each trial is left out in turn. starts: of the search for the base model's parameters.
     criteria: what decides. matching: how the matching rate E is counted. design: of the motion that would decide
-    between look-alikes, which the obstacles must not be in the way of; nothing is moved here. Raises DataError where no
-    trial can be used.
+    between look-alikes, which the obstacles must not be in the way of; nothing is moved here. without: effects that are
+    no candidates. Raises DataError where no trial can be used.
     """
     good, faults = usable(model, observations)
     rejected = {**rejected, **faults}
@@ -88,13 +96,14 @@ def diagnose(
     ready = prepared(model, [good[i] for i in kept], criteria.tolerance, np.random.default_rng(seed), starts, progress)
     rejected = {**rejected, **dict.fromkeys(ready.chaotic, CHAOTIC)}
     kept = [i for i in kept if good[i].trial not in ready.chaotic]
-    effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials)
+    asked = {name: effect for name, effect in library().items() if name not in without}
+    effects = candidates(ready.base.hypothesis.model, asked, ready.data.trials)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
     found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
     if rest and not judgement.causes and _shown(found, [good[i] for i in rest], criteria):
         log.info("the trials set aside show what the others do not: they are looked at as well")
         again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
-        return again(model, good, rejected, (), obstacles, progress=progress)
+        return again(model, good, rejected, (), obstacles, without=without, progress=progress)
     if len(kept) == 1 and judgement.verdict == "unknown":
         judgement = replace(judgement, verdict="insufficient", sentence=ALONE)
     log.info("verdict: %s", judgement.verdict)

@@ -124,13 +124,13 @@ def test_what_hardly_moves_the_tip_does_not_enter(trial):
     assert not enters(data, Step(parent, (), [near]), CRITERIA)
 
 
-def said_of(model, observations, monkeypatch):
+def said_of(model, observations, monkeypatch, **asked):
     """The diagnosis with a small library."""
     few = ("tip_mass", "density_taper", "time_offset", "arm_lag", "wind", "resolution")
     monkeypatch.setattr(module, "library", lambda: {e.name: e for e in named(few)})
     design = Design(motions=2, shortest=0.4, longest=0.8, alpha=150.0, before=0.05, after=0.1)
     matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
-    rest = {"starts": 2, "criteria": CRITERIA, "matching": matching, "design": design}
+    rest = {"starts": 2, "criteria": CRITERIA, "matching": matching, "design": design, **asked}
     return module.diagnose(model, observations, {}, (), (), seed=0, **rest)
 
 
@@ -163,6 +163,11 @@ def test_a_mass_that_is_hidden_at_the_tip_is_found_and_the_budget_adds_up(arm, c
     known = yaml.safe_load(made.finding["extended"].iloc[0])
     assert known["effects"] == ["tip_mass"]
     assert known["known"]["tip_mass.ratio"]["low"] < 0.05 < known["known"]["tip_mass.ratio"]["high"]
+
+
+def test_a_cause_that_cannot_be_at_work_is_no_candidate(arm, camera, monkeypatch):
+    made = said_of(*casts(arm, camera, ["tip_mass"], {"tip_mass.ratio": 0.05}), monkeypatch, without=["tip_mass"])
+    assert not made.theories["causes"].str.contains("tip_mass").any()
 
 
 def test_a_string_without_any_is_left_alone(arm, camera, monkeypatch):

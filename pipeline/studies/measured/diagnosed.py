@@ -10,7 +10,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import replace
 from pathlib import Path
@@ -63,6 +63,7 @@ def main() -> None:
     parser.add_argument("strings", nargs="*", help="names of strings; all by default")
     parser.add_argument("--out", type=Path, default=ROOT / "outputs" / "measured", help="datasets and diagnoses")
     parser.add_argument("--processes", type=int, default=0, help="0 is one for each core")
+    parser.add_argument("--without", action="append", default=[], help="an effect to do without: no row is kept then")
     asked = parser.parse_args()
     if not asked.measured.is_dir():
         sys.exit(f"{asked.measured}: there is no such folder. Name the one that holds all, as ../shared/measured.")
@@ -71,10 +72,12 @@ def main() -> None:
     if unknown := set(names) - set(there):
         sys.exit(f"there is no {', '.join(sorted(unknown))} in {asked.measured}; there are {', '.join(there)}")
     with workers(asked.processes) as pool:
-        runs = {pool.submit(answer, asked.measured, n, *there[n], asked.out / n): n for n in names}
+        runs = {pool.submit(answer, asked.measured, n, *there[n], asked.out / n, asked.without): n for n in names}
         for run in track(as_completed(runs), "strings", total=len(runs)):
             if error := run.exception():
                 print(f"{runs[run]}: {type(error).__name__}: {error}")
+            elif asked.without:
+                print(run.result())
             else:
                 keep(run.result() | {"code": code()["commit"][:7]})
 
@@ -86,11 +89,14 @@ def families() -> list[Family]:
     return list((whole | {"cables": replace(whole["cables"], trials=SLOW)}).values())
 
 
-def answer(measured: Path, name: str, family: Family, trials: list[str], out: Path) -> dict[str, Any]:
-    """A row of the table but for the code; the diagnosis is left in `out`."""
+def answer(
+    measured: Path, name: str, family: Family, trials: list[str], out: Path, without: Sequence[str] = ()
+) -> dict[str, Any]:
+    """A row of the table but for the code; the diagnosis is left in `out`. without: effects that are no candidates."""
     family.write(measured, name, trials, out / "dataset", {"packages": versions(PACKAGES)})
     begun = time.perf_counter()
-    found = diagnosis(out / "dataset", composed(["+experiment=diagnose"]) | {"string": family.settings["string"]})
+    settings = composed(["+experiment=diagnose", f"diagnose.without=[{','.join(without)}]"])
+    found = diagnosis(out / "dataset", settings | {"string": family.settings["string"]})
     seconds = time.perf_counter() - begun
     text = found.finding["diagnosis"].iloc[0]
     write_text(out / "diagnosis.json", text)
