@@ -38,7 +38,7 @@ def energy(motion, path):
     square = np.sum(first**2, axis=-1)
     turn = (first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]) / square
     inner = 0.5 * rod.axial * (np.sqrt(square) - 1) ** 2 + 0.5 * rod.bending * turn**2
-    angle = np.arctan2(q[:, 1, 1], q[:, 1, 0]) - path.at(motion.t)[:, 6]
+    angle = np.unwrap(np.arctan2(q[:, 1, 1], q[:, 1, 0]) - path.at(motion.t)[:, 6])
     weight = -np.einsum("dc,kdc->k", mesh.weight, q)
     kinetic = 0.5 * np.einsum("kdc,de,kec->k", v, mesh.mass, v)
     return kinetic + inner @ mesh.weights @ np.ones(mesh.elements) + 0.5 * rod.grasp_stiffness * angle**2 + weight
@@ -90,6 +90,16 @@ def test_energy_stays_without_losses_and_never_rises_with_them():
     assert lost[-1] - floor < 0.9 * (lost[after][0] - floor)
 
 
+def test_a_rod_that_winds_about_its_grasp_is_turned_back_by_all_of_it():
+    """The energy of the grasp's spring goes with the angle by which it was wound, more than half a turn."""
+    path, rod = swung(turn=5.5), FREE._replace(gravity_y=0.0)
+    motion = moved(rod, path, 8, 1e-4)
+    angle = np.unwrap(np.arctan2(motion.q[:, 1, 1], motion.q[:, 1, 0]) - path.at(motion.t)[:, 6])
+    kept = energy(motion, path)[2300:]  # the hand has stopped
+    assert np.abs(angle).max() > 3.3
+    assert np.ptp(kept) < 2e-3 * kept.max()
+
+
 def test_the_order_in_elements_and_in_steps():
     path, t = swung(), np.linspace(0, 0.5, 51)
 
@@ -115,7 +125,7 @@ def test_steps_follow_the_same_equations_as_a_solver_of_scipy(rod):
         q, v = y[: 2 * begun.size].reshape(2, *begun.shape)
         state, after, hand = y[2 * begun.size :].reshape(still.shape), still.copy(), path.at(np.array([t]))[0]
         q[0], v[0] = hand[:2], hand[2:4]
-        force = forces(t, State(q, v, state, small), hand, *parts, after) + mesh.weight
+        force = forces(t, State(q, v, state, small, 0.0), hand, *parts, after) + mesh.weight
         a = np.zeros_like(q)
         a[0] = hand[4:6]
         a[1:] = np.linalg.solve(mesh.mass[1:, 1:], force[1:] - np.outer(mesh.mass[1:, 0], a[0]))

@@ -191,6 +191,7 @@ def _verlet(
     kept[0] = x[:2].T
     shear, bend, segment = forces[12].copy(), torques[7], forces[5][0]
     soft = 1.0 / (1.0 + rod.grasp_stiffness * 0.5 * segment / bending[0])  # half an element bends before the grasp
+    turn = 0.0
     for k in range(steps):
         now = hand[2 * k + 1]
         overload_operator_kinematic_numba(0.5 * dt, x, directors, v, omega)
@@ -201,7 +202,8 @@ def _verlet(
         _compute_internal_torques(*torques)
         t = begin + (k + 0.5) * dt
         _pushed(t, dt, x, v, forces[3], rod.axial_damping * torques[16], forces[14], mass, segment, rod, outer)
-        _turned(t, dt, directors, omega[0], torques[17][0], inertia, now, soft, segment, rod)
+        turn = _nearest(math.atan2(directors[2, 1, 0], directors[2, 0, 0]) - now[6], turn)
+        _turned(t, dt, turn, omega[0], torques[17][0], inertia, now, soft, segment, rod)
         v[0, 0], v[1, 0] = now[2], now[3]
         overload_operator_kinematic_numba(0.5 * dt, x, directors, v, omega)
         x[0, 0], x[1, 0] = hand[2 * k + 2, 0], hand[2 * k + 2, 1]
@@ -236,10 +238,16 @@ def _pushed(
 
 
 @njit(cache=True, error_model="numpy")
+def _nearest(turn: float, before: float) -> float:
+    """An angle, as many turns on as brings it nearest to one before [rad]: a rod may wind about its grasp."""
+    return turn + 2.0 * math.pi * round((before - turn) / (2.0 * math.pi))
+
+
+@njit(cache=True, error_model="numpy")
 def _turned(
     t: float,
     dt: float,
-    directors: np.ndarray,
+    turn: float,
     omega: np.ndarray,
     torque: np.ndarray,
     inertia: np.ndarray,
@@ -248,10 +256,8 @@ def _turned(
     segment: float,
     rod: Rod,
 ) -> None:
-    """Rates of turning (N,) after a step. torque: (N,), to which the grasp's is added. soft: share of the grasp's
-    moment that the half element before it passes on."""
-    turn = math.atan2(directors[2, 1, 0], directors[2, 0, 0]) - hand[6]
-    turn = math.atan2(math.sin(turn), math.cos(turn))
+    """Rates of turning (N,) after a step. turn: of the first section from the grasp's direction [rad]. torque: (N,), to
+    which the grasp's is added. soft: share of the grasp's moment that the half element before it passes on."""
     torque[0] -= soft * grasp_moment(turn, 0.0, t, rod)
     omega += dt * torque / inertia
     brake = soft * soft * grasp_moment(0.0, 1.0, t, rod)

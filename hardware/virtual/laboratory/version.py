@@ -48,4 +48,5 @@ NO_MEMORY = Version(  # PyElastica's moment is linear in the turn
     together=tuple(name for name in FIRST.together if name not in ("hardening", "rub")),
     outside=FIRST.outside,
 )
-VERSIONS = {"nodal": {2: FIRST}, "pyelastica": {2: NO_MEMORY}}  # of 1 some hid what acted in no trial that was kept
+# of 1 some hid what acted in no trial that was kept; of 2 a string wound about its grasp was held the other way
+VERSIONS = {"nodal": {3: FIRST}, "pyelastica": {3: NO_MEMORY}}

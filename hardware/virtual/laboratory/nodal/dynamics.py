@@ -46,12 +46,14 @@ class Elements(NamedTuple):
 
 class State(NamedTuple):
     """q, v: (D, 2) coordinates and their rates. inner: (E, G, 2) Bouc and Wen's state and Zener's at the Gauss points,
-    before the rates have lasted for `lapse` [s]."""
+    before the rates have lasted for `lapse` [s]. turned: angle of the first tangent from the grasp's direction at some
+    time before, from which it is less than half a turn away [rad]: a rod may wind about its grasp."""
 
     q: np.ndarray
     v: np.ndarray
     inner: np.ndarray
     lapse: float
+    turned: float
 
 
 @njit(cache=True, error_model="numpy")
@@ -178,6 +180,15 @@ def grasp_moment(turn: float, rate: float, t: float, rod: Rod) -> float:
 
 
 @njit(cache=True, error_model="numpy")
+def grasp_turn(q: np.ndarray, theta: float, before: float) -> float:
+    """Angle of the first tangent of coordinates (D, 2) from the grasp's direction theta [rad], the nearest to one
+    before."""
+    c, s = math.cos(theta), math.sin(theta)
+    turn = math.atan2(c * q[1, 1] - s * q[1, 0], c * q[1, 0] + s * q[1, 1])
+    return turn + 2.0 * math.pi * round((before - turn) / (2.0 * math.pi))
+
+
+@njit(cache=True, error_model="numpy")
 def inner_states(rate: float, rubbed: float, relaxed: float, lapse: float, rod: Rod) -> tuple[float, float]:
     """Bouc and Wen's state [1] and Zener's [1/m] after a rate of turn [1/(m s)] has lasted, implicitly.
 
@@ -208,8 +219,7 @@ def add_element_forces(
     if e == 0:
         dx, dy = q[1, 0], q[1, 1]
         square = dx * dx + dy * dy
-        c, s = math.cos(hand[6]), math.sin(hand[6])
-        turn = math.atan2(c * dy - s * dx, c * dx + s * dy)
+        turn = grasp_turn(q, hand[6], now.turned)
         rate = (dx * v[1, 1] - dy * v[1, 0]) / square - hand[7]
         held = grasp_moment(turn, rate, t, rod)
         force[1, 0] += held * dy / square
@@ -279,7 +289,7 @@ def tangent(t: float, now: State, by_place: float, hand: np.ndarray, rod: Rod, m
     band = np.zeros((2 * len(q), 2 * BAND + 1))
     base, there, after = np.zeros_like(q), np.zeros_like(q), np.empty_like(now.inner)
     own, rate = q.copy(), v.copy()
-    moved = State(own, rate, now.inner, lapse)
+    moved = State(own, rate, now.inner, lapse, now.turned)
     small = 1e-7 / by_place
     for e in range(len(made.places)):
         base[2 * e : 2 * e + 4] = 0.0
@@ -348,13 +358,13 @@ def stage(
     begun: the state without this stage's share. after: gets the inner states then. factors: of Newton's matrix from a
     step before, made anew where it serves no more.
     """
-    q, v, inner, lapse = begun
+    q, v, inner, lapse, turned = begun
     a[0] = hand[4:6]
     for tried in range(TRIES):
         rate = v + lapse * a
         place = q + lapse * rate
         place[0], rate[0] = hand[0:2], hand[2:4]
-        now = State(place, rate, inner, lapse)
+        now = State(place, rate, inner, lapse, turned)
         if (tried > 0 and tried % ANEW == 0) or factors[0, BAND] == 0.0:
             factors[:] = lu_factors(newton_matrix(t, now, hand, rod, made)[2:])
         force = forces(t, now, hand, rod, made, after)
@@ -385,7 +395,7 @@ def step(
     t: (3,) of the stages. now: its lapse is a stage's. hand: (3, 8). slopes: of these three at the stages, (3, ...)
     each, with accelerations from the step before to begin with.
     """
-    q, v, state, lapse = now
+    q, v, state, lapse, turned = now
     rates, a, change = slopes
     after = np.empty_like(state)
     for i in range(3):
@@ -396,7 +406,8 @@ def step(
             rate += share * a[j]
             inner += share * change[j]
         a[i] = a[i - 1]
-        if not stage(t[i], State(place, rate, inner, lapse), hand[i], rod, made, a[i], after, factors):
+        begun = State(place, rate, inner, lapse, turned)
+        if not stage(t[i], begun, hand[i], rod, made, a[i], after, factors):
             return False
         rates[i] = rate + lapse * a[i]
         rates[i, 0] = hand[i, 2:4]
@@ -423,8 +434,11 @@ def integrate(
     all_q[0], all_v[0] = q, v
     slopes = np.empty((3, *q.shape)), np.zeros((3, *q.shape)), np.empty((3, *state.shape))
     factors, lapse = np.zeros((2 * len(q) - 2, 2 * BAND + 1)), DIAGONAL * dt
+    turned = grasp_turn(q, hand[0, 0, 6], 0.0)
     for k in range(len(hand)):
-        if not step(begin + (k + MOMENTS) * dt, dt, State(q, v, state, lapse), hand[k], rod, made, slopes, factors):
+        now = State(q, v, state, lapse, turned)
+        if not step(begin + (k + MOMENTS) * dt, dt, now, hand[k], rod, made, slopes, factors):
             return all_q, all_v
+        turned = grasp_turn(q, hand[k, 2, 6], turned)
         all_q[k + 1], all_v[k + 1] = q, v
     return all_q, all_v

@@ -84,7 +84,7 @@ def _turned_down(mesh: Mesh, hand: np.ndarray) -> np.ndarray:
 def _balance(mesh: Mesh, q: np.ndarray, hand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces at rest on the free coordinates (2 D - 2,), and their slopes by these."""
     still, none = np.zeros_like(q), np.zeros((*mesh.places.shape, 2))
-    parts, now = (hand, mesh.rod.record, mesh.compiled), State(q, still, none, 0.0)
+    parts, now = (hand, mesh.rod.record, mesh.compiled), State(q, still, none, 0.0, 0.0)
     force = mesh.weight + forces(LONG_AGO, now, *parts, np.empty_like(none))
     band = tangent(LONG_AGO, now, 1.0, *parts)
     rows, width = band.shape
