@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from stringcast.stages.diagnose.prepared import converged
 from stringcast.stages.diagnose.single_effects import (
     Criteria,
     Found,
@@ -88,13 +89,14 @@ def settled(
     found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
 ) -> tuple[Found, Judgement]:
     """Where each cause is the likeliest in its place, every effect a little wrong, and what is said there: look-alikes
-    may have entered for one another."""
+    may have entered for one another. Numerical error is that of each in turn."""
     judgement = judged(found, effects, criteria, too_few_points, seed)
     for _ in found.fit.hypothesis.causes:
         other = _likelier(found, judgement)
         if other is None:
             break
-        found = replace(found, fit=other)
+        prepared, fit = converged(found.prepared, other)
+        found = Found(prepared, fit, found.path)
         judgement = judged(found, effects, criteria, too_few_points, seed)
     return found, judgement
 

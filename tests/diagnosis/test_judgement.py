@@ -7,7 +7,8 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from stringcast.stages.diagnose import single_effects
+from stringcast.stages.diagnose import judgement, single_effects
+from stringcast.stages.diagnose.single_effects import Found
 from stringcast.stages.diagnose.small_effects import SMALL, tempered
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import log_prior
@@ -55,3 +56,14 @@ def test_each_trial_has_one_vote_on_what_causes_remove(before, after, share, mon
     lacking = {"parent": np.array(before) / 1e3, "fit": np.array(after) / 1e3}
     monkeypatch.setattr(single_effects, "unexplained", lambda data, fit: lacking[fit])
     assert single_effects.removed(None, "parent", "fit", 2e-3) == pytest.approx(share, abs=0.01)
+
+
+def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
+    """The second is likelier in the place of the first; there the third is not."""
+    fits = {n: SimpleNamespace(hypothesis=SimpleNamespace(names=(n,), causes=(n,)), name=n) for n in ("one", "two")}
+    chances = {"one": {"one": 0.1, "two": 0.9}, "two": {"one": 0.2, "two": 0.8}}
+    said = {n: SimpleNamespace(slots=[SimpleNamespace(chances=chances[n], fits=fits)], name=n) for n in fits}
+    monkeypatch.setattr(judgement, "judged", lambda found, *rest: said[found.fit.name])
+    monkeypatch.setattr(judgement, "converged", lambda prepared, fit: (f"{prepared} at {fit.name}", fit))
+    found, judged = judgement.settled(Found("data", fits["one"]), (), None, False, 0)
+    assert (found.fit, found.prepared, judged) == (fits["two"], "data at two", said["two"])
