@@ -28,7 +28,7 @@ from stringcast.pipeline.settings import UserError, build, composed, names_given
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.finding import full_stop
 from stringcast.stages.check.measured import Measured
-from stringcast.stages.check.overview import overview
+from stringcast.stages.check.overview import EFFECTS, found_from, overview
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
@@ -38,13 +38,16 @@ COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
 
 def main(arguments: Sequence[str]) -> int:
     """Look at a folder and say what was found; the exit status."""
-    asked = parser().parse_args(arguments)
+    asked = parser().parse_intermixed_args(arguments)
     console = Terminal()
     if asked.report is not None and asked.report.suffix != ".html":
         raise UserError(f"--report {asked.report}: it must end in .html. Change it.")
     try:
         there = measured(asked.folder, asked.settings)
         found = overview(there)
+        if asked.effects and found["usable"]:
+            told = import_module("stringcast.pipeline.commands.check_effects")  # which takes seconds to load
+            found["effects"] = told.effects(asked.folder, asked.settings)
         if asked.report is not None:
             write_text(asked.report, page(there, found))
     except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
@@ -64,6 +67,11 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("folder", type=Path, help="measured data, or a run's folder")
     made.add_argument("settings", nargs="*", default=[], help="as for a run, such as string.length=0.4 or arm=mine")
     made.add_argument("--report", type=Path, help="a .html file to write: the same, with arm, string and clocks drawn")
+    made.add_argument(
+        "--effects",
+        action="store_true",
+        help="also say from which size on each effect would be found in these trials, in half a minute",
+    )
     made.add_argument("--json", action="store_true", help="print all that was found as JSON")
     return made
 
@@ -117,6 +125,8 @@ def show(found: Mapping[str, Any], console: Terminal) -> None:
         words = f"{place}{where}: {finding['said']}." if place or where else finding["said"] + "."
         colour, severity = COLOURS[finding["severity"]], finding["severity"]
         console.print(f"[{colour}]{severity}[/] {escape(as_called(words + remedy))}", highlight=False, soft_wrap=True)
+    if found.get("effects"):
+        console.print(effects(found["effects"]), EFFECTS, highlight=False)
     console.print(conclusion(found), soft_wrap=True)
 
 
@@ -147,6 +157,18 @@ def trials(rows: Sequence[Mapping[str, Any]]) -> Table:
         noise = number(None if each["noise"] is None else each["noise"] * 1e3, "{:.2f}")
         times = (f"{each['duration']:.2f}", f"{each['common']:.2f}", str(each["frames"]))
         table.add_row(Text(each["trial"]), *times, *rates, noise, f"{each['path']:.2f}", each["begins"])
+    return table
+
+
+def effects(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """A line for each parameter that is an effect's size."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("effect", "found from", "tip [mm]", "like the string", "taken for"):
+        table.add_column(escape(heading), justify="left" if heading in ("effect", "taken for") else "right")
+    for each in rows:
+        tip = number(each["tip_m"] and each["tip_m"] * 1e3, "{:.1f}")
+        name = f"{each['effect']}.{each['parameter']}"
+        table.add_row(name, found_from(each), tip, f"{each['imitated']:.0%}", ", ".join(each["alike"]) or "-")
     return table
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,6 +13,13 @@ from stringcast.stages.check.check import findings
 from stringcast.stages.check.clocks import restless, usual
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import Measured, Seen
+
+PLAIN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "1": (100.0, "%")}  # units as people say them
+EFFECTS = (
+    "Found from: the size from which on a diagnosis would find an effect in these trials, and how far it then moves "
+    "the tip. Like the string: the share of what it does that the string's own parameters can imitate. Taken for: "
+    "effects that are as likely at that size; larger ones are told apart. What depends on place is not asked."
+)
 
 
 @dataclass(frozen=True)
@@ -55,6 +63,16 @@ def rows(measured: Measured) -> list[Row]:
     """The overview's rows, one for each usable trial."""
     films = measured.data.films
     return [row(seen, films[seen.name].t if seen.name in films else None) for seen in measured.trials]
+
+
+def found_from(told: Mapping[str, Any]) -> str:
+    """The size from which on an effect would be found, in plain words. told: as of `check --effects`."""
+    factor, unit = PLAIN.get(told["unit"], (1.0, told["unit"]))
+    if told["found_from"] is None:
+        return f"never: {told['most_tip_m'] * 1e3:.1f} mm at most"
+    if told["absent"]:
+        return f"{told['absent'] * factor:.4g} {unit} to {told['found_from'] * factor:.4g} {unit}"
+    return f"{told['found_from'] * factor:.2g} {unit}"
 
 
 def overview(measured: Measured) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from conftest import ROOT, pipeline
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
+from stringcast.pipeline.commands import check_effects
 from stringcast.pipeline.commands.check import measured
 from stringcast.stages.check.check import CHECKS, findings, refuse
 from stringcast.stages.check.finding import Severity
@@ -570,6 +571,42 @@ def test_a_page_shows_what_was_measured_and_found(dirty, called, undrawn, tmp_pa
     assert "://" not in page.replace("http://www.w3.org", "")  # it needs no network
     refused = called("check", tmp_path, "--report", tmp_path / "page.pdf")
     assert (refused.returncode, "must end in .html" in refused.stderr) == (2, True)
+
+
+EFFECT = {
+    **{"effect": "wind", "parameter": "along_x", "meaning": "velocity of the air to the right", "unit": "m/s"},
+    **{"absent": 0.0, "found_from": 0.021, "tip_m": 6.8e-4, "most_tip_m": 0.2, "imitated": 0.52, "alike": ["tip_mass"]},
+}
+
+
+def test_what_the_trials_can_tell_is_said_where_it_is_asked(dirty, called, undrawn, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(check_effects, "effects", lambda *given: asked.append(given) or [EFFECT])
+    folder = dirty.write(tmp_path)
+    assert "wind" not in called("check", folder).stdout
+    done = called("check", folder, "--effects", "--report", tmp_path / "page.html", "string.points=15")
+    assert asked == [(folder, ["string.points=15"])]
+    assert re.search(r"wind.along_x +0.021 m/s +0.7 +52% +tip_mass", done.stdout)
+    assert done.stdout.index("Found from:") < done.stdout.index("Usable: 3 trials")
+    page = (tmp_path / "page.html").read_text()
+    assert "What these trials can tell" in page
+    assert "0.021 m/s" in page
+    assert json.loads(called("check", folder, "--effects", "--json").stdout)["effects"] == [EFFECT]
+    none_left(dirty)
+    assert "effects" not in json.loads(called("check", dirty.write(tmp_path), "--effects", "--json").stdout)
+    assert len(asked) == 2
+
+
+@pytest.mark.long
+def test_what_the_sample_can_tell(called):
+    """Half a metre of string, thousands of readings: of an offset of the camera, half a millimetre, for less does not
+    count; and of the clocks, a small part of a frame."""
+    done = called("check", SAMPLE, "--effects", "--json")
+    told = {f"{each['effect']}.{each['parameter']}": each for each in json.loads(done.stdout)["effects"]}
+    assert len(told) > 25
+    assert told["camera_offset.x"]["found_from"] == pytest.approx(5e-4, rel=0.01)
+    assert told["time_offset.offset"]["found_from"] < 0.1 / 200
+    assert all(each["tip_m"] >= 4.99e-4 for each in told.values())
 
 
 def test_what_cannot_be_read_is_one_error(called, tmp_path):

@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib import style
 
 from stringcast.stages.check.measured import Measured, Seen
+from stringcast.stages.check.overview import EFFECTS, found_from
 from stringcast.stages.report.charts.measured import trial_figure, trial_words
 from stringcast.stages.report.page import Card, Cell, Figure, Page, Part, Section, Table, Text, Tile, Tiles, number
 from stringcast.stages.report.theme import STYLE, vector
@@ -39,6 +40,7 @@ def check_page(
         ),
         Section("What was found", [findings(found["findings"])]),
         Section("Trial by trial", [Card("", [overview(found["trials"])])]),
+        *told(found.get("effects", [])),
         Section("What was measured", [Text(CAPTION), *drawn(trials[:DRAWN])]),
     ]
     if len(trials) > DRAWN:
@@ -71,6 +73,23 @@ def findings(found: Sequence[Mapping[str, Any]]) -> Part:
     ]
     columns = ("how sure", "where", "trials", "what is so", "what to do")
     return Card("", [Table(columns, rows) if rows else Text("Nothing looks wrong.")])
+
+
+def told(effects: Sequence[Mapping[str, Any]]) -> list[Part]:
+    """What trials could tell of each effect; nothing where it was not asked."""
+    columns = ["effect", "what it is", "found from", "then at the tip [mm]", "like the string [%]", "taken for"]
+    rows = [
+        [
+            Cell(f"{one['effect']}.{one['parameter']}", "code"),
+            one["meaning"],
+            number(found_from(one)),
+            number("" if one["tip_m"] is None else f"{1e3 * one['tip_m']:.1f}"),
+            number(f"{100 * one['imitated']:.0f}"),
+            ", ".join(one["alike"]),
+        ]
+        for one in effects
+    ]
+    return [Section("What these trials can tell", [Text(EFFECTS), Card("", [Table(columns, rows)])])] if rows else []
 
 
 def overview(trials: Sequence[Mapping[str, Any]]) -> Table:
