@@ -183,7 +183,10 @@ def _laid_over(points: pd.DataFrame, grasp: pd.DataFrame, length: float, notes: 
     for name, shift in list(later.items())[: 1 if same else None]:
         who = "in all trials" if same else f"in trial {name}"
         notes.append(f"{shift:+.3f} s are added to the camera's clock {who}, by the motion of hand and string")
-    notes.append("clocks laid over one another so are good to about a frame; a diagnosis names the rest time_offset")
+    slack = "" if same else ", to 25 ms in a trial whose string hangs slack at first"
+    notes.append(
+        f"clocks laid over one another so are good to about a frame{slack}; a diagnosis names the rest time_offset"
+    )
     return points.assign(t=points["t"] + points["trial"].map(later).fillna(0.0))
 
 

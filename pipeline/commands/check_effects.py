@@ -39,8 +39,9 @@ def effects(folder: Path, overrides: Sequence[str]) -> list[dict[str, Any]]:
         ready = prepared(
             here.model, seen, criteria.tolerance, rng, asked["starts"], lambda share: progress(0.7 * share)
         )
-        asked_for = candidates(ready.base.hypothesis.model, library(), ready.data.trials)
-        told = foreseen(ready, asked_for, criteria, here.seed, lambda share: progress(0.7 + 0.3 * share))
+        possible = {name: effect for name, effect in library().items() if name not in asked["without"]}
+        sought = candidates(ready.base.hypothesis.model, possible, ready.data.trials)
+        told = foreseen(ready, sought, criteria, here.seed, lambda share: progress(0.7 + 0.3 * share))
     return [row(each) for each in told]
 
 

@@ -55,7 +55,8 @@ def estimated(iterations: Sequence[Iteration], data: dataset.Dataset) -> str:
     estimates = [i.done["estimate"] for i in iterations if "estimate" in i.done]
     predicted = [i.done["prediction"].score.iloc[0] for i in iterations if "prediction" in i.done]
     count, rate = len(iterations) - len(predicted), float(estimates[-1].fit["after"].iloc[0])
-    words = [f"Estimated from {count} trial(s) of {data.folder.name}; the matching rate E is {rate:.3f}."]
+    trials = f"{count} trial{'s' * (count != 1)} of {data.folder.name}"
+    words = [f"Estimated from {trials}; the matching rate E is {rate:.3f}."]
     words += [f"Held out, the tip of {s['trial']} is {1e3 * s['tip']:.1f} mm off (rms)." for s in predicted]
     words += [f"Left out: {listed(data.rejected)}."] if data.rejected else []
     return " ".join(words)

@@ -27,3 +27,13 @@ def test_each_trial_may_have_a_shift_of_its_own():
     given = {"t00": 3.0, "t03": -5.0}
     found = shifts([late(seen, given[seen.name], True) for seen in TRIALS if seen.name in given])
     assert {name: round(shift) for name, shift in found.items()} == {"t00": -3, "t03": 5}
+
+
+@pytest.mark.parametrize("tip_alone", [True, False])
+def test_clocks_that_begin_anew_with_each_trial_are_laid_to_a_frame_but_where_the_string_hangs_slack(tip_alone):
+    """In t01 the hand goes towards the tip at first, so that for 25 ms nothing says that it is late."""
+    own = {seen.name: -10.0 * number for number, seen in enumerate(TRIALS)}
+    found = shifts([late(seen, own[seen.name], tip_alone) for seen in TRIALS])
+    off = {name: shift + own[name] for name, shift in found.items()}
+    assert off.pop("t01") < 0.025
+    assert max(map(abs, off.values())) < 0.005
