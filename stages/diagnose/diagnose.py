@@ -40,7 +40,7 @@ from stringcast.stages.spec import Call
 log = logging.getLogger(__name__)
 
 
-def there(names: Sequence[str]) -> Sequence[str]:
+def existing(names: Sequence[str]) -> Sequence[str]:
     """Names of effects. Raises UnknownEffectError where there is none of that name."""
     named(names)
     return names
@@ -73,7 +73,7 @@ def diagnose(
     criteria: Criteria,
     matching: Matching,
     design: Design,
-    without: Annotated[Sequence[str], AfterValidator(there)] = (),
+    without: Annotated[Sequence[str], AfterValidator(existing)] = (),
     progress: Progress = lambda share: None,
 ) -> Diagnosis:
     """What the model gets wrong in these trials, and why.
