@@ -143,15 +143,18 @@ def compared(prepared: Prepared, parent: Fit, effects: Sequence[type[Effect]], c
 
 def _contested(prepared: Prepared, step: Step, criteria: Criteria) -> Step:
     """With those fitted to the end that come near to the most evident, if that is evident at all, and whether the best
-    then enters."""
+    then enters. Without one by which simulation tells a trial no longer to the tolerance: what is in doubt there may
+    explain anything."""
     parent = step.parent
     if step.best is None or step.best.evidence < parent.evidence + criteria.enough:
         return step
     enough = parent.evidence + criteria.least_share * (step.best.evidence - parent.evidence)
     count = sum(fit.evidence > enough for fit in step.tried[:RIVALS])
-    rivals = [polished(prepared, fit)[1] for fit in step.tried[:count]]
-    step = replace(step, tried=_ranked([*rivals, *step.tried[count:]]))
-    return replace(step, entered=enters(prepared.data, step, criteria))
+    rivals = [polished(prepared, fit) for fit in step.tried[:count]]
+    allowed = np.maximum(prepared.doubt, criteria.tolerance)
+    told = [fit for made, fit in rivals if (made.doubt <= allowed).all()]
+    step = replace(step, tried=_ranked([*told, *step.tried[count:]]))
+    return replace(step, entered=step.best is not None and enters(prepared.data, step, criteria))
 
 
 def enters(data: Data, step: Step, criteria: Criteria) -> bool:

@@ -8,10 +8,11 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from stringcast.stages.diagnose import judgement, single_effects
-from stringcast.stages.diagnose.single_effects import Found
+from stringcast.stages.diagnose.single_effects import Found, Step
 from stringcast.stages.diagnose.small_effects import SMALL, tempered
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import log_prior
+from tests.diagnosis.performed import CRITERIA
 
 
 class Scaled:
@@ -67,3 +68,16 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
     monkeypatch.setattr(judgement, "converged", lambda prepared, fit: (f"{prepared} at {fit.name}", fit))
     found, judged = judgement.settled(Found("data", fits["one"]), (), None, False, 0)
     assert (found.fit, found.prepared, judged) == (fits["two"], "data at two", said["two"])
+
+
+@pytest.mark.parametrize(("before", "best"), [(1e-3, "sure"), (5e-3, "doubtful")])
+def test_what_makes_a_trial_too_sensitive_to_be_told_does_not_enter_for_it(before, best, monkeypatch):
+    """Unless that trial was so before."""
+    fits = [SimpleNamespace(evidence=evidence, name=name) for evidence, name in ((60.0, "doubtful"), (50.0, "sure"))]
+    doubts = {"doubtful": 4e-3, "sure": 1e-3}
+    prepared = SimpleNamespace(doubt=np.array([0.0, before]), data=None)
+    made = {name: SimpleNamespace(doubt=np.array([0.0, doubt])) for name, doubt in doubts.items()}
+    monkeypatch.setattr(single_effects, "polished", lambda prepared, fit: (made[fit.name], fit))
+    monkeypatch.setattr(single_effects, "enters", lambda data, step, criteria: True)
+    step = single_effects._contested(prepared, Step(SimpleNamespace(evidence=0.0), (), fits), CRITERIA)
+    assert (step.best.name, step.entered) == (best, True)
