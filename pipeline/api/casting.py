@@ -40,9 +40,9 @@ def simulate(
 ) -> pd.DataFrame:
     """The string along a motion: a row for each moment and mass point, with t [s], s, x, y [m].
 
-    string: what is known of it; None: as it is configured. motion: one that was generated, or a table with t [s] and
-    q1, q2, q3 [rad]. times: when the string is wanted [s], at the motion's own times without it. Raises StringcastError
-    where the simulation does not stay finite.
+    string: what is known of it; what is not is at its start, from where it is sought: softer than strings are. motion:
+    one that was generated, or a table with t [s] and q1, q2, q3 [rad]. times: when the string is wanted [s], at the
+    motion's own times without it. Raises StringcastError where the simulation does not stay finite.
     """
     model = model_of(settings, string)
     table = motion.commands if isinstance(motion, Motion) else motion

@@ -57,7 +57,12 @@ def _in_the_plane(axes: Axes, seen: Seen) -> None:
         label = _first(number, "string, as measured")
         axes.plot(*line.T, ".-", color=LIGHT["after"], ms=4, lw=1.2, alpha=strength, label=label)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
-    axes.legend(loc="best")
+    _legend(axes, 3)
+
+
+def _legend(axes: Axes, columns: int) -> None:
+    """A legend above the axes, where it hides nothing."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
 def _first(number: int, label: str) -> str | None:
@@ -80,7 +85,7 @@ def _over_time(axes: Axes, seen: Seen) -> None:
         axes.plot(seen.hand_t, seen.pose[:, number] * MM, dashes, color=LIGHT["axis"], label=f"hand {axis}")
         axes.plot(t, tip[:, number] * MM, dashes, color=LIGHT["measured"], label=f"tip {axis}")
     axes.set_ylabel("place [mm]")
-    axes.legend(loc="best", ncols=2)
+    _legend(axes, 4)
 
 
 def _speeds(axes: Axes, seen: Seen) -> None:
@@ -99,4 +104,4 @@ def _speeds(axes: Axes, seen: Seen) -> None:
         if onset is not None:
             axes.axvline(onset, color=LIGHT[colour], ls=":", lw=1)
     axes.set(xlabel="time [s]", ylabel="speed [of fastest]")
-    axes.legend(loc="best")
+    _legend(axes, 2)

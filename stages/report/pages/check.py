@@ -28,6 +28,7 @@ def check_page(
     """The page as text. found: as `check.overview` says it. following: what can be done next, and the command."""
     usable = found["usable"]
     errors = sum(finding["severity"] == "error" for finding in found["findings"])
+    count = len(found["findings"])
     heading = "These trials can be used" if usable else "These trials cannot be used as they are"
     trials = list(measured.with_points())
     sections: list[Part] = [
@@ -35,7 +36,7 @@ def check_page(
             [
                 Tile(str(len(found["trials"])), "trials that can be read"),
                 Tile(mm(measured.length), "length of the string, from the grasp to the tip"),
-                Tile(str(len(found["findings"])), f"findings, {errors} of them errors"),
+                Tile(str(count), f"finding{'s' * (count != 1)}, errors among them: {errors}"),
             ]
         ),
         Section("What was found", [findings(found["findings"])]),
