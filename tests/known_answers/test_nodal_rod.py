@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp, solve_ivp
+from scipy.special import jn_zeros
 
 from stringcast.hardware.virtual.laboratory.hand import Path
 from stringcast.hardware.virtual.laboratory.nodal.dynamics import State, forces
@@ -66,18 +67,18 @@ def test_a_rod_held_out_level_hangs_as_the_heavy_elastica_does(curvature):
 
 
 def test_a_limp_chain_swings_at_the_zeros_of_a_bessel_function():
-    limp = FREE._replace(bending=1e-6, grasp_stiffness=1e-6, axial=1e4)
+    limp = FREE._replace(bending=1e-7, grasp_stiffness=1e-6, axial=1e4)  # 1e-6 would raise the fourth tone by 0.3 %
     motion = moved(limp, swung(2.5, reach=1e-4, turn=0.0), 10, 1e-3)
     t = np.linspace(0.3, 2.5, 1001)
     x = motion.points(t, np.array([LENGTH]))[:, 0, 0] - 1e-4
 
     def left(gravity):
-        phase = np.outer([2.404826, 5.520078, 8.653728, 11.791534], t) / 2 * np.sqrt(gravity / LENGTH)
+        phase = np.outer(jn_zeros(0, 6), t) / 2 * np.sqrt(gravity / LENGTH)  # the jerk sounds the fifth tone, too
         waves = np.concatenate([np.cos(phase), np.sin(phase)]).T
         return np.std(x - waves @ np.linalg.lstsq(waves, x, rcond=None)[0]) / np.std(x)
 
-    assert left(G) < 0.1
-    assert min(left(0.97 * G), left(1.03 * G)) > 2 * left(G)
+    assert left(G) < 0.03
+    assert min(left(0.97 * G), left(1.03 * G)) > 5 * left(G)
 
 
 def test_energy_stays_without_losses_and_never_rises_with_them():
