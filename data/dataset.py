@@ -21,9 +21,8 @@ import yaml
 
 from stringcast.data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from stringcast.data.errors import printable
-from stringcast.data.films import Shots, filmed, listed, videos
 from stringcast.data.foreign import inside, json_block, leaves, own
-from stringcast.data.images import ImageFiles
+from stringcast.data.images import ImageFiles, Shots, filmed, listed, videos
 from stringcast.data.metadata import FORMAT, NAME, metadata
 from stringcast.data.rows import Rows, cleaned, from_csv
 from stringcast.data.schema import Column, DataError, Table

@@ -1,4 +1,4 @@
-"""Sequences of images that are read one by one, from image files or from a video."""
+"""Sequences of images that are read one by one, from image files or from a video, and those of a dataset."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from PIL import Image
 
-from stringcast.data.foreign import MOST_PIXELS, regular
+from stringcast.data.foreign import MOST_PIXELS, own, regular
 from stringcast.data.later import Later
 from stringcast.data.schema import DataError
 
 cv2 = Later("cv2")
 
+VIDEOS = (".mp4", ".mov", ".avi", ".mkv")
 MOST_FILE = 1 << 28  # [bytes] of an image file: more than twice the largest sensors' 16-bit colours unpacked
 MOST_FRAMES = 1 << 20  # of a video: a quarter of an hour at 1000 a second
 CONTAINERS = (b"RIFF", b"\x1aE\xdf\xa3")  # how AVI and Matroska begin
@@ -178,3 +180,29 @@ def png(image: np.ndarray) -> bytes:
     good, content = cv2.imencode(".png", image, fast)
     assert good, f"an image of shape {image.shape} and type {image.dtype} cannot be a PNG"
     return content.tobytes()
+
+
+Shots = tuple[np.ndarray, Images]
+
+
+def listed(folder: Path, frames: pd.DataFrame) -> dict[str, Shots]:
+    """Times (F,) [s] and images by trial. frames: columns trial, t, file, in the order of time."""
+    return {
+        str(name): (rows["t"].to_numpy(), ImageFiles(folder, tuple(rows["file"])))
+        for name, rows in frames.groupby("trial")
+    }
+
+
+def filmed(folder: Path, fps: float) -> dict[str, Shots]:
+    """Times (F,) [s] and images by trial, from `videos/<trial>.mp4`. fps: as filmed [1/s], not as played."""
+    shots: dict[str, Shots] = {}
+    for path in videos(folder):
+        video = Video(path)
+        shots[path.stem] = (np.arange(len(video)) / fps, video)
+    return shots
+
+
+def videos(folder: Path) -> list[Path]:
+    """Video files of a dataset, in the order of their names."""
+    found = sorted(p for p in (folder / "videos").glob("*") if p.suffix.lower() in VIDEOS)
+    return [own(folder, path) for path in found]

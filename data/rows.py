@@ -11,7 +11,6 @@ import pandas as pd
 
 from stringcast.data.artifacts import ARM, GRASP
 from stringcast.data.foreign import csv
-from stringcast.data.outliers import outliers
 from stringcast.data.schema import DataError, Table
 
 FAR = 1e9  # a metre in nanometres: nothing measured is further off, in whichever unit it was written
@@ -19,6 +18,10 @@ LATEST = 1e19  # [s], or nanoseconds since 1970, of which there are 2e18
 SUREST = 1e-9  # [m], of a coordinate: nothing measures a string to an atom, and its square is still far from nought
 ROUNDING = 1e-6  # [m] below which an arc length under zero is one
 MOTIONS = (ARM.name, GRASP.name)
+LEAST = 2e-3  # [m] or [rad] by which a sample must be off
+CLEAR = 10.0  # times as much as is usual about it
+AROUND = 11  # samples
+BACK = 0.25  # of a spike, by which its neighbours must seem off the other way: of a real motion they are not
 
 
 @dataclass(frozen=True)
@@ -112,4 +115,18 @@ def _jumps(motion: pd.DataFrame, numbers: list[str]) -> pd.Series:
     found = pd.Series(False, index=motion.index)
     for _, rows in motion.groupby("trial", sort=False):
         found[rows.index] = outliers(rows["t"].to_numpy(), np.unwrap(rows[values].to_numpy(), axis=0))
+    return found
+
+
+def outliers(t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Whether each sample is an outlier, (K,) bool. t: (K,) increasing times [s]. values: (K, J), continuous."""
+    found = np.zeros(len(t), dtype=bool)
+    if len(t) < 5:
+        return found
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    off = values[1:-1] - values[:-2] - share[:, None] * (values[2:] - values[:-2])
+    usual = pd.DataFrame(np.abs(off)).rolling(AROUND, center=True, min_periods=1).median().to_numpy()[1:-1]
+    here, before, after = off[1:-1], off[:-2], off[2:]
+    back = (before * here < -BACK * here**2) & (after * here < -BACK * here**2)
+    found[2:-2] = (back & (np.abs(here) > np.maximum(LEAST, CLEAR * usual))).any(axis=1)
     return found

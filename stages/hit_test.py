@@ -1,4 +1,5 @@
-"""Hit test: did the real tip enter the target box during the movement, with the string clear of obstacles?"""
+"""Hit test: did the real tip enter the target box during the movement, with the string clear of obstacles? And before
+it: can arm and string touch the target at all?"""
 
 from __future__ import annotations
 
@@ -10,6 +11,8 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from stringcast.data.artifacts import Points
+from stringcast.data.schema import DataError
+from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 
 FINE = 0.0005  # [s]
@@ -71,3 +74,16 @@ def longest_gap(readings: pd.DataFrame) -> float:
     """Time between readings over which the tip's way is still guessed [s]: from frame to frame always."""
     frames = np.diff(np.sort(readings["t"].to_numpy()))
     return max(LONGEST_GAP, 1.01 * float(np.median(frames))) if len(frames) else LONGEST_GAP
+
+
+def check_reach(target: Box, arm: Arm, string_length: float) -> None:
+    """Refuse a target that the outstretched arm and string cannot touch."""
+    reach = arm.reach + string_length
+    gap = target.gap(*arm.base)
+    if gap > reach:
+        raise DataError(
+            f"target ({target.x * 1e3:.0f}, {target.y * 1e3:.0f}) mm is out of reach: "
+            f"{gap * 1e3:.0f} mm from the arm's base at ({arm.base[0] * 1e3:.0f}, {arm.base[1] * 1e3:.0f}) mm, "
+            f"arm and string reach {reach * 1e3:.0f} mm. "
+            "Choose target.x and target.y closer, or move arm.base."
+        )

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from stringcast.data.foreign import csv
-from stringcast.data.importers.recording import Recording
+from stringcast.data.importers import Recording
 from stringcast.data.schema import DataError
 
 HEADINGS = ("scorer", "individuals", "bodyparts", "coords")  # the first cell of each of those lines

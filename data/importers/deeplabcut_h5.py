@@ -15,8 +15,8 @@ from typing import Any, NoReturn
 import pandas as pd
 
 from stringcast.data.foreign import MOST_COLUMNS, MOST_TABLE, regular
+from stringcast.data.importers import Recording
 from stringcast.data.importers.deeplabcut import column
-from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 
 TABLE = "df_with_missing/table"

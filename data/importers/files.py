@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from stringcast.data.films import VIDEOS
-from stringcast.data.importers import deeplabcut, deeplabcut_h5, lerobot, mcap, optitrack, tables
-from stringcast.data.importers.recording import Recording
+from stringcast.data.images import VIDEOS
+from stringcast.data.importers import Recording, deeplabcut, deeplabcut_h5, lerobot, mcap, optitrack, tables
 from stringcast.data.schema import DataError
 
 READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)  # the first that knows a file reads it

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pandas as pd
 
+from stringcast.data.importers import Recording
 from stringcast.data.importers.columns import Meaning, meaning, unit_in
 from stringcast.data.importers.reader import Column, ColumnHints, Reader, Taken, listed, trial_name
-from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 
 EXPRESSION = re.compile(r"(?P<sign>[-+]?)(?P<column>.+?)(?P<shift>[-+]\d+(\.\d+)?)?$")

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stringcast.data.foreign import json_block, own, parquet
-from stringcast.data.importers.recording import Recording
+from stringcast.data.importers import Recording
 from stringcast.data.schema import DataError
 
 INFO = Path("meta") / "info.json"

@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 from stringcast.data.foreign import MOST_COLUMNS, MOST_TABLE, regular
-from stringcast.data.importers.recording import Recording
+from stringcast.data.importers import Recording
 from stringcast.data.schema import DataError
 
 KINDS = ("JointState", "Pose", "PoseStamped", "PointStamped", "Point", "TransformStamped", "Transform")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from stringcast.data.foreign import csv
-from stringcast.data.importers.recording import Recording
+from stringcast.data.importers import Recording
 from stringcast.data.schema import DataError
 
 FIRST = "Format Version,"

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from stringcast.data.importers import Recording
 from stringcast.data.importers.columns import ANGLES, LENGTHS, QUATERNION, TIMES, Meaning
-from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 
 STEP = 0.5  # [s] between samples at most: from longer ones no motion can be told, so that they count in a smaller unit

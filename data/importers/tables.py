@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stringcast.data.foreign import MOST_COLUMNS, csv, parquet
-from stringcast.data.importers.recording import Recording
+from stringcast.data.importers import Recording
 from stringcast.data.schema import DataError
 
 HEAD = 2**14  # [bytes] from which separator and headings are told

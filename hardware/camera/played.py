@@ -5,13 +5,20 @@ from __future__ import annotations
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from stringcast.data.images import ImageFiles, Video
 from stringcast.data.schema import DataError
 from stringcast.hardware.camera.source import Frame, Source, Stream
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 class Played(Source):
@@ -64,3 +71,47 @@ class Playing(Stream):
 
     def close(self) -> None:
         """Do nothing: no device is held."""
+
+
+@dataclass(frozen=True)
+class ImageFolder(Played):
+    """folder: of image files, in the order of their names."""
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """The folder's path."""
+        return f"images in {self.folder}"
+
+    def images(self) -> Sequence[np.ndarray]:
+        """The images of the folder."""
+        files = sorted(p.name for p in self.folder.glob("*") if p.suffix.lower() in ENDINGS)
+        if not files:
+            raise DataError(
+                f"{self.folder}: there is no image here ({', '.join(ENDINGS)}). Name the folder that has them."
+            )
+        return ImageFiles(self.folder, tuple(files))
+
+
+@dataclass(frozen=True)
+class VideoFile(Played):
+    """path: of the video, played at the camera's fps whatever the file says. every: of its frames, how many there are
+    from one still to the next."""
+
+    path: Path
+    every: Annotated[int, Field(ge=1)]
+
+    @property
+    def name(self) -> str:
+        """The file's path."""
+        return f"video {self.path}"
+
+    def images(self) -> Sequence[np.ndarray]:
+        """The frames of the video."""
+        return Video(self.path)
+
+    def stills(self, camera: Camera, ready: Callable[[], object]) -> Iterator[np.ndarray]:
+        """Every so many frames: neighbours show the same."""
+        images = self.images()
+        yield from (images[number] for number in range(0, len(images), self.every))

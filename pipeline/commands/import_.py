@@ -14,11 +14,11 @@ from tempfile import TemporaryDirectory
 from rich.table import Table
 from rich.text import Text
 
+from stringcast.data.importers import Recording
 from stringcast.data.importers.columns import LENGTHS
 from stringcast.data.importers.files import recordings
 from stringcast.data.importers.gathered import Gathered, gathered
 from stringcast.data.importers.reader import Taken
-from stringcast.data.importers.recording import Recording
 from stringcast.data.schema import DataError
 from stringcast.data.store import whole
 from stringcast.pipeline.called import called_as

@@ -17,8 +17,7 @@ from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError, allowed
 from stringcast.pipeline.targets import DRY_RUNS
 from stringcast.stages.align.undo import in_arms_frame
-from stringcast.stages.generate.space import check_reach
-from stringcast.stages.hit_test import hit_test
+from stringcast.stages.hit_test import check_reach, hit_test
 
 log = logging.getLogger(__name__)
 

@@ -27,7 +27,7 @@ from stringcast.data.errors import ExpectedError
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress, SettingsGroup
 from stringcast.stages.generate.curves import INTERVALS, Curves, first_curves, next_curves
-from stringcast.stages.generate.space import check_reach
+from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion

@@ -31,7 +31,7 @@ from stringcast.stages.generate.generate import (
 from stringcast.stages.generate.learning import predictive_sd
 from stringcast.stages.generate.race import entrants, race
 from stringcast.stages.generate.refine import Space, refine
-from stringcast.stages.generate.space import check_reach
+from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 

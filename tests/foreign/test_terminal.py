@@ -11,8 +11,8 @@ from rich.text import Text
 
 from stringcast.pipeline.console import bars
 from stringcast.pipeline.log import LINE
+from stringcast.pipeline.sweep.launcher import line
 from stringcast.pipeline.sweep.ledger import Job
-from stringcast.pipeline.sweep.show import line
 from stringcast.pipeline.terminal import Terminal
 
 EVIL = "a\x1b]0;mine\x07\x1b[2J\x9b2Jb"  # names the window, clears the screen, and clears it in eight bits

@@ -14,7 +14,7 @@ from stringcast.pipeline.experiment import LEFT, _check_run
 from stringcast.pipeline.iterations import Iteration
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError, composed
-from stringcast.pipeline.sweep.show import left
+from stringcast.pipeline.sweep.launcher import left
 
 
 def test_the_time_left_is_at_the_pace_so_far():

@@ -8,8 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from stringcast.pipeline.sweep.attempt import Attempt
-from stringcast.pipeline.sweep.cores import cores
-from stringcast.pipeline.sweep.extra import extra
+from stringcast.pipeline.sweep.launchers import cores, extra
 
 
 def launch(

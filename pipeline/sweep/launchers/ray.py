@@ -9,7 +9,7 @@ from pydantic import Field
 
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.sweep.attempt import Attempt
-from stringcast.pipeline.sweep.extra import extra
+from stringcast.pipeline.sweep.launchers import extra
 
 
 def launch(

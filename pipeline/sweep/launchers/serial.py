@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from stringcast.pipeline.sweep.attempt import Attempt
-from stringcast.pipeline.sweep.cores import cores
+from stringcast.pipeline.sweep.launchers import cores
 
 
 def launch(attempts: Sequence[Attempt], *, threads: Annotated[int, Field(ge=0)]) -> Iterator[str]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from stringcast.pipeline.sweep.attempt import Attempt
-from stringcast.pipeline.sweep.extra import extra
+from stringcast.pipeline.sweep.launchers import extra
 
 
 def launch(
