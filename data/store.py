@@ -101,7 +101,12 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
 
 
 def origin_of(path: Path) -> dict[str, Any]:
-    """The provenance in a Parquet file's footer; empty for a file that is not ours."""
+    """The provenance in the footer of a Parquet file, or of the first one in a folder; empty for a file that is not
+    ours. Raises DataError for a folder that holds none."""
+    if path.is_dir():
+        folder, path = path, min(path.glob("*.parquet"), default=path)
+        if path == folder:
+            raise DataError(f"{folder}: there is no table in it. Delete the folder.")
     if path.exists():
         foreign.regular(path)
     metadata = pq.read_schema(path).metadata or {}

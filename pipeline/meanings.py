@@ -40,14 +40,11 @@ def of_file(file: Path) -> Iterator[tuple[str, str]]:
     """Names and comments of a file's settings."""
     text = file.read_text(encoding="utf-8")
     alone = file.parent == CONF or "@package _global_" in text
-    above = [] if alone else [(-1, file.parent.relative_to(CONF).as_posix())]
     name, comment = "", ""
-    for line in text.splitlines():
-        if found := LINE.match(line):
+    for line, begun, said in _lines(text, "" if alone else file.parent.relative_to(CONF).as_posix()):
+        if begun:
             yield from [(name, comment)] if comment else []
-            indent = len(found["indent"])
-            above = [(depth, part) for depth, part in above if depth < indent] + [(indent, found["name"])]
-            name, comment = ".".join(part for _, part in above), found["comment"] or ""
+            name, comment = begun, said
         elif comment and (more := MORE.match(line)):
             comment += f" {more[1]}"
     yield from [(name, comment)] if comment else []
@@ -55,13 +52,20 @@ def of_file(file: Path) -> Iterator[tuple[str, str]]:
 
 def explained(text: str) -> Iterator[str]:
     """Lines of settings as YAML, each with what it means behind it."""
-    above: list[tuple[int, str]] = []
+    for line, name, _ in _lines(text):
+        meaning = meanings().get(name, "")
+        yield f"{line:<{COLUMN}}# {meaning}" if meaning else line
+
+
+def _lines(text: str, block: str = "") -> Iterator[tuple[str, str, str]]:
+    """Lines of settings as YAML, each with the full name of the setting that begins there, if any, and its comment.
+    block: that they are in."""
+    above = [(-1, block)] if block else []
     for line in text.splitlines():
         found = LINE.match(line)
         if found is None:
-            yield line
+            yield line, "", ""
             continue
         indent = len(found["indent"])
         above = [(depth, part) for depth, part in above if depth < indent] + [(indent, found["name"])]
-        meaning = meanings().get(".".join(part for _, part in above), "")
-        yield f"{line:<{COLUMN}}# {meaning}" if meaning else line
+        yield line, ".".join(part for _, part in above), found["comment"] or ""

@@ -42,16 +42,16 @@ ABSENT = "absent"
 # --- what made a file -----------------------------------------------------------------------
 def origin(config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str, str]) -> dict[str, Any]:
     """The origin of a step: all that is needed to make it again. inputs: content hashes by path."""
-    made = {"step": step, "seed": seed, "inputs": dict(inputs), "config": config, "code": code()}
-    return made | {"packages": versions(PACKAGES), "python": platform.python_version()}
+    made = {"step": step, "seed": seed, "inputs": dict(inputs), "config": config, "python": platform.python_version()}
+    return made | software()
+
+
+def software() -> dict[str, dict[str, str]]:
+    """The state of this code, and the installed versions of the packages that decide about numbers, by name."""
+    return {"code": code(), "packages": {name: _version(name) for name in PACKAGES}}
 
 
 _version = cache(version)  # which reads a file each time
-
-
-def versions(packages: Sequence[str]) -> dict[str, str]:
-    """Installed versions by name."""
-    return {name: _version(name) for name in packages}
 
 
 @cache
@@ -163,10 +163,10 @@ def look(config: Mapping[str, Any], folder: Path, step: Step) -> StoredStep:
         return StoredStep(None, ("it has not been made yet",))
     try:
         artifact: Any = store.load(step.stage.makes, place)
-        made = [store.origin_of(file) for file in sorted(place.glob("*.parquet"))]
     except DataError as error:
         return StoredStep(None, (str(error),))
-    return StoredStep(artifact, tuple(changes(made[0], made_now(config, folder, step), step.stage.uses)))
+    made = store.origin_of(place)
+    return StoredStep(artifact, tuple(changes(made, made_now(config, folder, step), step.stage.uses)))
 
 
 def made_now(config: Mapping[str, Any], folder: Path, step: Step) -> dict[str, Any]:
@@ -182,7 +182,7 @@ def reasons_of(folder: Path, place: Path, settings: Mapping[str, Any]) -> tuple[
     """The reasons why a stored step would be made again, by its files and the run's settings alone: no model is built
     of these."""
     try:
-        made = store.origin_of(sorted(place.glob("*.parquet"))[0])
+        made = store.origin_of(place)
         inputs = inputs_there(folder, made["inputs"], settings["trials"])
         return look(settings, folder, Step(stages()[made["step"]], int(place.parent.name), {}, hashes=inputs)).reasons
     except KeyError as error:

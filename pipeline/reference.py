@@ -53,7 +53,9 @@ KINDS = {"integer": "whole", "string": "text", "boolean": "true or false"}
 
 def page() -> str:
     """The page as text."""
-    chosen, settings = _choices(), composed()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        chosen = compose("config", return_hydra_config=True).hydra.runtime.choices
+    settings = composed()
     groups = [group for group in settings if (CONF / group).is_dir()]
     others = {name: value for name, value in settings.items() if name not in groups and name != "plane"}
     rows = [(f"`{name}`", _value(value), meanings().get(name, "")) for name, value in others.items()]
@@ -61,13 +63,6 @@ def page() -> str:
     parts += [_options("experiment", ""), _options("method", chosen["method"])]
     parts += [part for group in groups for part in _group(group, chosen[group], settings[group])]
     return "\n".join([*parts, _options("hydra/launcher", "serial"), EFFECTS, _effects()])
-
-
-def _choices() -> Mapping[str, str]:
-    """The option of each group that is chosen where nothing is said."""
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        found: Mapping[str, str] = compose("config", return_hydra_config=True).hydra.runtime.choices
-        return found
 
 
 def _group(group: str, chosen: str, block: Mapping[str, Any]) -> Iterator[str]:

@@ -12,7 +12,7 @@ from stringcast.data.artifacts import Diagnosis
 from stringcast.data.store import write_text
 from stringcast.pipeline.called import by_the_other_method, called_as
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.provenance import PACKAGES, code, versions
+from stringcast.pipeline.provenance import software
 from stringcast.pipeline.result import Result
 from stringcast.stages.report.page import HERE_IN_WORDS as HERE
 from stringcast.stages.report.pages.cast import cast_page
@@ -89,7 +89,7 @@ AFTER = {"diagnose": after_diagnosis}  # what can be done after a stage, by its 
 
 def made_by(experiment: Experiment) -> dict[str, Any]:
     """The provenance that a page shows."""
-    return {"seed": experiment.seed, "code": code(), "packages": versions(PACKAGES)}
+    return {"seed": experiment.seed} | software()
 
 
 def _casts(experiment: Experiment, result: Result) -> list[Cast]:

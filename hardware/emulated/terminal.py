@@ -1,7 +1,8 @@
-"""A device on a pseudo-terminal, whose name is printed first."""
+"""A device on a pseudo-terminal, whose name is printed first, and the command that serves one."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import pty
 import select
@@ -9,7 +10,9 @@ import signal
 import threading
 import time
 import tty
+from collections.abc import Collection
 from contextlib import suppress
+from pathlib import Path
 from typing import Protocol
 
 STEP = 0.0005  # [s] between looks
@@ -27,6 +30,23 @@ class Emulated(Protocol):
 
     def advance(self, elapsed: float) -> bytes:
         """Let `elapsed` [s] pass; the bytes that leave meanwhile."""
+
+
+def parser(prog: str, description: str | None, kinds: Collection[str]) -> argparse.ArgumentParser:
+    """The parser of an emulator's command: --log, --until, and --fault, a list of (number, kind). kinds: of faults."""
+
+    def fault(text: str) -> tuple[int, str]:
+        kind, _, number = text.partition(":")
+        if kind not in kinds:
+            raise argparse.ArgumentTypeError(f"there is no fault '{kind}'; known are {', '.join(kinds)}")
+        return int(number), kind
+
+    made = argparse.ArgumentParser(prog=prog, description=description)
+    made.add_argument("--log", type=Path, default=Path(os.devnull), help="events, a line of JSON each")
+    at = f"at the N-th velocity command: {', '.join(kinds)}"
+    made.add_argument("--fault", action="append", default=[], type=fault, metavar="KIND:N", help=at)
+    made.add_argument("--until", type=float, default=600.0, help="[s] after which it ends")
+    return made
 
 
 def serve(device: Emulated, until: float, after: float) -> None:

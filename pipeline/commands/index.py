@@ -20,7 +20,7 @@ from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.layout import ENDED, FAILED
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.provenance import PACKAGES, code, reasons_of, versions
+from stringcast.pipeline.provenance import reasons_of, software
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.terminal import Terminal
 
@@ -71,7 +71,7 @@ def write(runs: pd.DataFrame, to: Path, folder: Path) -> None:
     if to.suffix == ".csv":
         store.write_text(to, runs.to_csv(index=False))
     elif to.suffix == ".parquet":
-        store.write_table(RUNS, runs, to, {"step": "index", "code": code(), "packages": versions(PACKAGES)})
+        store.write_table(RUNS, runs, to, {"step": "index"} | software())
     elif to.suffix == ".html":
         store.write_text(to, page(runs, to, folder))
     else:
@@ -83,7 +83,7 @@ def page(runs: pd.DataFrame, to: Path, folder: Path) -> str:
     index_page = import_module("stringcast.stages.report.pages.index").index_page  # which takes a second to load
     own = [folder / run / "report.html" for run in runs["run"]]
     links = [Path(os.path.relpath(path, to.parent)).as_posix() if path.is_file() else "" for path in own]
-    origin = {"seed": "of each run", "code": code(), "packages": versions(PACKAGES)}
+    origin = {"seed": "of each run"} | software()
     text: str = index_page(runs.assign(page=links), str(folder), origin)
     return text
 
@@ -139,7 +139,7 @@ def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
 def _steps(run: Path) -> dict[str, Any]:
     """The row's columns from a run's steps: when, how long, how good, and whether they are fresh."""
     steps = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
-    made = [store.origin_of(sorted(step.glob("*.parquet"))[0]).get("made", {}) for step in steps]
+    made = [store.origin_of(step).get("made", {}) for step in steps]
     rates = [
         float(store.read_table(FIT, fit)["after"].iloc[0]) for fit in run.glob("iterations/*/estimate/fit.parquet")
     ]

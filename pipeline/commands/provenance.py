@@ -33,7 +33,6 @@ from stringcast.pipeline.terminal import Terminal
 
 DRAWN = frozenset({"config.json", ENDED, FAILED, LOG, "report.html"})  # compared by another heading, or drawn
 FRESH, STALE, KEPT, MISSING = "fresh", "stale", "stale, but stays: the arm has moved by it", "missing"  # of a step
-HEADINGS = ("settings", "data", "code", "packages", "results")  # of a difference between two runs
 
 
 def _say(heading: str, words: list[str] | tuple[str, ...]) -> None:
@@ -155,8 +154,8 @@ def states_of(settings: Mapping[str, Any], folder: Path) -> list[StepState]:
 def _inputs(place: Path) -> Mapping[str, str]:
     """Content hashes of a step's inputs by path, as its footer has them; empty where that cannot be read."""
     try:
-        return store.origin_of(sorted(place.glob("*.parquet"))[0]).get("inputs", {})
-    except (DataError, LookupError, *store.UNREADABLE):
+        return store.origin_of(place).get("inputs", {})
+    except (DataError, *store.UNREADABLE):
         return {}
 
 
@@ -174,18 +173,16 @@ def diff(arguments: list[str]) -> int:
     """Say what differs between two runs: settings, data, code, packages, results."""
     a, b = paths(diff, arguments, a="a run's folder", b="another's")
     one, other = facts(a), facts(b)
-    both = {what: pairs(one[what], other[what]) for what in one}
-    found = {what: [f"{name}: {x} and {y}" for name, x, y in both[what]] for what in both}
-    found["code"] += [name for name, _, _ in both["sources"]] or found["whole"]
+    found = {what: [f"{name}: {x} and {y}" for name, x, y in pairs(one[what], other[what])] for what in one}
     found["results"] += differing_files(a, b, DRAWN)
-    for what in HEADINGS:
-        _say(f"{what}: {'differ' if found[what] else 'the same'}", found[what])
-    return 1 if any(found[what] for what in HEADINGS) else 0
+    for what, differing in found.items():
+        _say(f"{what}: {'differ' if differing else 'the same'}", differing)
+    return 1 if any(found.values()) else 0
 
 
 def facts(run: Path) -> dict[str, dict[str, Any]]:
-    """The parts of a run that `diff` compares, by name. Raises UserError where there is no run, DataError where it has
-    made nothing."""
+    """The parts of a run that `diff` compares, by name: settings, data, code, packages, results. Raises UserError where
+    there is no run, DataError where it has made nothing."""
     path, ended = run / "config.json", run / ENDED
     if not path.is_file():
         raise UserError(f"{run}: there is no run here (it has no config.json). Name a run's folder.")
@@ -197,12 +194,11 @@ def facts(run: Path) -> dict[str, dict[str, Any]]:
     inputs = {name: digest for made in origins for name, digest in made["inputs"].items()}
     outside = {name: digest for name, digest in inputs.items() if not name.startswith("iterations/")}
     first = origins[0]
+    used = {name: digest for made in origins for name, digest in made.get("sources", {}).items()}
     return {
         "settings": leaves(dataset.settings(path)),
         "data": {Path(name).name: f"content {digest[:8]}" for name, digest in outside.items()},
-        "code": {"commit": first["code"]["commit"]},
-        "sources": {name: digest for made in origins for name, digest in made.get("sources", {}).items()},
-        "whole": {"sources that these steps do not use": first["code"]["source"][:8]},
+        "code": {"commit": first["code"]["commit"], "all sources": first["code"]["source"][:8]} | used,
         "packages": first["packages"] | {"Python": first["python"]},
         "results": {f"run.json: {name}": value for name, value in leaves(numbers).items()},
     }

@@ -8,7 +8,7 @@ from typing import Any
 
 from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.meanings import units
-from stringcast.pipeline.provenance import PACKAGES, code, versions
+from stringcast.pipeline.provenance import software
 from stringcast.pipeline.sweep.ledger import DONE, Job, Ledger
 from stringcast.pipeline.sweep.table import SWEEP, factors, sweep_table
 from stringcast.stages.report.pages.sweep import sweep_page
@@ -20,7 +20,7 @@ def finish(folder: Path) -> list[Job]:
     """Write `sweep.parquet` and `report.html` from the ledger as it is now. Returns its jobs."""
     ledger = Ledger(folder)
     jobs = ledger.jobs()
-    made = {"code": code(), "packages": versions(PACKAGES)}
+    made = software()
     table, frame = sweep_table(ledger, jobs)
     write_table(table, frame, folder / "sweep.parquet", {"step": "sweep"} | made)
     given = list(factors(jobs))

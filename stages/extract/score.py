@@ -6,20 +6,13 @@ import cv2
 import numpy as np
 
 
-def score_map(mask: np.ndarray, dilations: int, step_px: int) -> np.ndarray:
-    """Scores p of every pixel, (height, width) uint8: `dilations` (p_max) on the string, down to 0.
-
-    Each dilation grows the string by `step_px` in the eight directions (a square element of
-    2 step_px + 1), so that the score falls with the chessboard distance.
-    """
-    top, left, near = scores_near(mask, dilations, step_px)
-    scores = np.zeros(mask.shape, np.uint8)
-    scores[top : top + near.shape[0], left : left + near.shape[1]] = near
-    return scores
-
-
 def scores_near(mask: np.ndarray, dilations: int, step_px: int) -> tuple[int, int, np.ndarray]:
-    """The part of a `score_map` beyond which all is 0: its first row and column, and its scores."""
+    """Scores p of the pixels about the string, (height, width) uint8, behind the first row and column of that part:
+    `dilations` (p_max) on the string, down to 0, as all is beyond.
+
+    Each dilation grows the string by `step_px` in the eight directions (a square element of 2 step_px + 1), so that the
+    score falls with the chessboard distance.
+    """
     left, top, width, height = cv2.boundingRect(mask)
     if not width:
         return 0, 0, np.zeros((0, 0), np.uint8)

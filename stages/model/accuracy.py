@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 
@@ -96,7 +96,10 @@ def _stepwise(string: String, hand: HandMotion, values: np.ndarray) -> Iterator[
     free = replace(string, largest_step=hand.tick)
     needed, _ = steps_per_tick(free, string.material(np.atleast_2d(values)), hand.tick)
     level = max(COARSEST, int(np.ceil(np.log(needed.max()) / np.log(LEVEL) - 1e-9)))
-    at = partial(_at_level, string, hand)
+
+    def at(level: int) -> String:
+        return replace(string, largest_step=hand.tick / LEVEL**level)
+
     tips = [_tip(at(level), hand, values), _tip(at(level + HALF), hand, values)]
     after = _apart(*tips)
     yield at(level), 2 * after, after  # nothing coarser is stable: taken as of first order
@@ -105,10 +108,6 @@ def _stepwise(string: String, hand: HandMotion, values: np.ndarray) -> Iterator[
         tips = [tips[1], _tip(at(level + HALF), hand, values)]
         before, after = after, _apart(*tips)
         yield at(level), before, after
-
-
-def _at_level(string: String, hand: HandMotion, level: int) -> String:
-    return replace(string, largest_step=hand.tick / LEVEL**level)
 
 
 def _tip(string: String, hand: HandMotion, values: np.ndarray) -> np.ndarray:

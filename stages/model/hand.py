@@ -107,11 +107,6 @@ class JointMotion:
         return self.joints(acts).grasp(arm).actual(arm, later)
 
 
-def hand_motion(arm: Arm, t: np.ndarray, angles: np.ndarray, tick: float = HAND_TICK) -> HandMotion:
-    """The hand's motion from joint angles; see `joint_motion`."""
-    return joint_motion(t, angles, tick).grasp(arm)
-
-
 def joint_motion(t: np.ndarray, angles: np.ndarray, tick: float = HAND_TICK) -> JointMotion:
     """Joint angles on a uniform tick.
 

@@ -18,7 +18,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect, ModelChange, StringEffect
 from stringcast.stages.model.hand import Act, HandMotion, JointMotion
-from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parameter import Parameter, Parametrised
 from stringcast.stages.model.simulate import StringMotion, simulate
 from stringcast.stages.model.state import State
 from stringcast.stages.model.string import String
@@ -27,7 +27,7 @@ MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(Parametrised):
     """A string in a hand before a camera. Effects on the string are the string's own; the others act in order.
 
     known: values of parameters by qualified name, at which a search starts instead of at their own start.
@@ -93,15 +93,6 @@ class Model:
         """The parameter with the start and range that are known of it."""
         low, high = self.measured.get(parameter.name, (parameter.low, parameter.high))
         return replace(parameter, low=low, high=high, start=self.known.get(parameter.name, parameter.start))
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Qualified names of the parameters."""
-        return tuple(p.name for p in self.parameters)
-
-    def values(self, named: Mapping[str, float]) -> np.ndarray:
-        """(P,) values in the order of `parameters`; a missing name takes its start value."""
-        return np.array([named.get(p.name, p.start) for p in self.parameters])
 
     def hand(self, motion: JointMotion | HandMotion, values: np.ndarray) -> HandMotion:
         """The hand's actual motion, one for all candidates or one each. values: (C, P)."""

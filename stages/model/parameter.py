@@ -1,9 +1,11 @@
-"""A parameter: what it is called, measured in, and where it is sought."""
+"""A parameter: what it is called, measured in, and where it is sought; and what has parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,6 +54,24 @@ class Parameter:
         if self.low > 0:
             return np.log(self.high / self.low) * self.value(chi)
         return (self.high - self.low) * self.root * np.asarray(chi) ** (self.root - 1)
+
+
+class Parametrised:
+    """A string or a model: what has parameters."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All of them, with qualified names."""
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Qualified names of the parameters."""
+        return tuple(p.name for p in self.parameters)
+
+    def values(self, named: Mapping[str, float]) -> np.ndarray:
+        """(P,) values in the order of `parameters`; a missing name takes its start value."""
+        return np.array([named.get(p.name, p.start) for p in self.parameters])
 
 
 def values_of(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
 from stringcast.stages.model.integrator import Integrator, SemiImplicitEuler
-from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parameter import Parameter, Parametrised
 from stringcast.stages.model.slots import HELD, HIDDEN, Law, arguments, taken
 
 MOST_POINTS = 10_000  # 30 um of 300 mm, far finer than any string converges at; stiffness and steps go with its square
@@ -42,7 +42,7 @@ BASE: tuple[type[StringEffect], ...] = (
 
 
 @dataclass(frozen=True)
-class String:
+class String(Parametrised):
     """A chain of mass points hung from the grasp.
 
     length: rest length [m] from the stated grasp, before or beyond which an effect may have it begin.
@@ -80,11 +80,6 @@ class String:
         """All parameters of all effects, with qualified names, in the order of `values`."""
         named = (replace(p, name=e.qualified(p)) for e in self.effects for p in e.parameters)
         return tuple(self.ranges.get(p.name, p) for p in named)
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Qualified names of the parameters."""
-        return tuple(p.name for p in self.parameters)
 
     @cached_property
     def rows(self) -> tuple[str, ...]:
@@ -166,10 +161,6 @@ class String:
     def start(self) -> np.ndarray:
         """(P,) start values of the parameters."""
         return np.array([p.start for p in self.parameters])
-
-    def values(self, named: Mapping[str, float]) -> np.ndarray:
-        """(P,) values in the order of `parameters`; a missing name takes its start value."""
-        return np.array([named.get(p.name, p.start) for p in self.parameters])
 
     def material(self, values: np.ndarray) -> np.ndarray:
         """Material properties from per-mass-point values, and what effects derive. (..., P) to (..., rows)."""

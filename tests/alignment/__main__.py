@@ -17,7 +17,7 @@ from stringcast.data.artifacts import MASKS, POINTS, READINGS, Motion, Observati
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
 from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from stringcast.pipeline.provenance import PACKAGES, code, versions
+from stringcast.pipeline.provenance import software
 from stringcast.stages.align.align import align, measured_table
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import Problem, chosen, measuring
@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--filmed", type=int, default=3, help="alignments of filmed motions, at 30, 60 and 200 in turn")
     asked = parser.parse_args()
     made = {"command": f"python -m tests.alignment --seeds {asked.seeds} --filmed {asked.filmed}"}
-    made |= {"code": code(), "packages": versions(PACKAGES)}
+    made |= software()
     asks = [partial(pointed, noise, fps, seed) for seed in range(asked.seeds) for noise in NOISES for fps in RATES]
     asks += [partial(filmed, RATES[-1 - number % len(RATES)], 100 + number) for number in range(asked.filmed)]
     FOLDER.mkdir(parents=True, exist_ok=True)

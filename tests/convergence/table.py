@@ -16,7 +16,7 @@ from stringcast.known import KnownString, prepared
 from stringcast.stages.generate.curves import plain_cast
 from stringcast.stages.model.accuracy import accurate, extrapolated
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion
+from stringcast.stages.model.hand import HandMotion, JointMotion, joint_motion
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.integrator import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.simulate import simulate
@@ -139,7 +139,7 @@ def paper_motions(letter: str) -> Iterator[HandMotion]:
         for seed, known in product(range(4), (None, true)):
             here = prepared((f"+experiment/paper={file.stem}", "string.reference_points=10"), known)
             made = here.stages["generate"](here.model, here.target, here.obstacles, None, None, seed=seed)
-            yield hand_motion(ARM, made.commands["t"].to_numpy(), made.commands[list(JOINTS)].to_numpy())
+            yield joint_motion(made.commands["t"].to_numpy(), made.commands[list(JOINTS)].to_numpy()).grasp(ARM)
 
 
 def by_motion() -> list[list[str]]:

@@ -24,7 +24,7 @@ from stringcast.hardware.virtual.blind.bench import BlindBench
 from stringcast.hardware.virtual.blind.casts import Cast, performed, random_cast
 from stringcast.hardware.virtual.blind.scene import Scene
 from stringcast.pipeline.experiment import Experiment, prepare
-from stringcast.pipeline.provenance import PACKAGES, code, versions
+from stringcast.pipeline.provenance import software
 from stringcast.pipeline.studies.blind.study import diagnosis
 from stringcast.stages.model.library import named
 
@@ -68,7 +68,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=FOLDER)
     asked = parser.parse_args()
     made = {"command": f"python -m tests.diagnosis --seeds {asked.seeds} --first {asked.first}"}
-    made |= {"code": code(), "packages": versions(PACKAGES)}
+    made |= software()
     asked.folder.mkdir(parents=True, exist_ok=True)
     here, rows = configured(), list[dict[str, object]]()
     for seed in track(range(asked.first, asked.first + asked.seeds), "benches"):

@@ -9,7 +9,7 @@ from conftest import threads
 from stringcast.data.artifacts import CANDIDATES, MASKS, PARAMETERS, READINGS, Observation
 from stringcast.stages.estimate import cma_es, least_squares, random_search
 from stringcast.stages.estimate.matching import Matching, match, targets
-from stringcast.stages.extract.score import rasterise, score_map
+from stringcast.stages.extract.score import rasterise, scores_near
 from stringcast.stages.inference.forward import case
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.model import Model
@@ -80,7 +80,9 @@ def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camer
     begin, top, left, height, width = goal.windows[7]
     whole = np.zeros(mask.shape, np.uint8)
     whole[top : top + height, left : left + width] = goal.scores[begin:][: height * width].reshape(height, width)
-    np.testing.assert_array_equal(whole, score_map(mask, 6, 2))
+    first, leftmost, scores = scores_near(mask, 6, 2)
+    assert (first, leftmost, scores.shape) == (top, left, (height, width))
+    np.testing.assert_array_equal(whole[top : top + height, left : left + width], scores)
     assert set(np.unique(whole)) == set(range(7))
     rates, finite = goal.per_frame(STRING.start()[None])
     strings = camera.pixels(next(goal.case.simulate(STRING.start()[None]))[1].points[0, 7])

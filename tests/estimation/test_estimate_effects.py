@@ -14,7 +14,7 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.generate import Budget, Drawing, generate
 from stringcast.stages.inference.forward import case
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.hand import hand_motion, hand_motion_from_grasp, joint_motion
+from stringcast.stages.model.hand import hand_motion_from_grasp, joint_motion
 from stringcast.stages.model.library import VARIABLE, library, named
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.simulate import simulate
@@ -169,7 +169,7 @@ def test_without_effects_the_model_is_the_string_to_the_bit(arm, camera):
     model, t = Model(STRING, arm, camera), np.linspace(0, 1.1, 40)
     angles = rng.normal(size=3) + np.stack([np.sin(9 * T) ** 2, np.sin(5 * T) ** 2, np.cos(7 * T)], axis=-1)
     for motion, hand in [
-        (joint_motion(T, angles), hand_motion(arm, T, angles)),
+        (joint_motion(T, angles), joint_motion(T, angles).grasp(arm)),
         (hand_motion_from_grasp(T, POSE), hand_motion_from_grasp(T, POSE)),
     ]:
         expected = simulate(STRING, hand, values, t)

@@ -15,7 +15,7 @@ from rich.progress import track
 
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
-from stringcast.pipeline.provenance import PACKAGES, code, versions
+from stringcast.pipeline.provenance import software
 from tests.faults.kills import Command, Forked, rounds
 from tests.faults.strike import KINDS, strike
 from tests.faults.toy import contents, toy_experiment, toy_run
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     made = {"command": f"python -m tests.faults --toy {asked.toy} --real {asked.real} --seed {asked.seed}"}
-    made |= {"code": code(), "packages": versions(PACKAGES)}
+    made |= software()
     FOLDER.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as place:
         rows = killed(Path(place), asked.toy, asked.real, asked.seed)

@@ -11,7 +11,7 @@ from stringcast.pipeline.settings import stage
 from stringcast.stages.generate.curves import Curves, first_curves, next_curves
 from stringcast.stages.generate.generate import MotionNotFoundError
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.hand import hand_motion
+from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.string import String
@@ -85,7 +85,7 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     joints = arm.joints(q)
     assert not wall.crossed(joints[:, :-1], joints[:, 1:]).any()
     times = np.arange(0, motion.duration, 0.0007)
-    hand = hand_motion(arm, commands["t"].to_numpy(), q)
+    hand = joint_motion(commands["t"].to_numpy(), q).grasp(arm)
     points = simulate(STRING, hand, STRING.start()[None], times).points[0]
     assert TARGET.crossed(points[:-1, -1], points[1:, -1]).any()
     assert not wall.crossed(points[:, :-1], points[:, 1:]).any()
@@ -107,7 +107,7 @@ def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
     def stay(hits, seed):
         motion = generate(Model(STRING, arm, camera), TARGET, (), None, None, seed=seed, **SETTINGS | {"hits": hits})
         t = np.arange(0, motion.duration, 0.0005)
-        hand = hand_motion(arm, motion.commands["t"].to_numpy(), motion.commands[["q1", "q2", "q3"]].to_numpy())
+        hand = joint_motion(motion.commands["t"].to_numpy(), motion.commands[["q1", "q2", "q3"]].to_numpy()).grasp(arm)
         tip = simulate(STRING, hand, STRING.start()[None], t).tip[0]
         return TARGET.crossed(tip[:-1], tip[1:]).mean() * motion.duration
 

@@ -11,6 +11,7 @@ import platform
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from rich.table import Table as Printed
 
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table
-from stringcast.pipeline.provenance import PACKAGES, code, versions
+from stringcast.pipeline.provenance import code, software
 from tests.speed.estimates import ESTIMATES, estimates, summary
 from tests.speed.measures import Row, framed, measured
 from tests.speed.picture import picture
@@ -103,7 +104,7 @@ def origin(peers: Sequence[str]) -> dict[str, object]:
         "machine": {"processor": processor(), "cores": os.cpu_count(), "load": os.getloadavg()[0]},
         "system": platform.platform(),
         "python": platform.python_version(),
-        "packages": versions((*PACKAGES, "llvmlite", *peers)),
+        "packages": software()["packages"] | {name: version(name) for name in ("llvmlite", *peers)},
         "code": code(),
     }
 

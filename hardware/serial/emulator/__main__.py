@@ -5,13 +5,9 @@ It ends with whoever started it.
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-from collections.abc import Callable
-from pathlib import Path
 
-from stringcast.hardware.emulated.terminal import serve
+from stringcast.hardware.emulated.terminal import parser, serve
 from stringcast.hardware.serial.emulator.device import KINDS, Device
 from stringcast.hardware.serial.firmware import Firmware
 
@@ -20,48 +16,21 @@ AFTER = 0.5  # [s] for which an unplugged device goes on
 
 def main() -> None:
     """Serve until --until seconds are over; an unplugged device goes on alone until its arm stands."""
-    options = parsed()
+    asked = parser("python -m stringcast.hardware.serial.emulator", __doc__, KINDS)
+    asked.add_argument("--watchdog", type=int, default=25, help="[ms]")
+    asked.add_argument("--since", type=int, default=0, help="the device's clock at the start [us]")
+    options = asked.parse_args()
     with options.log.open("w", buffering=1) as log:
-        device = Device(Firmware(options.watchdog), dict(options.fault), noter(log.write), options.since)
+        firmware, faults = Firmware(options.watchdog), dict(options.fault)
+        device = Device(firmware, faults, lambda event, device: log.write(line(event, device)), options.since)
         serve(device, options.until, AFTER)
 
 
-def parsed() -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m stringcast.hardware.serial.emulator", description=__doc__)
-    parser.add_argument("--log", type=Path, default=Path(os.devnull), help="events, a line of JSON each")
-    parser.add_argument(
-        "--fault",
-        action="append",
-        default=[],
-        type=fault,
-        metavar="KIND:N",
-        help=f"at the N-th velocity command: {', '.join(KINDS)}",
-    )
-    parser.add_argument("--watchdog", type=int, default=25, help="[ms]")
-    parser.add_argument("--since", type=int, default=0, help="the device's clock at the start [us]")
-    parser.add_argument("--until", type=float, default=600.0, help="[s] after which it ends")
-    return parser.parse_args()
-
-
-def fault(text: str) -> tuple[int, str]:
-    """Number and kind, from KIND:N."""
-    kind, _, number = text.partition(":")
-    if kind not in KINDS:
-        raise argparse.ArgumentTypeError(f"there is no fault '{kind}'; known are {', '.join(KINDS)}")
-    return int(number), kind
-
-
-def noter(write: Callable[[str], object]) -> Callable[[str, Device], None]:
-    """Write an event with what the device is about: time [s], angles [rad], speeds [rad/s]."""
-
-    def note(event: str, device: Device) -> None:
-        joints = device.joints.joints
-        row = {"event": event, "t": device.clock, "state": device.firmware.state.name.lower()}
-        row |= {"angles": [j.angle for j in joints], "speeds": [j.speed for j in joints]}
-        write(json.dumps(row) + "\n")
-
-    return note
+def line(event: str, device: Device) -> str:
+    """An event with what the device is about, as JSON: time [s], angles [rad], speeds [rad/s]."""
+    joints = device.joints.joints
+    row = {"event": event, "t": device.clock, "state": device.firmware.state.name.lower()}
+    return json.dumps(row | {"angles": [j.angle for j in joints], "speeds": [j.speed for j in joints]}) + "\n"
 
 
 if __name__ == "__main__":

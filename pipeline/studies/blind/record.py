@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 from stringcast.data import store
-from stringcast.pipeline.provenance import PACKAGES, ROOT, code, versions
+from stringcast.pipeline.provenance import ROOT, software
 from stringcast.pipeline.studies.blind.scores import BENCHES, COUNTED, OWN
 from stringcast.pipeline.studies.counts import bars, counted
 from stringcast.stages.report.theme import LIGHT, STYLE
@@ -32,7 +32,7 @@ def main() -> None:
     folders = parser.parse_args().folders
     benches = appended([store.read_table(BENCHES, path) for path in (table, *(f / table.name for f in folders))])
     if folders:
-        store.write_table(BENCHES, benches, table, {"code": code(), "packages": versions(PACKAGES)})
+        store.write_table(BENCHES, benches, table, software())
     rates = by_code(benches)
     picture(rates, FOLDER / "codes.png")
     print(in_markdown(rates))

@@ -17,7 +17,7 @@ from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.iterations import History, Iteration
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.studies.hitting.executor import PointExecutor
-from stringcast.stages.generate.curves import Curves, first_curves
+from stringcast.stages.generate.curves import first_curves
 from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.model.hand import JointMotion
 
@@ -65,7 +65,7 @@ def casts_of(config: Config, case: Config, method: Config, seed: int) -> list[di
         here = prepare(own, named)
         executor = PointExecutor(here, noise)
         if taught:
-            estimated(executor, taught)
+            History(executor, taught).make("estimate", trials=_seen(taught))  # their last iteration keeps the result
         assert isinstance(here.mode, Cast)
         made = here.mode.work(here, Path(), executor, taught).iterations[count:]
     except MotionNotFoundError as error:
@@ -83,11 +83,6 @@ def lessons(executor: PointExecutor, count: int) -> list[Iteration]:
             history.make(name)
         del current.done["motion"]
     return history.iterations
-
-
-def estimated(executor: PointExecutor, casts: list[Iteration]) -> None:
-    """Estimate the string from all lessons by the executor's method; the last lesson's iteration keeps the result."""
-    History(executor, casts).make("estimate", trials=_seen(casts))
 
 
 def model_found(here: Experiment, casts: list[Iteration]) -> dict[str, Any]:
@@ -129,8 +124,11 @@ class References:
     """Casts that nobody learns from, on which a model predicts the tip."""
 
     def __init__(self, here: Experiment, bench: Bench) -> None:
-        self.model, self.curves = here.model, reference_curves(here)
-        self.motion = JointMotion(0.0, here.arm.tick, *self.curves.sampled(here.arm.tick, REFERENCE_T[1]))
+        self.model = here.model
+        curves = first_curves(here.arm, np.random.default_rng(0), 64, REFERENCE_T, REFERENCE_ALPHA)
+        angles, speeds = curves.sampled(here.arm.tick, REFERENCE_T[1])
+        some = np.flatnonzero(arm_faults(here.arm, (), angles, speeds) == "")[:REFERENCES]
+        self.motion = JointMotion(0.0, here.arm.tick, angles[some], speeds[some])
         self.times = np.arange(0, REFERENCE_T[1], 2 * here.arm.tick)
         values = np.repeat(bench.values, REFERENCES, axis=0)
         self.tips = bench.model.true(self.motion, values, self.times).tip
@@ -140,11 +138,3 @@ class References:
         own = np.repeat(self.model.values(values)[None], REFERENCES, axis=0)
         tips = self.model.true(self.motion, own, self.times).tip
         return float(np.sqrt(np.mean(np.sum((tips - self.tips) ** 2, axis=-1))))
-
-
-def reference_curves(here: Experiment) -> Curves:
-    """Movements that are the same for all methods compared."""
-    rng = np.random.default_rng(0)
-    curves = first_curves(here.arm, rng, 64, REFERENCE_T, REFERENCE_ALPHA)
-    sampled = curves.sampled(here.arm.tick, REFERENCE_T[1])
-    return curves.only(np.flatnonzero(arm_faults(here.arm, (), *sampled) == "")[:REFERENCES])

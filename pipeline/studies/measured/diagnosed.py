@@ -24,7 +24,7 @@ from rich.progress import track
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline.provenance import PACKAGES, ROOT, code, versions
+from stringcast.pipeline.provenance import ROOT, code, software
 from stringcast.pipeline.settings import build, composed
 from stringcast.pipeline.studies.blind.study import diagnosis
 from stringcast.pipeline.studies.engine import workers
@@ -93,7 +93,7 @@ def answer(
     measured: Path, name: str, family: Family, trials: list[str], out: Path, without: Sequence[str] = ()
 ) -> dict[str, Any]:
     """A row of the table but for the code; the diagnosis is left in `out`. without: effects that are no candidates."""
-    family.write(measured, name, trials, out / "dataset", {"packages": versions(PACKAGES)})
+    family.write(measured, name, trials, out / "dataset", {"packages": software()["packages"]})
     begun = time.perf_counter()
     settings = composed(["+experiment=diagnose", f"diagnose.without=[{','.join(without)}]"])
     found = diagnosis(out / "dataset", settings | {"string": family.settings["string"]})
@@ -147,7 +147,7 @@ def keep(row: dict[str, Any]) -> None:
     rows = [*(old for old in before if old["string"] != row["string"]), row]
     made = {
         "command": f"python -m pipeline.studies.measured.diagnosed {' '.join(sys.argv[1:])}",
-        "packages": versions(PACKAGES),
+        "packages": software()["packages"],
     }
     write_table(MEASURED, pd.DataFrame(rows).sort_values("string", ignore_index=True), table, made)
 

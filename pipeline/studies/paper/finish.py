@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pandas as pd
-
 from stringcast.data.schema import Table
 from stringcast.data.store import write_table, write_text
-from stringcast.pipeline.provenance import PACKAGES, code, versions
+from stringcast.pipeline.provenance import software
 from stringcast.pipeline.studies.paper import scores, shown
 from stringcast.pipeline.studies.paper.numbers import NUMBERS, numbers
 from stringcast.pipeline.sweep.finish import common
@@ -23,8 +21,12 @@ def finish(folder: Path) -> list[Job]:
     """Write tables, figures and `report.html` from the ledger as it is now. Returns its jobs."""
     ledger = Ledger(folder)
     jobs = ledger.jobs()
-    tables = collected(ledger, jobs)
-    made = {"code": code(), "packages": versions(PACKAGES)}
+    of_runs = scores.runs(ledger, jobs)
+    of_casts, counted = scores.casts(ledger, of_runs), scores.pooled(of_runs)
+    tables = {"runs": of_runs, "casts": of_casts, "rates": scores.rates(counted), "needed": scores.needed(counted)}
+    tables |= {"parameters": shown.parameters(folder, of_runs), "numbers": numbers()}
+    tables |= shown.shown(folder, shown.typical(of_runs), of_casts)
+    made = software()
     for table in TABLES:
         write_table(table, tables[table.name], folder / f"{table.name}.parquet", {"step": "paper"} | made)
     write_table(NUMBERS, tables["numbers"], folder / "numbers.parquet", {"step": "paper"} | made)
@@ -34,12 +36,3 @@ def finish(folder: Path) -> list[Job]:
         picture.figure.savefig(folder / f"{name}.png", dpi=150, facecolor="white")
     write_text(folder / "report.html", paper_page(record, drawn))
     return jobs
-
-
-def collected(ledger: Ledger, jobs: list[Job]) -> dict[str, pd.DataFrame]:
-    """Every table by its name."""
-    of_runs = scores.runs(ledger, jobs)
-    of_casts, counted = scores.casts(ledger, of_runs), scores.pooled(of_runs)
-    tables = {"runs": of_runs, "casts": of_casts, "rates": scores.rates(counted), "needed": scores.needed(counted)}
-    tables |= {"parameters": shown.parameters(ledger.folder, of_runs), "numbers": numbers()}
-    return tables | shown.shown(ledger.folder, shown.typical(of_runs), of_casts)
