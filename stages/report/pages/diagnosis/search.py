@@ -1,0 +1,77 @@
+"""How it was found: promised effects, look-alikes, and every hypothesis that was fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from stringcast.stages.report.charts.parameters import likeness, screenings
+from stringcast.stages.report.page import Card, Cell, Details, Figure, Grid, Part, Section, Table, Text, number
+from stringcast.stages.report.records import DiagnosisRecord
+from stringcast.stages.report.words import gain, mm, percent, plain
+
+FEW = 12  # theories shown at once; the others are folded
+EVIDENCE = (
+    "Log evidence: logarithm of the Bayes factor over the base model, all sizes of what the model may lack taken into "
+    "account. Without the strongest trial: the same without the trial that says most for the causes; an effect enters "
+    "only with enough of both. Tip moved: by these causes, root mean square, in the trial where it is most. Left "
+    "unexplained: of what the base model lacks at the tip, in mean square. Probability: of the last cause in its "
+    "place, the others staying."
+)
+
+
+def found(record: DiagnosisRecord) -> Section:
+    """The section of promised effects, look-alikes, and every hypothesis that was fitted."""
+    promised, theories = screenings(record), _theories(record.diagnosis.theories)
+    first = "Gain of the log-likelihood to first order, with the string's parameters refitted. Blue: named as a cause."
+    drawn = [Figure(f"Predicted gains{f' beside {at}' if at else ' of all effects'}", p, first) for at, p in promised]
+    alike = likeness(record)
+    if alike:
+        about = "1: the two do the same to this data and cannot be told apart; 0: nothing in common."
+        drawn.append(Figure("Confounded effects", alike, about))
+    more = theories[FEW:]
+    tried: list[Part] = [_theories_table(theories[:FEW])]
+    tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
+    return Section(
+        "How it was found",
+        [Text(_search(record)), Grid(drawn), Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])],
+    )
+
+
+def _search(record: DiagnosisRecord) -> str:
+    """How causes were looked for."""
+    if len(record.diagnosis.theories) <= 1 and record.diagnosis.screening.empty:
+        return "The base model left nothing that was worth a search for causes."
+    return (
+        "One cause after another: beside those already in the model every effect of the library is tried to first "
+        "order, the most promising are fitted together with the string's parameters, and the one with most evidence "
+        "enters if it has enough of it whichever trial is left out. What the others make needless leaves again."
+    )
+
+
+def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The hypotheses with the least cost first; the base model is among the few that are shown."""
+    rows = table.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
+    late = (rows["causes"] == "") & (np.arange(len(rows)) >= FEW)
+    order = np.where(late, FEW - 1.5, np.arange(len(rows)))
+    return rows.iloc[np.argsort(order, kind="stable")].to_dict("records")
+
+
+def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
+    columns = ("causes", "log evidence", "without the strongest trial", "tip moved", "left unexplained")
+    return Table((*columns, "probability"), [_theory(row) for row in theories])
+
+
+def _theory(row: Mapping[str, Any]) -> list[Any]:
+    weakest = row["held_out_gain"]
+    return [
+        plain(row["causes"]) if row["causes"] else "base model alone",
+        number(gain(row["fit_gain"])),
+        number(gain(weakest)) if np.isfinite(weakest) else Cell("not evaluated", "n missing"),
+        number(mm(row["moved"], 1)),
+        number(percent(row["unexplained"])),
+        number(percent(row["probability"])),
+    ]
