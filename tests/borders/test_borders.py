@@ -57,6 +57,42 @@ def test_no_module_knows_one_that_knows_it():
         pytest.fail(" knows ".join(reversed(error.args[1])))
 
 
+def test_the_picture_of_the_rooms_shows_what_they_import():
+    """Arrows that follow from others are left out, and those of the shell are not all imports."""
+    arrows = re.findall(r"^    (.+) --> (.+)$", (ROOT / "stages" / "README.md").read_text(), re.M)
+    drawn = {(one, other) for left, right in arrows for one in left.split(" & ") for other in right.split(" & ")}
+    below = {one: {other for begin, other in drawn if begin == one} for one, _ in drawn}
+    known = {}
+    for file in (file for room in ("stages", "hardware") for file in (ROOT / room).rglob("*.py")):
+        names = {place for module in imports_of(file) if (place := room_of(module.split(".")[1:]))}
+        known.setdefault(room_of(file.relative_to(ROOT).parts), set()).update(names)
+    for room in known.keys() - {None, "data"}:
+        needed = {
+            name
+            for name in known[room] - {room}
+            if not any(name in beneath(known, b) for b in known[room] - {room, name})
+        }
+        assert below[room] == needed, room
+
+
+def room_of(parts):
+    """A folder beneath `stages`, or a room of the first floor; None for a file of its own in `stages`."""
+    if parts[0] != "stages":
+        return parts[0]
+    return parts[1] if len(parts) > 1 and (ROOT / "stages" / parts[1]).is_dir() else None
+
+
+def imports_of(file: Path) -> set[str]:
+    """Our modules that a file imports from."""
+    nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ImportFrom)]
+    return {node.module for node in nodes if (node.module or "").startswith("stringcast.")}
+
+
+def beneath(known: dict, room: str) -> set[str]:
+    """All that a room stands on, however far."""
+    return set().union(*({one} | beneath(known, one) for one in known.get(room, set()) - {room}))
+
+
 @pytest.mark.parametrize("room", ALLOWED)
 def test_a_function_is_read_at_a_glance(room):
     """Its body counts, without the docstring."""
