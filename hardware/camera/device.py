@@ -65,16 +65,13 @@ class Device(Source):
         try:
             ready()
             stream.begin()
-            yield from self._spaced(stream)
+            begun, taken = time.monotonic(), 0
+            while (frame := stream.read()) is not None and frame.arrived < begun + self.seconds:
+                if frame.arrived >= begun + taken * self.interval:
+                    taken += 1
+                    yield frame.image
         finally:
             stream.close()
-
-    def _spaced(self, stream: Stream) -> Iterator[np.ndarray]:
-        begun, taken = time.monotonic(), 0
-        while (frame := stream.read()) is not None and frame.arrived < begun + self.seconds:
-            if frame.arrived >= begun + taken * self.interval:
-                taken += 1
-                yield frame.image
 
     def _capture(self) -> cv2.VideoCapture:
         interface = getattr(cv2, f"CAP_{self.backend}", None)

@@ -127,14 +127,11 @@ class Filming:
         except Exception as error:  # whatever it is: nobody else would hear of it
             self.died = str(error) or type(error).__name__
         finally:
-            self._read_no_more()
-
-    def _read_no_more(self) -> None:
-        with self.came:
-            self.reading = False
-            if self.left:
-                self.stream.close()
-        self.waiting.put(None)
+            with self.came:
+                self.reading = False
+                if self.left:  # `close` could not let go of the stream while it was read
+                    self.stream.close()
+            self.waiting.put(None)
 
     def _hand_over(self, frame: Frame) -> None:
         try:

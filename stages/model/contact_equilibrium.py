@@ -176,9 +176,10 @@ class _Strings:
         count = self.angles.shape[1]
         _, stiffness = self.moments
         matrix = np.zeros((len(self.angles), 2 * count, 2 * count))
-        diagonal = stiffness[:, :-1] + stiffness[:, 1:] + along
-        matrix[:, :count, :count] = _full(-stiffness[:, 1:-1], diagonal)
         turns, stretches = np.arange(count), np.arange(count, 2 * count)
+        matrix[:, turns, turns] = stiffness[:, :-1] + stiffness[:, 1:] + along
+        # A hinge turns with the segments on both of its sides, so that each knows its neighbours.
+        matrix[:, turns[1:], turns[:-1]] = matrix[:, turns[:-1], turns[1:]] = -stiffness[:, 1:-1]
         matrix[:, stretches, stretches] = self.tension[1] / self.chain.segment
         matrix[:, turns, stretches] = matrix[:, stretches, turns] = -across
         return matrix
@@ -212,13 +213,3 @@ def _stable(matrix: np.ndarray) -> bool:
     except np.linalg.LinAlgError:
         return False
     return True
-
-
-def _full(off: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
-    """Symmetric tridiagonal matrices, (C, N, N). off: (C, N - 1), diagonal: (C, N)."""
-    size = diagonal.shape[1]
-    matrix = np.zeros((len(diagonal), size, size))
-    before, after = np.arange(size - 1), np.arange(1, size)
-    matrix[:, np.arange(size), np.arange(size)] = diagonal
-    matrix[:, before, after] = matrix[:, after, before] = off
-    return matrix

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from stringcast.hardware.virtual.conditions.camera import Closer, Exposure, HotPixels, Noise, Shake
 from stringcast.hardware.virtual.conditions.clutter import ArmCable, Cables
 from stringcast.hardware.virtual.conditions.coding import Jpeg, Video
-from stringcast.hardware.virtual.conditions.condition import Condition, Shot, film, shot_of, staged
+from stringcast.hardware.virtual.conditions.condition import Condition, Shot, film, shot_of
 from stringcast.hardware.virtual.conditions.light import Blobs, Contrast, Flicker, Gradient, Shadow
 from stringcast.hardware.virtual.conditions.pose import Across, Behind, Loop
 
@@ -37,4 +37,4 @@ CONDITIONS: Mapping[str, Severities] = {
     ),
 }
 
-__all__ = ["CONDITIONS", "Condition", "Severities", "Shot", "film", "shot_of", "staged"]
+__all__ = ["CONDITIONS", "Condition", "Severities", "Shot", "film", "shot_of"]

@@ -73,13 +73,6 @@ def shot_of(bench: Bench, t: np.ndarray) -> Shot:
     return Shot(bench.camera, bench.look, wall, t, times, bench.joints_at(times), bench.string_at(times))
 
 
-def staged(shot: Shot, conditions: Sequence[Condition]) -> Shot:
-    """The shot as all conditions leave it."""
-    for condition in conditions:
-        shot = condition.stage(shot)
-    return shot
-
-
 def film(shot: Shot, conditions: Sequence[Condition], seed: int) -> Sequence[np.ndarray]:
     """Frames of a staged shot, F uint8 images (height, width). seed: of all chance in them."""
     images = [frame(shot, conditions, number, seed) for number in range(len(shot.t))]

@@ -11,7 +11,7 @@ import pandas as pd
 from stringcast.data.artifacts import JOINTS, Film, Points
 from stringcast.hardware.virtual import Bench, Specimen
 from stringcast.hardware.virtual.blind.casts import random_cast
-from stringcast.hardware.virtual.conditions import Condition, Shot, film, shot_of, staged
+from stringcast.hardware.virtual.conditions import Condition, Shot, film, shot_of
 from stringcast.stages.extract.footage import Footage, footage_of
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -53,7 +53,9 @@ def take(string: str, specimen: Specimen, arm: Arm, camera: Camera, frames: int,
 
 def filmed(one: Take, cell: Cell) -> tuple[Footage, Shot]:
     """The film of a cast under a condition, and the true string."""
-    shot = staged(one.shot, cell.parts)
+    shot = one.shot
+    for condition in cell.parts:
+        shot = condition.stage(shot)
     images = film(shot, cell.parts, one.seed)
     return footage_of(Film(shot.t, images, arm=one.reported), one.arm), shot
 
