@@ -59,7 +59,7 @@ class ImageFiles(Images):
         return len(self.files)
 
     def read(self, index: int) -> np.ndarray:
-        """One image."""
+        """The image of the file number `index`, uint8 (height, width)."""
         path = self.folder / self.files[index]
         if _size(path) != self._first:
             raise DataError(
@@ -100,7 +100,7 @@ class Video(Images):
         return int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
 
     def read(self, index: int) -> np.ndarray:
-        """One frame."""
+        """The frame number `index` in grey, uint8 (height, width)."""
         if int(self._capture.get(cv2.CAP_PROP_POS_FRAMES)) != index:
             self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
         good, image = self._capture.read()
@@ -149,7 +149,7 @@ class Held(Images):
         return self._count
 
     def read(self, index: int) -> np.ndarray:
-        """One image, not to be written to."""
+        """The image number `index`, uint8 (height, width), not to be written to."""
         return self._held(index)
 
 
@@ -165,7 +165,7 @@ class Fresh(Images):
         return len(self._files)
 
     def read(self, index: int) -> np.ndarray:
-        """One image."""
+        """The image number `index`, uint8 (height, width), made by who was handed over."""
         image = self._kept.pop(index, None)
         return self._files.read(index) if image is None else image
 

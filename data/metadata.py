@@ -67,7 +67,8 @@ class StringBlock(Block):
 
 
 class NoiseBlock(Block):
-    """point_sigma: one standard deviation of a measured coordinate [m]."""
+    """The measurement noise as the dataset states it. point_sigma: one standard deviation of a measured coordinate
+    [m]."""
 
     point_sigma: Annotated[float, Field(ge=SUREST, le=LONGEST), Plain] = UNSET
 

@@ -16,7 +16,7 @@ from stringcast.pipeline.terminal import Terminal
 
 
 def complain(error: Exception, console: Terminal) -> None:
-    """One clear message."""
+    """Print an error's message, with commands as this program was called."""
     console.print(f"[bold red]Error:[/] {escape(as_called(str(error)))}", highlight=False, soft_wrap=True)
 
 

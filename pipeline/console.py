@@ -80,7 +80,7 @@ def answer(result: Result, stage: StageSpec) -> Group:
 
 
 def listed(frame: pd.DataFrame) -> Table:
-    """A table for people."""
+    """A table for the terminal, of texts."""
     table = Table(box=None, pad_edge=False)
     for heading in frame.columns:
         table.add_column(escape(heading), overflow="fold")

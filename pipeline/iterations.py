@@ -81,7 +81,7 @@ class Executor(Protocol):
         """The artifact of a step."""
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Called whenever a cast is whole."""
+        """Take note that a cast is whole; called after each."""
 
 
 @dataclass

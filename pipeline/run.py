@@ -43,7 +43,7 @@ def main(config: DictConfig) -> float | None:
 
 
 def run(config: DictConfig, console: Terminal) -> Result:
-    """Check, run, report."""
+    """Check settings of what moves an arm, then run and report."""
     given = names_given(HydraConfig.get().overrides.task)
     if config.trials is not None and moves(OmegaConf.to_container(config, resolve=True)):
         check_bench(Path(config.trials), given)

@@ -159,5 +159,5 @@ class Filming:
 
 
 def grey(image: np.ndarray) -> np.ndarray:
-    """(height, width) uint8 of an image as it came."""
+    """An image in grey, (height, width) uint8. image: grey or BGR, as the driver gave it."""
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

@@ -31,7 +31,7 @@ class Played(Source):
         """All of them, in order; raises DataError where there are none."""
 
     def open(self, camera: Camera) -> Stream:
-        """Play them, one every 1/fps."""
+        """Play the images, one every 1 / camera.fps. Raises HardwareError where they are of another size."""
         try:
             images = self.images()
             rows, columns = images[0].shape[:2]
@@ -44,7 +44,7 @@ class Played(Source):
         return Playing(images, camera.fps)
 
     def stills(self, camera: Camera, ready: Callable[[], object]) -> Iterator[np.ndarray]:
-        """Every image; nobody has to wait."""
+        """All images, at once: nobody has to wait for a file."""
         yield from self.images()
 
 

@@ -139,7 +139,8 @@ class DynamixelBus:
         raise HardwareError(f"arm on {self.port}: the servos do not answer. Check their supply and the bus.")
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """Send velocities, in units of 0.229 rpm; the watchdogs are armed by the first."""
+        """Send velocities (J,) [rad/s], in units of 0.229 rpm; the first arms the watchdogs. The command's number, and
+        what was sent."""
         if not self.armed:
             self._write_all(BUS_WATCHDOG, self.patience)
             self.armed, self.owed = True, np.zeros(len(self.servos))

@@ -23,7 +23,7 @@ class Joint:
     offset: float = 0.0
 
     def step(self, target: float) -> None:
-        """One step, semi-implicit Euler."""
+        """Let one step pass, by semi-implicit Euler. target: velocity commanded [rad/s]."""
         self.drive += (target - self.drive) * STEP / LAG
         self.motor += self.drive * STEP
         turn = 2 * math.pi * FREQUENCY
@@ -49,7 +49,7 @@ class Joints:
     joints: list[Joint] = field(default_factory=lambda: [Joint() for _ in range(3)])
 
     def step(self, target: tuple[float, ...]) -> None:
-        """One step of all."""
+        """Let one step pass for all joints. target: velocities commanded [rad/s]."""
         for joint, speed in zip(self.joints, target, strict=True):
             joint.step(speed)
 

@@ -91,7 +91,7 @@ class RehearsalArm:
         self.device.check(commands)
 
     def move_to(self, angles: Sequence[float]) -> None:
-        """Go there; the string has settled."""
+        """Move the device to angles (J,) [rad]; the virtual string has settled there."""
         self.device.move_to(angles)
 
     def perform(self, commands: pd.DataFrame) -> Performance:

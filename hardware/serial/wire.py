@@ -98,7 +98,7 @@ class SerialWire:
         return self._report(Kind.PING).angles
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
-        """Send velocities, in single precision."""
+        """Send velocities (J,) [rad/s] in single precision; the command's number, and what was sent."""
         carried = speeds.astype(np.float32)
         return self._send(Kind.VELOCITY, tuple(carried)), carried
 

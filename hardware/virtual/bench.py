@@ -153,10 +153,10 @@ class VirtualArm:
         return np.zeros(len(self.bench.arm.links)) if self.bench.pose is None else self.bench.pose
 
     def check(self, commands: pd.DataFrame) -> None:
-        """Accept every motion."""
+        """Accept every motion: nothing can break."""
 
     def move_to(self, angles: Sequence[float]) -> None:
-        """Be there; the string has settled."""
+        """Be at these angles (J,) [rad], the string at rest."""
         self.bench.pose = np.asarray(angles, dtype=float)
         self.bench.count += 1
 

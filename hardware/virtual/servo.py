@@ -23,7 +23,8 @@ class Servo:
     step: float = 0.0005
 
     def follow(self, t: np.ndarray, speeds: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """The joints' motion under commands held from tick to tick."""
+        """The joints' motion under commands held from tick to tick: fine times (K,) [s] and angles turned since the
+        start (K, J) [rad]. t: (N,) [s]. speeds: (N, J) commanded [rad/s]."""
         fine = np.arange(t[0], t[-1] + self.step / 2, self.step)
         held = speeds[np.clip(np.searchsorted(t, fine + 1e-9, side="right") - 1, 0, len(t) - 1)]
         held = held * (1 + self.repeatability * rng.standard_normal(speeds.shape[1]))
@@ -36,5 +37,5 @@ class Servo:
         return fine, np.concatenate([np.zeros((1, speeds.shape[1])), np.cumsum(real[:-1], axis=0) * self.step])
 
     def encoder(self, angles: np.ndarray) -> np.ndarray:
-        """The encoder's reading [rad]."""
+        """The encoder's reading of angles of any shape [rad], in whole counts."""
         return np.round(angles / self.resolution) * self.resolution

@@ -36,7 +36,7 @@ class Arguments(argparse.ArgumentParser):
     """A parser of a command's arguments whose errors are one line, as everywhere."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise UserError."""
+        """Raise UserError with what is wrong and how to see the help."""
         plain = message.removeprefix("the following ").replace("arguments are required", "it needs")
         raise UserError(f"{self.prog.split()[-1]}: {plain}. Try: {self.prog} --help")
 

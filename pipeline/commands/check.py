@@ -131,12 +131,12 @@ def show(found: Mapping[str, Any], console: Terminal) -> None:
 
 
 def listed(names: Sequence[str]) -> str:
-    """The first few names."""
+    """The first few names, and how many more there are."""
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
 def conclusion(found: Mapping[str, Any]) -> str:
-    """The last line."""
+    """The last line: whether the data can be used, and how many findings of each severity there are."""
     count = {s: sum(f["severity"] == s for f in found["findings"]) for s in COLOURS}
     counted = ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n) or "nothing looks wrong"
     if not found["usable"]:

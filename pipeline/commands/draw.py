@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def natural(text: str) -> int:
-    """A whole number from 0."""
+    """The whole number from 0 that a text says; raises ValueError for any other."""
     if not text.isdecimal():
         raise ValueError(text)
     return int(text)

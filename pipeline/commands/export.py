@@ -17,7 +17,7 @@ HELP = "by its ending, .xml: a chain of links as MJCF (MuJoCo, Playground, Isaac
 
 
 def main(arguments: list[str]) -> int:
-    """0: it is written."""
+    """Write the file; the exit status."""
     parser = Arguments("python -m pipeline export", description=__doc__)
     parser.add_argument("run", type=Path, help="folder of a diagnosis, an estimation or casts; or an extended.yaml")
     parser.add_argument("file", type=Path, help=HELP)

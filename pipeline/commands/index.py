@@ -45,7 +45,7 @@ RUN, OTHERS = 38, 10  # characters of a column, so that a row is one line of 80
 
 
 def main(arguments: list[str]) -> int:
-    """0; also where there is no run."""
+    """List the runs of a folder; the exit status, 0 also where there is none."""
     parser = Arguments("python -m pipeline index", description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?", default=Path("outputs"), help="where runs are; default outputs")
     parser.add_argument("--to", type=Path, help="a .html, .parquet or .csv file to write the list to")

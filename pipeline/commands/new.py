@@ -198,5 +198,5 @@ def filled(text: str, name: str) -> str:
 
 
 def shown(path: Path) -> Path:
-    """A path as it is shortest."""
+    """A path relative to this folder where it lies in it."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

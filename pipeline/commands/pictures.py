@@ -64,7 +64,7 @@ def table(drawn: dict[str, Any]) -> bytes:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write them into a folder, numbered and named after the headings above them. The exit status."""
+    """Write the pictures of a page into a folder, numbered and named after the headings above them. The exit status."""
     parser = Arguments("python -m pipeline pictures", description=__doc__)
     parser.add_argument("page", type=Path, help="a report.html")
     parser.add_argument("folder", type=Path, help="for the pictures")

@@ -13,7 +13,7 @@ from stringcast.pipeline.terminal import Terminal
 
 
 def main(arguments: list[str]) -> int:
-    """Go on; 0 when the run has ended."""
+    """Go on with a run; 0 when it has ended."""
     parser = Arguments("python -m pipeline resume", description=__doc__)
     parser.add_argument("run", type=Path, help="the run's folder")
     parser.add_argument("--accept-limits", action="store_true", help="move a real arm by the limits stored there")

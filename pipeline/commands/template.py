@@ -44,7 +44,7 @@ arm:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write it; 0."""
+    """Write an empty dataset to be filled in; the exit status."""
     parser = Arguments("python -m pipeline template", description=__doc__)
     parser.add_argument("folder", type=Path, help="to be made")
     parser.add_argument("--poses", action="store_true", help="with poses of the hand instead of angles of joints")
@@ -72,12 +72,12 @@ def about(name: str, hand: Table) -> str:
 
 
 def needed(table: Table) -> list[str]:
-    """Columns that must be there."""
+    """Names of the columns of a table that must be there."""
     return [column.name for column in with_trial(table).columns if not column.optional]
 
 
 def columns(table: Table) -> str:
-    """All columns, with what they mean."""
+    """All columns of a table with unit and meaning, a line each."""
     said = (
         f"{column.name} ({column.meaning}{f' [{column.unit}]' if column.unit else ''}{', optional' * column.optional})"
         for column in with_trial(table).columns

@@ -72,7 +72,7 @@ class Study(Mode):
 
     @abstractmethod
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        """The study in a few numbers."""
+        """The study's result in a sentence or two, for terminal and log."""
 
     @property
     def growing(self) -> Mapping[str, Sequence[str]]:

@@ -60,7 +60,7 @@ def align(
 
 
 def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
-    """The artifact."""
+    """The artifact of a fit: parameters with their ranges, sightings before and after, and the sentence."""
     alike = likelihood(problem, fit)
     lag = most_lag(alike, fit)
     measured = measured_table(problem, fit, lag)
@@ -79,7 +79,7 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
 
 
 def rms(off: np.ndarray) -> float:
-    """Root mean square."""
+    """Root mean square of residuals of any shape, in their unit."""
     return float(np.sqrt(np.mean(off**2)))
 
 

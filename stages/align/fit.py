@@ -195,7 +195,7 @@ def fitted(
 
 
 def robust(residual: np.ndarray) -> float:
-    """Robust standard deviation about zero."""
+    """Standard deviation about zero of residuals (N,), from their median, in their unit."""
     return float(mad_sigma(residual)) + 1e-12
 
 

@@ -27,7 +27,7 @@ EDGE = 1e-3  # share of its range within which a parameter sits at its end
 
 
 def speed(arm: Arm, trial: Sighted) -> float:
-    """Greatest of the hand [m/s]."""
+    """The greatest speed of the hand in a trial [m/s]."""
     motion = trial.motion
     return float(np.linalg.norm(arm.grasp_velocity(motion.angles, motion.speeds)[..., :2], axis=-1).max())
 

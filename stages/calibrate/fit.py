@@ -56,7 +56,7 @@ def fitted(views: Sequence[View], board: Board, size: tuple[int, int]) -> Fitted
 
 
 def values_of(lens: Lens) -> np.ndarray:
-    """Values of NAMES (8,)."""
+    """Values (8,) of a lens in the order of NAMES."""
     return np.array([*lens.focal, *lens.centre, *lens.distortion])
 
 

@@ -27,7 +27,8 @@ class View:
 
 
 def look(number: int, image: np.ndarray, board: Board) -> View:
-    """Find the board's corners in a picture, grey or BGR."""
+    """Find the board's corners in a picture (height, width) or (height, width, 3) uint8; with the reason where they
+    cannot be used."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMinAccuracy = PRECISE  # by itself, OpenCV stops a tenth of a pixel from the corner

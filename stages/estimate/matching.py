@@ -62,7 +62,7 @@ class Target:
 
 
 def targets(model: Model, observations: Sequence[Observation], matching: Matching) -> list[Target]:
-    """Scores of all observations."""
+    """What each observation is compared with: its score maps, and weights of the mass points."""
     return [_target(case(model, o), o, matching) for o in observations]
 
 

@@ -69,7 +69,8 @@ def estimate_of(
     interval: Interval,
     draws: np.ndarray,
 ) -> Estimate:
-    """The artifact. before, after: (P,) exponents before and after. draws: (K, P) that the trials leave possible."""
+    """The artifact of an estimation. before, after: (P,) exponents of Eq. 3. search: all candidates tried. draws: (K,
+    P) that the trials leave possible."""
     parameters = goals[0].case.model.parameters
     pair = values_of(parameters, np.stack([before, after]))
     scores = [(goal.case, *goal.per_frame(pair)[0]) for goal in goals]

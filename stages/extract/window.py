@@ -25,11 +25,11 @@ class Window:
         return max(self.rows[1] - self.rows[0], 0), max(self.columns[1] - self.columns[0], 0)
 
     def cut(self, image: np.ndarray) -> np.ndarray:
-        """The part of an image in the window."""
+        """The part of an image (height, width, ...) in the window."""
         return image[slice(*self.rows), slice(*self.columns)]
 
     def paste(self, part: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """The part in an empty image of a shape."""
+        """An image of a shape that is 0 but for the window, which holds `part`."""
         whole = np.zeros(shape, part.dtype)
         self.cut(whole)[:] = part
         return whole

@@ -33,12 +33,12 @@ class Curves:
         return self.start[:, None] + turned * self.duration[:, None, None], speed
 
     def only(self, chosen: np.ndarray | slice) -> Curves:
-        """Some of the movements."""
+        """Some of the movements, by their numbers."""
         return Curves(self.start[chosen], self.duration[chosen], self.control[chosen])
 
 
 def joined(parts: Sequence[Curves]) -> Curves:
-    """Several batches as one."""
+    """Several batches of movements as one."""
     return Curves(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("start", "duration", "control")))
 
 
@@ -85,7 +85,7 @@ def plain_cast(arm: Arm, duration: float) -> Curves:
 
 
 def whole_ticks(duration: np.ndarray, tick: float) -> np.ndarray:
-    """Rounded to ticks, at least as many as there are intervals."""
+    """Durations of any shape [s] rounded to ticks, at least as many as there are intervals. tick: [s]."""
     return np.maximum(np.round(duration / tick), INTERVALS) * tick
 
 

@@ -43,7 +43,7 @@ class Draws:
         return len(self.values)
 
     def only(self, chosen: slice | np.ndarray) -> Draws:
-        """Some of the draws, in this order."""
+        """Some of the draws, in the order of their numbers."""
         return Draws(self.values[chosen], self.amplitude[chosen], self.lag[chosen], self.off[chosen])
 
     def of_the_string(self) -> Draws:

@@ -34,12 +34,12 @@ class Space:
 
     @property
     def bounds(self) -> np.ndarray:
-        """(D, 2)."""
+        """Least and greatest coordinates of the space, (D, 2)."""
         joints = len(self.arm.links)
         return np.array([[0.0, 1.0]] * (joints + 1) + [[-WIDEST, WIDEST]] * (joints * (INTERVALS - 1)))
 
     def points(self, curves: Curves) -> np.ndarray:
-        """(B, D)."""
+        """Movements as points of the space, (B, D), within `bounds`."""
         lowest, highest = np.array(self.arm.lowest), np.array(self.arm.highest)
         start = (curves.start - lowest) / (highest - lowest)
         duration = (curves.duration - self.shortest) / max(self.longest - self.shortest, self.arm.tick)
@@ -47,7 +47,7 @@ class Space:
         return np.concatenate([start, duration[:, None], share.reshape(len(start), -1)], axis=1)
 
     def curves(self, points: np.ndarray) -> Curves:
-        """The movements of points (B, D)."""
+        """The movements that are points (B, D) of the space."""
         lowest, highest = np.array(self.arm.lowest), np.array(self.arm.highest)
         start, share, rest = np.split(points, [len(lowest), len(lowest) + 1], axis=1)
         duration = whole_ticks(self.shortest + share[:, 0] * (self.longest - self.shortest), self.arm.tick)

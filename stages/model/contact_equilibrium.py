@@ -96,7 +96,7 @@ class _Strings:
     lengths: np.ndarray
 
     def only(self, which: np.ndarray) -> _Strings:
-        """Some of them."""
+        """Some of the strings, by number."""
         return _Strings(self.chain.only(which), *(part[which] for part in (self.pose, self.angles, self.lengths)))
 
     def moved(self, which: np.ndarray, step: np.ndarray) -> _Strings:

@@ -61,7 +61,8 @@ class HandMotion:
         return HandMotion(float(begin) if np.ndim(begin) == 0 else 0.0, self.tick, pose, rate)
 
     def actual(self, arm: Arm, acts: Sequence[Act]) -> HandMotion:
-        """The hand's actual motion with effects on the grasp. Raises DataError if one needs joint angles."""
+        """The hand's actual motion with effects on the grasp, each with its values, one for all candidates or one each.
+        Raises DataError if one needs joint angles."""
         motion = self
         for effect, parameters in acts:
             if "grasp" not in effect.laws():
@@ -89,11 +90,11 @@ class JointMotion:
         return JointMotion(self.start, self.tick, *_rested(self.angles, self.speeds, until - end, self.tick))
 
     def grasp(self, arm: Arm) -> HandMotion:
-        """The motion of the hand."""
+        """The hand's motion by an arm's forward kinematics."""
         return HandMotion(self.start, self.tick, arm.grasp(self.angles), arm.grasp_velocity(self.angles, self.speeds))
 
     def joints(self, acts: Sequence[Act]) -> JointMotion:
-        """The joints' actual motion with effects on them."""
+        """The joints' actual motion with effects on them, each with its values, one for all candidates or one each."""
         motion = self
         for effect, parameters in acts:
             if "joints" in effect.laws():

@@ -79,7 +79,7 @@ class SemiImplicitEuler(Integrator):
     behind: float = 0.5
 
     def largest_step(self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray) -> np.ndarray:
-        """Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4."""
+        """The largest stable step [s] by Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4."""
         c = damping.sum(axis=0) + drag
         return 4.0 / (c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0)))
 

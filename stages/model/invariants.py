@@ -132,7 +132,7 @@ def resists(law: str, rate: str = "rate") -> Dissipative:
 
 
 def brakes(law: str, *velocity: str) -> Dissipative:
-    """A load takes energy from what moves at this velocity."""
+    """The invariant that a load takes energy from what moves. velocity: names of its components."""
     return Dissipative(law, velocity, -1)
 
 

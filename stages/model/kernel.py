@@ -227,7 +227,7 @@ class Laws:
         yield f"B[CURVED + k] = {kept.format(new='curvature', old='B[CURVED + k]')}"
 
     def held_moments(self, slot: str) -> list[str]:
-        """The moments of what is held."""
+        """Expressions of the moments of what hinges or the grasp hold."""
         return [self.call(e, f"{slot}_moment", {"held": f"held_{i}"}) for i, e in enumerate(self.of(slot))]
 
 

@@ -41,13 +41,13 @@ class Chain:
 
     @classmethod
     def of(cls, string: String, material: np.ndarray) -> Chain:
-        """Strings of a material (C, rows)."""
+        """The chains at rest of candidates' material (C, rows)."""
         segment, s = string.segments(material)[:, None], string.places(material)
         curved = _at_rest(string, material, s[:, 1:-1])
         return cls(string, material, segment, s, *string.masses(material), curved, grasp_set(string, material))
 
     def only(self, which: np.ndarray) -> Chain:
-        """Some of them."""
+        """The chains of some candidates, by number."""
         parts = (self.material, self.segment, self.s, self.masses, self.cells, self.curved, self.turned)
         return Chain(self.string, *(part[which] for part in parts))
 
@@ -79,7 +79,8 @@ def forces(chain: Chain, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarr
 
 
 def shape(pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Directions of the segments and places of the free points [m], (C, n - 1, 2) each."""
+    """Directions of the segments and places of the free points [m], (C, n - 1, 2) each. pose: (C, 3) of the grasp.
+    angles [rad], lengths [m]: (C, n - 1)."""
     tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return tangent, pose[:, None, :2] + np.cumsum(lengths[..., None] * tangent, axis=1)
 

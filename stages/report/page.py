@@ -307,12 +307,12 @@ def link(where: str, text: Any) -> Markup:
 
 
 def code(text: str) -> Markup:
-    """Words that are typed."""
+    """Words that are typed as they stand, such as a command."""
     return Markup("<code>{}</code>").format(text)
 
 
 def bold(text: str) -> Markup:
-    """Words to see first."""
+    """Words that are to be seen first."""
     return Markup("<b>{}</b>").format(text)
 
 

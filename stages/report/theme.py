@@ -73,7 +73,7 @@ def raster(figure: Figure, alt: str) -> Picture:
 
 
 def webp(image: np.ndarray, quality: int) -> bytes:
-    """A grey or colour image as WebP."""
+    """The bytes of an image (height, width) or (height, width, 3) uint8 as WebP. quality: 0 to 100."""
     data = io.BytesIO()
     Image.fromarray(image).save(data, "webp", quality=quality, method=QUICK)
     return data.getvalue()
@@ -107,7 +107,7 @@ def _short(svg: str) -> tuple[str, str]:
 
 
 def data_uri(kind: str, data: bytes) -> str:
-    """An image as text."""
+    """The data URI of an image file, as a page holds it. kind: webp, png, svg+xml."""
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 

@@ -35,7 +35,7 @@ def mean_with_interval(row: Mapping[str, Any]) -> str:
 
 
 def rate(share: float | None) -> str:
-    """A matching rate."""
+    """A matching rate E to three decimals, or that it is not known."""
     return f"{share:.3f}" if share is not None and np.isfinite(share) else UNKNOWN
 
 
@@ -160,5 +160,5 @@ def headline(document: Mapping[str, Any]) -> str:
 
 
 def enumerated(names: Sequence[str], word: str = "and") -> str:
-    """a, b and c."""
+    """Names as `a, b and c`."""
     return f" {word} ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

@@ -45,8 +45,8 @@ LOCKED = 64  # addresses below are locked while the torque is on
 
 @dataclass
 class Servo:
-    """table: the control table. silent: time since the last packet on the bus [s]. speed: which it has the joint follow
-    [rad/s]."""
+    """A servo. table: its control table. silent: time since the last packet on the bus [s]. speed: which it has the
+    joint follow [rad/s]."""
 
     table: bytearray = field(default_factory=lambda: bytearray(147))
     joint: Joint = field(default_factory=Joint)
@@ -65,7 +65,7 @@ class Servo:
         return int.from_bytes(data, "little", signed=register.size == 4)
 
     def set(self, register: Register, value: int) -> None:
-        """A value, whatever it is."""
+        """Write a register's value, also one that a host may not write."""
         data = value.to_bytes(register.size, "little", signed=value < 0)
         self.table[register.address : register.address + register.size] = data
 

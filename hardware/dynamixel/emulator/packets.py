@@ -28,7 +28,7 @@ def crc16(data: bytes) -> int:
 
 
 def status(identity: int, error: int, parameters: bytes = b"") -> bytes:
-    """The bytes of a status packet."""
+    """The bytes of a status packet, Protocol 2.0: of a servo, with its error and what was asked for."""
     content = (bytes([STATUS, error]) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
     body = HEADER + bytes([identity]) + (len(content) + 2).to_bytes(2, "little") + content
     return body + crc16(body).to_bytes(2, "little")

@@ -60,7 +60,7 @@ class Scene:
         return Model(full, self.arm, self.camera).with_effects(*elsewhere)
 
     def performing(self, casts: tuple[Cast, ...]) -> Scene:
-        """The scene with other casts."""
+        """The same scene in which these casts are performed."""
         return replace(self, casts=casts)
 
     def seen(self, model: Model, values: Sequence[Values], only: int | None = None) -> np.ndarray:
@@ -78,7 +78,7 @@ class Scene:
         return np.concatenate(parts, axis=1) / self.sigma
 
     def steps(self, model: Model, values: Values) -> int:
-        """Steps that a millisecond takes."""
+        """The number of steps into which a millisecond is divided, so that the model stays finite with these values."""
         rows = model.values({**self.base, **values})[None, : len(model.string.parameters)]
         return int(steps_per_tick(model.string, model.string.material(rows), FINE)[0][0])
 

@@ -17,7 +17,7 @@ class Exposure(Condition):
     share: float
 
     def stage(self, shot: Shot) -> Shot:
-        """The camera knows it."""
+        """The shot by a camera that is told of its exposure."""
         return replace(shot, camera=replace(shot.camera, exposure=self.share / shot.camera.fps))
 
 
@@ -52,7 +52,7 @@ class Shake(Condition):
     sigma: float
 
     def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
-        """The whole picture elsewhere. The truth stays: nobody measured where the camera was."""
+        """The frame shifted as the camera shook. The truth stays: nobody measured where the camera was."""
         across, down = moment.rng.normal(0, self.sigma, 2)
         shift = np.array([[1, 0, across], [0, 1, down]])
         return cv2.warpAffine(

@@ -20,7 +20,7 @@ class Jpeg(Condition):
     quality: int
 
     def stored(self, images: Sequence[np.ndarray], fps: float) -> Sequence[np.ndarray]:
-        """Each for itself."""
+        """The images after each was coded as JPEG."""
         packed = (cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.quality])[1] for image in images)
         return [np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)) for content in packed]
 
@@ -30,7 +30,7 @@ class Video(Condition):
     """The film as MPEG-4 video (mp4v), in which frames are predicted from those before them."""
 
     def stored(self, images: Sequence[np.ndarray], fps: float) -> Sequence[np.ndarray]:
-        """Written and read again."""
+        """The images after they were written to a video file and read again."""
         with tempfile.TemporaryDirectory() as folder:
             path = str(Path(folder) / "film.mp4")
             writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"mp4v"), fps, images[0].shape[::-1])

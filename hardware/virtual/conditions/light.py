@@ -18,7 +18,7 @@ class Gradient(Condition):
     fall: float
 
     def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
-        """Darker and darker to the right."""
+        """The frame, darker and darker to the right."""
         return frame * np.linspace(1, 1 - self.fall, frame.shape[1], dtype=np.float32)
 
 
@@ -30,7 +30,7 @@ class Flicker(Condition):
     mains: float = 50.0
 
     def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
-        """All brighter, all darker. The mains are never exactly at their frequency."""
+        """The frame, brighter or darker as a whole. The mains are never exactly at their frequency."""
         return frame * (1 + self.share * np.sin(2 * np.pi * 2 * 1.013 * self.mains * moment.t + 0.5))
 
 
@@ -68,7 +68,7 @@ class Blobs(Condition):
     radius: float = 5.0  # [px]
 
     def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
-        """Somewhere else in each frame."""
+        """The frame with blobs of light, elsewhere in each."""
         spots = np.zeros(frame.shape, np.float32)
         rows, columns = (moment.rng.integers(0, size, self.count) for size in frame.shape)
         spots[rows, columns] = self.levels * 2 * np.pi * self.radius**2

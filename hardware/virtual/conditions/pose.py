@@ -17,7 +17,7 @@ class Across(Condition):
     angle: float
 
     def stage(self, shot: Shot) -> Shot:
-        """Every moment of it."""
+        """The shot with the string turned about the grasp at every moment, to lie at `angle` to the last link."""
         grasp = shot.strings[:, :1]
         wanted = _direction(shot.joints[:, -2] - shot.joints[:, -1]) + self.angle
         turned = _turn(wanted - _direction(shot.strings[:, -1] - grasp[:, 0]))
@@ -29,7 +29,7 @@ class Behind(Across):
     """The string passing behind the arm, which hides it."""
 
     def seen(self, frame: np.ndarray, moment: Moment) -> np.ndarray:
-        """The arm drawn once more."""
+        """The frame with the arm drawn over the string."""
         shot = moment.shot
         arm = np.mean([cover(shot.camera, joints, shot.look.arm_width) for joints in moment.joints], axis=0)
         return frame + arm * (shot.look.arm - frame)

@@ -52,12 +52,13 @@ def moment(rng: np.random.Generator, t: np.ndarray) -> float:
 
 
 def place(rng: np.random.Generator, points: np.ndarray, first: float, last: float) -> tuple[float, float]:
-    """Somewhere that the outer third of the string comes by, between two shares of the time [m]."""
+    """A random place (x, y) [m] where the outer third of the string comes by, between two shares of the trial's time.
+    points: (F, S, 2) [m]."""
     frame = int(rng.uniform(first, last) * len(points))
     x, y = points[frame, rng.integers(2 * points.shape[1] // 3, points.shape[1])]
     return float(x), float(y)
 
 
 def direction(rng: np.random.Generator) -> float:
-    """Any [rad]."""
+    """A random direction in the plane of motion [rad]."""
     return float(rng.uniform(-np.pi, np.pi))

@@ -87,7 +87,7 @@ def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
 
 
 def summary(tables: Mapping[str, pd.DataFrame]) -> str:
-    """The study in a few numbers."""
+    """The study's rates in a sentence or two."""
     rates = [
         f"{name}: {right} of {count}" + (f" ({100 * share:.0f} %)" if count else "")
         for name, right, count, share in tables["rates"][["name", "right", "count", "share"]].itertuples(index=False)

@@ -47,7 +47,7 @@ class PointExecutor:
         return hit_test(seen, self.experiment.target, self.experiment.obstacles, duration)
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Nobody reads along."""
+        """Do nothing: a job's casts are no dataset."""
 
     def _made(self, step: Step) -> Any:
         return self.experiment.run(step, lambda share: None)

@@ -18,7 +18,7 @@ MARKS = "os^Dv<>"  # of methods, whose colours come again after the fourth
 
 
 def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
-    """Write it. tables: of `scores`."""
+    """Draw shares of hits, misfit and prediction error over casts into a PNG. tables: of `scores`."""
     cases = [ALL, *(case for case in tables["rates"]["case"].unique() if case != ALL)]
     rows = -(-(len(cases) + 2) // ACROSS)
     with plt.style.context(STYLE):

@@ -117,7 +117,7 @@ def _calibration(casts: pd.DataFrame) -> pd.DataFrame:
 
 
 def sentence(tables: Mapping[str, pd.DataFrame]) -> str:
-    """The study in a few numbers."""
+    """The study's rates in a sentence or two."""
     rates = tables["rates"][tables["rates"]["case"] == ALL]
     said = []
     for method, some in rates.groupby("method", sort=False):

@@ -76,7 +76,7 @@ def _rms(rows: pd.DataFrame) -> float | None:
 
 
 def in_words(table: pd.DataFrame) -> str:
-    """Table SETS in a few numbers."""
+    """How near the sets of table SETS come to their strings, in a sentence."""
     best = table.loc[table.groupby("string", sort=False)["tip"].idxmin()]
     return (
         f"{len(table)} sets of effects on {len(best)} strings; of each string the nearest has the tip "

@@ -12,6 +12,6 @@ from stringcast.pipeline.sweep.launchers import cores
 
 
 def launch(attempts: Sequence[Attempt], *, threads: Annotated[int, Field(ge=0)]) -> Iterator[str]:
-    """threads: of a job; 0 is all cores."""
+    """Run attempts one after another; yields the key of each that has ended. threads: of a job; 0 is all cores."""
     for attempt in attempts:
         yield attempt(threads or cores())

@@ -38,7 +38,7 @@ class AirDrag(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Over speed."""
+        """Draw the force over speed."""
         speed = np.linspace(0.0, 20.0, 101)
         force = -cls.load(speed, 0.0, values["linear_drag"], values["quadratic_drag"])[0]
         line(axes, speed, force, "speed / (m/s)", "air resistance / (m/s2)")

@@ -26,5 +26,5 @@ class CameraOffset(CameraEffect):
     def seen(
         points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, x: Quantity, y: Quantity
     ) -> np.ndarray:
-        """Shifted."""
+        """The points shifted."""
         return points + np.concatenate([x, y], axis=-1)

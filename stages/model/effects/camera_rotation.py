@@ -22,7 +22,7 @@ class CameraRotation(CameraEffect):
     def seen(
         points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, angle: Quantity
     ) -> np.ndarray:
-        """Turned about the centre."""
+        """The points turned about the centre of the picture."""
         x, y = np.moveaxis(points - camera.centre, -1, 0)
         c, s = np.cos(angle[..., 0]), np.sin(angle[..., 0])
         return camera.centre + np.stack([c * x - s * y, s * x + c * y], axis=-1)

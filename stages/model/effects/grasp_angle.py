@@ -21,7 +21,7 @@ class GraspAngle(HandEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The last link and the beginning of the string."""
+        """Draw the last link and the beginning of the string."""
         axes.plot([-1.0, 0.0], [0.0, 0.0], linestyle="--")
         way = np.linspace(0.0, 1.0, 2)
         line(axes, way * np.cos(values["angle"]), way * np.sin(values["angle"]), "along the last link", "across")

@@ -30,7 +30,7 @@ class GraspSlip(HandEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The distance slid, over time."""
+        """Draw the distance slid over time."""
         t = np.linspace(0.0, 2.0, 201)
         still = np.zeros((1, len(t), 3))
         line(axes, t, cls.grasp(t, still, **values)[0, :, 0], "time / s", "slid out / m")

@@ -17,7 +17,7 @@ class Gravity(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Over the direction."""
+        """Draw the acceleration in x and in y."""
         line(axes, np.array([0.0, 1.0]), np.array(cls.acceleration()), "x, y", "acceleration / (m/s2)")
 
     @staticmethod

@@ -20,7 +20,7 @@ class GravityDirection(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """An arrow beside the vertical."""
+        """Draw an arrow beside the vertical."""
         axes.quiver([0, 0], [0, 0], [0, np.sin(values["tilt"])], [-1, -np.cos(values["tilt"])], scale=2)
         axes.set_xlabel("x")
         axes.set_ylabel("y")

@@ -20,5 +20,5 @@ class JointGain(HandEffect):
 
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, gain: Quantity) -> np.ndarray:
-        """About the first angle."""
+        """The angles, whose changes since the first are larger by the gain."""
         return angles + gain * (angles - angles[:, :1])

@@ -26,7 +26,7 @@ class LensDistortion(CameraEffect):
     def seen(
         points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, radial: Quantity
     ) -> np.ndarray:
-        """Away from the centre by the cube of the distance."""
+        """The points moved away from the centre by the cube of their distance."""
         offset = points - camera.centre
         half = camera.width / 2 / camera.px_per_m
         return points + radial * offset * np.sum((offset / half) ** 2, axis=-1, keepdims=True)

@@ -22,5 +22,5 @@ class PixelScale(CameraEffect):
     def seen(
         points: np.ndarray, velocity: np.ndarray, times: np.ndarray, camera: Camera, excess: Quantity
     ) -> np.ndarray:
-        """Scaled about the world's origin, whose pixel is known."""
+        """The points scaled about the world's origin, whose pixel is known."""
         return points * (1 + excess)

@@ -26,5 +26,5 @@ class Resolution(ModelChange):
 
     @staticmethod
     def points(points: int) -> int:
-        """Segments half as long."""
+        """The number of mass points where segments are half as long."""
         return 2 * points - 1

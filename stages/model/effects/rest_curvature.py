@@ -27,7 +27,7 @@ class RestCurvature(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """The shape of 0.3 m of it at rest."""
+        """Draw the shape of 0.3 m of it at rest."""
         s = np.linspace(0.0, 0.3, 101)
         turned = (values["curvature"] + values["slope"] * (s - s[-1]) / 2) * s
         steps = 0.003 * np.stack([np.cos(turned), np.sin(turned)])

@@ -27,7 +27,7 @@ def trial_figure(seen: Seen) -> Figure:
 
 
 def trial_words(seen: Seen) -> str:
-    """A description of the trial."""
+    """A sentence on a trial: its frames, the string's length [mm], and when hand and string began to move."""
     begins = [
         f"{who} at {onset:.2f} s"
         for who, onset in (("the hand", seen.hand_onset), ("the string", seen.string_onset))

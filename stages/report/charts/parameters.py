@@ -100,7 +100,7 @@ def _bars(record: DiagnosisRecord, rows: pd.DataFrame) -> Picture:
 
 
 def likeness(record: DiagnosisRecord) -> Picture | None:
-    """A cell for each two effects, the fuller the more alike they are."""
+    """A matrix with a cell for each two effects, the fuller the more alike they are; None where none were compared."""
     table = record.diagnosis.likeness
     if table.empty:
         return None

@@ -53,7 +53,7 @@ def residual_map(record: Record, cast: Cast, furthest: float) -> Picture | None:
 
 
 def residual_curves(record: Record, cast: Cast) -> Chart | None:
-    """Over the whole string, before and after estimation, frame by frame."""
+    """Root mean square distance over the whole string, frame by frame, before and after estimation [mm]."""
     if not cast.measured:
         return None
     tables = {"before": residuals(record, cast, cast.before), "after": residuals(record, cast, cast.after)}

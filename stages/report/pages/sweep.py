@@ -164,7 +164,7 @@ def planes(record: SweepRecord) -> Section | None:
 
 
 def combined(record: SweepRecord) -> Section | None:
-    """Each combination of settings with the means of the outcomes there."""
+    """A table with a row for each combination of settings and the means of its outcomes."""
     factors, outcomes = list(record.factors), _mapped(record)
     if not factors:
         return None
