@@ -117,7 +117,11 @@ def closure(roots: Iterable[Path]) -> set[Path]:
 @cache
 def read_code(file: Path) -> tuple[tuple[Path, ...], str]:
     """The files of ours that a file imports, wherever in it, and a digest of what Python runs of it: comments, line
-    breaks and docstrings make no step stale. Of one tree, for it takes as long to parse as all else."""
+    breaks and docstrings make no step stale. Of one tree, for it takes as long to parse as all else.
+
+    A new name or place does: a step called stale without need costs the time to make it again, to the same bits; one
+    called fresh without need, as where two functions swap their names, costs the trust in all of them.
+    """
     tree = ast.parse(file.read_text(encoding="utf-8"))
     names: set[str] = set()
     for node in ast.walk(tree):
