@@ -63,7 +63,16 @@ class BlindStudy(Study):
         pictures(tables, folder)
 
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        return summary(tables)
+        counted = tables["rates"][["name", "right", "count", "share"]]
+        rates = [
+            f"{name}: {right} of {count}" + (f" ({100 * share:.0f} %)" if count else "")
+            for name, right, count, share in counted.itertuples(index=False)
+        ]
+        error, runtime = tables["calibration_error"].iloc[0], tables["runtime"].iloc[0]
+        return (
+            f"{'; '.join(rates)}. Calibration error {error['error']:.3f} (by chance {error['chance']:.3f}). "
+            f"Median runtime {runtime['median']:.0f} s on one core."
+        )
 
 
 def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -84,16 +93,3 @@ def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
     trials = list(data.trials.values())
     made: Diagnosis = here.stages["diagnose"](here.model, trials, data.rejected, (), (), seed=here.seed)
     return made
-
-
-def summary(tables: Mapping[str, pd.DataFrame]) -> str:
-    """The study's rates in a sentence or two."""
-    rates = [
-        f"{name}: {right} of {count}" + (f" ({100 * share:.0f} %)" if count else "")
-        for name, right, count, share in tables["rates"][["name", "right", "count", "share"]].itertuples(index=False)
-    ]
-    error, runtime = tables["calibration_error"].iloc[0], tables["runtime"].iloc[0]
-    return (
-        f"{'; '.join(rates)}. Calibration error {error['error']:.3f} (by chance {error['chance']:.3f}). "
-        f"Median runtime {runtime['median']:.0f} s on one core."
-    )

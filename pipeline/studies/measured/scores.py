@@ -73,17 +73,3 @@ def _rms(rows: pd.DataFrame) -> float | None:
     """Root mean square distance [m], None of none."""
     off = np.hypot(rows["predicted_x"] - rows["x"], rows["predicted_y"] - rows["y"])
     return float(np.sqrt(np.mean(off**2))) if len(rows) else None
-
-
-def in_words(table: pd.DataFrame) -> str:
-    """How near the sets of table SETS come to their strings, in a sentence."""
-    best = table.loc[table.groupby("string", sort=False)["tip"].idxmin()]
-    return (
-        f"{len(table)} sets of effects on {len(best)} strings; of each string the nearest has the tip "
-        f"{_range(best['tip'])} mm off in sample, {_range(best['held_out_tip'].dropna())} mm in trials held out."
-    )
-
-
-def _range(values: pd.Series) -> str:
-    """The least and the most, from metres to mm."""
-    return f"{1e3 * values.min():.1f} to {1e3 * values.max():.1f}" if len(values) else "no"

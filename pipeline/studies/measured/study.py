@@ -21,7 +21,7 @@ from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.pipeline.studies.engine import Study, StudyJob
 from stringcast.pipeline.studies.measured.family import Family
 from stringcast.pipeline.studies.measured.pictures import picture
-from stringcast.pipeline.studies.measured.scores import SETS, in_words, predicted, scored
+from stringcast.pipeline.studies.measured.scores import SETS, predicted, scored
 from stringcast.pipeline.terminal import Terminal
 
 WHERE = "conf/experiment/measured_study.yaml"
@@ -111,7 +111,16 @@ class MeasuredStudy(Study):
         picture(sets, {fit: predicted(place_of(folder, *fit)) for fit in fits}, folder / "sets.png")
 
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        return in_words(tables["sets"])
+        sets = tables["sets"]
+        best = sets.loc[sets.groupby("string", sort=False)["tip"].idxmin()]
+        near, foretold = (
+            f"{1e3 * off.min():.1f} to {1e3 * off.max():.1f}" if len(off) else "no"
+            for off in (best["tip"], best["held_out_tip"].dropna())
+        )
+        return (
+            f"{len(sets)} sets of effects on {len(best)} strings; of each string the nearest has the tip {near} mm off "
+            f"in sample, {foretold} mm in trials held out."
+        )
 
 
 def settings(job: OneFit, dataset: Path) -> dict[str, Any]:
