@@ -32,7 +32,7 @@ class Log:
     angles: np.ndarray
     begun: float = 0.0
     last: int = -1  # the latest tick that was answered
-    previous: int = -1  # the one answered before it
+    judged: int = -1  # the latest when the guard last found nothing wrong
     held: str = ""
     waiting: dict[int, int] = field(default_factory=dict)  # ticks by the number of their command
 
@@ -67,17 +67,18 @@ class Guard:
         return log.held or self._wrong(log)
 
     def _wrong(self, log: Log) -> str:
-        """The fault that the last measured angles reveal; empty if none."""
-        at, before = log.last, log.previous
-        if at >= 0 and not np.isfinite(log.angles[at]).all():
+        """The fault that the angles measured since the last look reveal; empty if none."""
+        ticks = np.arange(max(log.judged, 0), log.last + 1)
+        ticks = ticks[np.isfinite(log.clock[ticks])]  # several where this computer was late: each may show a jump
+        if not np.isfinite(log.angles[ticks[ticks > log.judged]]).all():
             return "an encoder reports no number"
-        if before < 0:
+        if len(ticks) < 2:
             return ""
-        leap = np.abs(log.angles[at] - log.angles[before]) - NOISE
-        most = 2 * np.asarray(self.arm.speed) * max(log.clock[at] - log.clock[before], self.arm.tick)
+        leap = np.abs(np.diff(log.angles[ticks], axis=0)) - NOISE
+        most = 2 * np.asarray(self.arm.speed) * np.maximum(np.diff(log.clock[ticks]), self.arm.tick)[:, None]
         if not (leap <= most).all():  # so that what is no number is a reason, too
-            return f"the encoder of joint {(leap - most).argmax() + 1} jumped"
-        off = np.abs(log.angles[at] - log.expected[at])
+            return f"the encoder of joint {(leap - most).max(axis=0).argmax() + 1} jumped"
+        off = np.abs(log.angles[log.last] - log.expected[log.last])
         if not off.max() <= self.astray:
             return f"joint {off.argmax() + 1} is {off.max():.2f} rad from where it was sent"
         return ""
@@ -105,6 +106,7 @@ def play(wire: Wire, log: Log, guard: Guard, priority: int) -> None:
             reason = guard.reason(log, k)
             if reason:
                 _give_up(wire, log, k, guard.arm, reason)
+            log.judged = log.last
         _listen(wire, log, time.monotonic() + DRAIN)
 
 
@@ -126,8 +128,7 @@ def _note(log: Log, answer: Answer) -> None:
     log.acknowledged[at] = time.monotonic() - log.begun
     log.clock[at], log.angles[at] = answer.clock, answer.angles
     log.held = log.held or answer.held
-    if at > log.last:
-        log.previous, log.last = log.last, at
+    log.last = max(log.last, at)
 
 
 def _give_up(wire: Wire, log: Log, tick: int, arm: Arm, reason: str) -> None:

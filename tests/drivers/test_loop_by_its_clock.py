@@ -139,7 +139,7 @@ def test_it_slows_to_rest_as_the_acceleration_asks_tick_by_tick(now, speed, tick
 def after(leap, between=0.005, **how):
     """What the guard says where joint 3 has turned by `leap` [rad] between two answers `between` [s] apart."""
     log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.clock[:2], log.angles[:2], log.previous, log.last = [7.0, 7.0 + between], 0.0, 0, 1
+    log.clock[:2], log.angles[:2], log.judged, log.last = [7.0, 7.0 + between], 0.0, 0, 1
     log.angles[1, 2] = leap
     return guard(**{"astray": 10.0, **how}).reason(log, 2)
 
@@ -150,6 +150,16 @@ def test_an_encoder_may_turn_twice_as_fast_as_the_arm_and_by_its_noise(between, 
     """2 x 20 rad/s over the time between, a tick at least, and 0.02 rad."""
     assert after(sign * (most - 1e-6), between) == ""
     assert after(sign * (most + 1e-6), between) == "the encoder of joint 3 jumped"
+
+
+@pytest.mark.parametrize("jump", [1, 2, 3])
+def test_a_jump_shows_among_answers_that_came_at_once(jump):
+    """As where this computer was late: a look each tick is not a look at each answer."""
+    log = blank(np.zeros(3), np.zeros((5, 3)), ARM.tick)
+    log.clock[:4], log.angles[:4], log.judged, log.last = 7.0 + 0.005 * np.arange(4), 0.0, 0, 3
+    assert guard(astray=10.0).reason(log, 4) == ""
+    log.angles[jump:4, 1] = 0.3
+    assert guard(astray=10.0).reason(log, 4) == "the encoder of joint 2 jumped"
 
 
 def test_a_joint_may_be_as_far_astray_as_stated():
@@ -171,7 +181,7 @@ def test_an_answer_to_nothing_and_one_that_comes_twice_change_nothing(now):
     loop._note(log, wire.spoil(SimpleNamespace(number=2, clock=9.0, held="", angles=(9.0, 9.0, 9.0))))
     loop._note(log, SimpleNamespace(number=77, clock=9.0, held="no", angles=(9.0, 9.0, 9.0)))
     assert (log.acknowledged == before).all()
-    assert (log.last, log.previous, log.held) == (4, 3, "")
+    assert (log.last, log.held) == (4, "")
 
 
 def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
@@ -179,7 +189,7 @@ def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
     log.waiting = {0: 0, 1: 1, 2: 2}
     for number in (0, 2, 1):
         loop._note(log, SimpleNamespace(number=number, clock=0.1 * number, held="", angles=(0.1 * number,) * 3))
-    assert (log.last, log.previous) == (2, 0)
+    assert log.last == 2
     np.testing.assert_allclose(log.clock[:3], [0.0, 0.1, 0.2])
 
 

@@ -32,7 +32,7 @@ def guarded(angles, astray=0.5, before=(0.0, 0.0, 0.0)):
     log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
     log.clock[:3] = [0.0, 0.005, 0.010]
     log.angles[1], log.angles[2] = before, angles
-    log.previous, log.last = 1, 2
+    log.judged, log.last = 1, 2
     return Guard(ARM, 4, astray, lambda: "").reason(log, 3)
 
 
@@ -51,7 +51,7 @@ def test_the_guard_stops_for_what_is_no_number(bad, joint):
 
 def test_the_guard_looks_at_the_first_answer_too():
     log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.angles[0], log.last = np.nan, 0
+    log.clock[0], log.angles[0], log.last = 0.0, np.nan, 0
     assert Guard(ARM, 4, 0.5, lambda: "").reason(log, 0) == "an encoder reports no number"
 
 
@@ -130,7 +130,7 @@ def test_the_answer_is_as_long_as_the_specification_says():
 def test_the_guard_looks_from_the_first_answer_to_the_second():
     log = blank(np.zeros(3), np.zeros((4, 3)), ARM.tick)
     log.clock[:2], log.angles[:2] = [0.0, 0.005], [[0.0] * 3, [0.0, 0.0, 1.0]]
-    log.previous, log.last = 0, 1
+    log.judged, log.last = 0, 1
     assert Guard(ARM, 4, 2.0, lambda: "").reason(log, 1).startswith("the encoder of joint 3 jumped")
 
 
