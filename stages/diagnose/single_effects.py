@@ -19,7 +19,7 @@ from pydantic import Field
 
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.predictions import Prediction, predicted
-from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, converged, searched_again
+from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, converged, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
 from stringcast.stages.model.effect import Effect, components, position_dependent
@@ -143,16 +143,17 @@ def compared(prepared: Prepared, parent: Fit, effects: Sequence[type[Effect]], c
 
 def _contested(prepared: Prepared, step: Step, criteria: Criteria) -> Step:
     """With those fitted to the end that come near to the most evident, if that is evident at all, and whether the best
-    then enters. Without one by which simulation tells a trial no longer to the tolerance: what is in doubt there may
-    explain anything."""
+    then enters. Without one by which simulation tells fewer than two trials to the tolerance: what is in doubt in the
+    others may explain anything."""
     parent = step.parent
     if step.best is None or step.best.evidence < parent.evidence + criteria.enough:
         return step
-    enough = parent.evidence + criteria.least_share * (step.best.evidence - parent.evidence)
-    count = sum(fit.evidence > enough for fit in step.tried[:RIVALS])
+    near = parent.evidence + criteria.least_share * (step.best.evidence - parent.evidence)
+    count = sum(fit.evidence > near for fit in step.tried[:RIVALS])
     rivals = [polished(prepared, fit) for fit in step.tried[:count]]
     allowed = np.maximum(prepared.doubt, criteria.tolerance)
-    told = [fit for made, fit in rivals if (made.doubt <= allowed).all()]
+    enough = min(FEWEST, len(allowed))
+    told = [fit for made, fit in rivals if (made.doubt <= allowed).sum() >= enough]
     step = replace(step, tried=_ranked([*told, *step.tried[count:]]))
     return replace(step, entered=step.best is not None and enters(prepared.data, step, criteria))
 

@@ -70,14 +70,21 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
     assert (found.fit, found.prepared, judged) == (fits["two"], "data at two", said["two"])
 
 
-@pytest.mark.parametrize(("before", "best"), [(1e-3, "sure"), (5e-3, "doubtful")])
-def test_what_makes_a_trial_too_sensitive_to_be_told_does_not_enter_for_it(before, best, monkeypatch):
-    """Unless that trial was so before."""
+@pytest.mark.parametrize(
+    ("before", "doubtful", "best"),
+    [
+        ((0.0, 1e-3), (0.0, 4e-3), "sure"),
+        ((0.0, 5e-3), (0.0, 4e-3), "doubtful"),  # the trial was so before
+        ((0.0, 1e-3, 0.0), (0.0, 4e-3, 0.0), "doubtful"),  # two others tell
+    ],
+)
+def test_a_cause_by_which_too_few_trials_can_be_told_does_not_enter(before, doubtful, best, monkeypatch):
     fits = [SimpleNamespace(evidence=evidence, name=name) for evidence, name in ((60.0, "doubtful"), (50.0, "sure"))]
-    doubts = {"doubtful": 4e-3, "sure": 1e-3}
-    prepared = SimpleNamespace(doubt=np.array([0.0, before]), data=None)
-    made = {name: SimpleNamespace(doubt=np.array([0.0, doubt])) for name, doubt in doubts.items()}
-    monkeypatch.setattr(single_effects, "polished", lambda prepared, fit: (made[fit.name], fit))
+    doubts = {"doubtful": np.array(doubtful), "sure": np.zeros(len(before))}
+    prepared = SimpleNamespace(doubt=np.array(before), data=None)
+    monkeypatch.setattr(
+        single_effects, "polished", lambda prepared, fit: (SimpleNamespace(doubt=doubts[fit.name]), fit)
+    )
     monkeypatch.setattr(single_effects, "enters", lambda data, step, criteria: True)
     step = single_effects._contested(prepared, Step(SimpleNamespace(evidence=0.0), (), fits), CRITERIA)
     assert (step.best.name, step.entered) == (best, True)
