@@ -29,10 +29,12 @@ DRAWS = 400  # of what is lacking, from which it is told how likely more is left
 
 @dataclass(frozen=True)
 class Slot:
-    """One effect of the sum. chances: of each candidate, and of none (""), summing to one. fits: of those fitted."""
+    """One effect of the sum. chances: of each candidate, and of none (""), summing to one. fits: of those fitted. less:
+    the fit with none."""
 
     chances: Mapping[str, float]
     fits: Mapping[str, Fit]
+    less: Fit
 
     def credible(self, coverage: float) -> tuple[str, ...]:
         """The fewest candidates that hold so much of the probability, the likeliest first."""
@@ -102,11 +104,11 @@ def settled(
 
 
 def _likelier(found: Found, judgement: Judgement) -> Fit | None:
-    """The fit with a cause that is likelier in the place of another."""
+    """The fit with what is likelier in the place of a cause, another or none."""
     for slot in judgement.slots if found.fit.hypothesis.causes else ():
         name = max(slot.chances, key=lambda each: slot.chances[each])
-        if name and name not in found.fit.hypothesis.names:
-            return slot.fits[name]
+        if name not in found.fit.hypothesis.names:
+            return slot.fits.get(name, slot.less)
     return None
 
 
@@ -139,7 +141,7 @@ def _slot(data: Data, step: Step, small: Sequence[np.ndarray], count: int, least
     for name, fit in fits.items():
         if moved(data, step.parent, fit).max() < least_size:
             chances[""] += chances.pop(name)
-    return Slot(chances, fits)
+    return Slot(chances, fits, step.parent)
 
 
 def _inclusion(slots: Sequence[Slot]) -> dict[str, float]:

@@ -8,6 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from stringcast.stages.diagnose import judgement, single_effects
+from stringcast.stages.diagnose.judgement import Slot
 from stringcast.stages.diagnose.single_effects import Found, Step
 from stringcast.stages.diagnose.small_effects import SMALL, tempered
 from stringcast.stages.inference.covariance import PRIOR
@@ -60,14 +61,19 @@ def test_each_trial_has_one_vote_on_what_causes_remove(before, after, share, mon
 
 
 def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
-    """The second is likelier in the place of the first; there the third is not."""
-    fits = {n: SimpleNamespace(hypothesis=SimpleNamespace(names=(n,), causes=(n,)), name=n) for n in ("one", "two")}
-    chances = {"one": {"one": 0.1, "two": 0.9}, "two": {"one": 0.2, "two": 0.8}}
-    said = {n: SimpleNamespace(slots=[SimpleNamespace(chances=chances[n], fits=fits)], name=n) for n in fits}
+    """The second is likelier in the place of the first, and none in that of the second."""
+    names = {"one": ("a", "x"), "two": ("b", "x"), "three": ("b",)}
+    fits = {n: SimpleNamespace(hypothesis=SimpleNamespace(names=names[n], causes=names[n]), name=n) for n in names}
+    slots = {
+        "one": [Slot({"a": 0.1, "b": 0.9}, {"b": fits["two"]}, None), Slot({"x": 1.0}, {}, None)],
+        "two": [Slot({"b": 1.0}, {}, None), Slot({"x": 0.2, "": 0.8}, {}, fits["three"])],
+        "three": [Slot({"b": 0.9, "": 0.1}, {}, None)],
+    }
+    said = {n: SimpleNamespace(slots=slots[n]) for n in names}
     monkeypatch.setattr(judgement, "judged", lambda found, *rest: said[found.fit.name])
     monkeypatch.setattr(judgement, "converged", lambda prepared, fit: (f"{prepared} at {fit.name}", fit))
     found, judged = judgement.settled(Found("data", fits["one"]), (), None, False, 0)
-    assert (found.fit, found.prepared, judged) == (fits["two"], "data at two", said["two"])
+    assert (found.fit, found.prepared, judged) == (fits["three"], "data at two at three", said["three"])
 
 
 @pytest.mark.parametrize(
