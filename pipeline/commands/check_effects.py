@@ -39,8 +39,7 @@ def effects(folder: Path, overrides: Sequence[str]) -> list[dict[str, Any]]:
         ready = prepared(
             here.model, seen, criteria.tolerance, rng, asked["starts"], lambda share: progress(0.7 * share)
         )
-        possible = {name: effect for name, effect in library().items() if name not in asked["without"]}
-        sought = candidates(ready.base.hypothesis.model, possible, ready.data.trials)
+        sought = candidates(ready.base.hypothesis.model, library(), ready.data.trials, asked["without"])
         told = foreseen(ready, sought, criteria, here.seed, lambda share: progress(0.7 + 0.3 * share))
     return [row(each) for each in told]
 

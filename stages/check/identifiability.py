@@ -19,7 +19,7 @@ from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import Discrepancy, marginal
-from stringcast.stages.inference.evidence import WIDTHS, Data, Fit
+from stringcast.stages.inference.evidence import Data, Fit, size_density
 from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.effect import Effect, components, position_dependent
 from stringcast.stages.model.parameter import Parameter
@@ -190,9 +190,8 @@ def _cost(own: _Acting) -> np.ndarray:
     """Log evidence that an effect of these sizes has before the data speak of it, (C,); as of
     `stages.inference.evidence`."""
     rise = np.maximum(np.linalg.norm(own.white, axis=1), NOTHING) / own.tip  # noises by one metre at the tip
-    sizes = np.sqrt(2 / np.pi) / WIDTHS * np.exp(-0.5 * (own.tip[:, None] / WIDTHS) ** 2)
     two_sided = own.parameter.low < own.parameter.start < own.parameter.high
-    prior = np.maximum(sizes.mean(axis=1), np.finfo(float).tiny) * (0.5 if two_sided else 1.0)
+    prior = np.maximum(size_density(own.tip, two_sided), np.finfo(float).tiny)
     return np.asarray(np.log(prior * np.sqrt(2 * np.pi) / rise))
 
 

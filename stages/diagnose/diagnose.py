@@ -33,18 +33,11 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trimmed_at_contact
 from stringcast.stages.inference.evidence import Data, Fit, fitted
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.library import library, named
+from stringcast.stages.model.library import existing, library
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import Call
 
 log = logging.getLogger(__name__)
-
-
-def existing(names: Sequence[str]) -> Sequence[str]:
-    """Names of effects. Raises UnknownEffectError where there is none of that name."""
-    named(names)
-    return names
-
 
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
 CHAOTIC = "it is so sensitive that no simulation tells it to the tolerance; it was set aside"
@@ -96,8 +89,7 @@ def diagnose(
     ready = prepared(model, [good[i] for i in kept], criteria.tolerance, np.random.default_rng(seed), starts, progress)
     rejected = {**rejected, **dict.fromkeys(ready.chaotic, CHAOTIC)}
     kept = [i for i in kept if good[i].trial not in ready.chaotic]
-    asked = {name: effect for name, effect in library().items() if name not in without}
-    effects = candidates(ready.base.hypothesis.model, asked, ready.data.trials)
+    effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
     found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
     if rest and not judgement.causes and _shown(found, [good[i] for i in rest], criteria):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -17,6 +18,7 @@ from stringcast.stages.diagnose.single_effects import (
     moved,
     refitted,
     removed,
+    unexplained,
 )
 from stringcast.stages.diagnose.small_effects import Tempered, responses, tempered
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, tip_draws
@@ -78,7 +80,8 @@ def judged(
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
-    if not fit.hypothesis.causes or removed(data, base, fit, criteria.tolerance) < criteria.least_share:
+    lack = partial(unexplained, data)
+    if not fit.hypothesis.causes or removed(lack(base), lack(fit), criteria.tolerance) < criteria.least_share:
         if unnamed.verdict == "none" and too_few_points:
             return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion={**inclusion, RESOLUTION: 1.0})
         return unnamed

@@ -50,15 +50,18 @@ class Proposal:
         return self.hypothesis.causes[-1]
 
 
-def candidates(base: Model, library: Mapping[str, type[Effect]], trials: Sequence[Case]) -> list[type[Effect]]:
+def candidates(
+    base: Model, library: Mapping[str, type[Effect]], trials: Sequence[Case], without: Sequence[str] = ()
+) -> list[type[Effect]]:
     """Effects with parameters that are not in the base model and not excluded; of those on joints, only where there are
-    joints; of those of a lens, only where it was not measured."""
+    joints; of those of a lens, only where it was not measured. without: names of those that cannot be at work."""
     grasp_only = any(isinstance(trial.motion, HandMotion) for trial in trials)
     return [
         e
         for e in library.values()
         if e not in base.effects
         and not e.excluded
+        and e.name not in without
         and not issubclass(e, ModelChange)
         and not (base.camera.lens and issubclass(e, CameraEffect) and e.of_lens)
         and not (grasp_only and issubclass(e, HandEffect) and "grasp" not in e.laws())

@@ -170,7 +170,8 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
         return False
     touched = _touched(data, best, best.hypothesis.causes[-1], criteria.least_size)
     if len(touched) == 1:
-        return bool(shares(data, step.parent, best)[touched[0]] > criteria.least_share)
+        parts = shares(unexplained(data, step.parent), unexplained(data, best))
+        return bool(parts[touched[0]] > criteria.least_share)
     return least_gain(step.parent, best) > criteria.enough or _gain_anew(data, step) > criteria.enough
 
 
@@ -209,17 +210,18 @@ def unexplained(data: Data, fit: Fit) -> np.ndarray:
     return data.tip_rms(lacked(data, fit))
 
 
-def removed(data: Data, parent: Fit, fit: Fit, tolerance: float) -> float:
-    """Share of what a parent lacks that a fit does not, the mean of the trials in which either lacks more than is
-    tolerated [m]: one vote each, for one that is far off says nothing of the others, nor do they of it."""
-    lacking = np.maximum(unexplained(data, parent), unexplained(data, fit))
-    return float(shares(data, parent, fit)[lacking >= min(tolerance, lacking.max())].mean())
+def removed(before: np.ndarray, after: np.ndarray, tolerance: float) -> float:
+    """Share of what one fit lacks in each trial [m], (K,), as of `unexplained`, that another does not: the mean of the
+    trials in which either lacks more than is tolerated [m], one vote each, for one that is far off says nothing of the
+    others, nor do they of it."""
+    lacking = np.maximum(before, after)
+    return float(shares(before, after)[lacking >= min(tolerance, lacking.max())].mean())
 
 
-def shares(data: Data, parent: Fit, fit: Fit) -> np.ndarray:
-    """By how much less a fit lacks in each trial than its parent, in mean square at the tip, over the larger of both,
-    (K,): 1 where it lacks nothing, -1 where its parent does not."""
-    before, after = unexplained(data, parent) ** 2, unexplained(data, fit) ** 2
+def shares(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """By how much less a fit lacks in each trial than another [m], (K,) each, in mean square at the tip, over the
+    larger of both, (K,): 1 where it lacks nothing, -1 where the other does not."""
+    before, after = before**2, after**2
     return np.asarray((before - after) / np.maximum(np.maximum(before, after), np.finfo(float).tiny))
 
 

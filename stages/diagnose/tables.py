@@ -60,6 +60,7 @@ def tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray
 def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolerance: float) -> pd.DataFrame:
     """Table THEORIES: all that were fitted, those with most evidence first."""
     data, base = found.prepared.data, by_cause[0]
+    lacking = unexplained(data, base)
     tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
     tried |= {joined_names(fit): fit for slot in judgement.slots for fit in slot.fits.values()}
     tried |= {joined_names(fit): fit for fit in by_cause}
@@ -72,7 +73,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
             "fit_gain": fit.evidence - base.evidence,
             "held_out_gain": _held_out_gain(fit, base),
             "moved": float(moved(data, base, fit).max()),
-            "unexplained": 1 - removed(data, base, fit, tolerance),
+            "unexplained": 1 - removed(lacking, unexplained(data, fit), tolerance),
             "probability": chance.get(name, 0.0),
         }
         for name, fit in tried.items()

@@ -300,11 +300,12 @@ def _prior(
             (moves,) = data.tip_sizes([each[None] for each in moved]).tolist()
             rise = moves / away if away > ABSENT else moves
             two_sided = size.low < size.start < size.high
-            total += _log_density(moves if away > ABSENT else 0.0, rise, two_sided)
+            density = size_density(np.asarray(moves if away > ABSENT else 0.0), two_sided) * rise
+            total += float(np.log(max(density, np.finfo(float).tiny)))
     return total, bounded
 
 
-def _log_density(moves: float, rise: float, two_sided: bool) -> float:
-    """Of an exponent at which a cause moves the tip so far [m], and by `rise` more per exponent."""
-    density = np.mean(np.sqrt(2 / np.pi) / WIDTHS * np.exp(-0.5 * (moves / WIDTHS) ** 2))
-    return float(np.log(max(density * rise * (0.5 if two_sided else 1.0), np.finfo(float).tiny)))
+def size_density(moves: np.ndarray, two_sided: bool) -> np.ndarray:
+    """Density, before the data speak, of how far a cause moves the tip [m], (...) [1/m]; to either side it is half."""
+    each = np.sqrt(2 / np.pi) / WIDTHS * np.exp(-0.5 * (moves[..., None] / WIDTHS) ** 2)
+    return np.asarray(each.mean(axis=-1) * (0.5 if two_sided else 1.0))

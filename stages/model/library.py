@@ -40,6 +40,12 @@ def named(names: Sequence[str]) -> tuple[type[Effect], ...]:
     return tuple(effect if number == 1 else numbered(effect, number) for effect, number in asked)
 
 
+def existing(names: Sequence[str]) -> Sequence[str]:
+    """Names of effects, as they are. Raises UnknownEffectError where there is none of that name."""
+    named(names)
+    return names
+
+
 def kind_of(name: str) -> tuple[str, int]:
     """The kind of an effect, which is the name of its file, and which of this kind it is: `maxwell_slip` and 2 of
     `maxwell_slip_2`. Raises UnknownEffectError."""

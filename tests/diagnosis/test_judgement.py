@@ -54,10 +54,9 @@ def test_small_effects_are_as_likely_as_a_dense_covariance_says_whatever_the_siz
         ((1.0, 0.5), (0.5, 0.5), 0.75),  # where all is tolerated, that which lacks most does
     ],
 )
-def test_each_trial_has_one_vote_on_what_causes_remove(before, after, share, monkeypatch):
-    lacking = {"parent": np.array(before) / 1e3, "fit": np.array(after) / 1e3}
-    monkeypatch.setattr(single_effects, "unexplained", lambda data, fit: lacking[fit])
-    assert single_effects.removed(None, "parent", "fit", 2e-3) == pytest.approx(share, abs=0.01)
+def test_each_trial_has_one_vote_on_what_causes_remove(before, after, share):
+    lacking = np.array(before) / 1e3, np.array(after) / 1e3
+    assert single_effects.removed(*lacking, 2e-3) == pytest.approx(share, abs=0.01)
 
 
 def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
