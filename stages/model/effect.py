@@ -72,7 +72,8 @@ class Effect(ABC):
 
     excluded: it is not looked for by a diagnosis: an obstacle, for which anybody's touch would be taken, what `align`
     measures beforehand, or what looks like another that is looked for. each_time: it comes with how the string was
-    picked up or handled before, and may differ from trial to trial.
+    picked up or handled before, and may differ from trial to trial. turn: of effects on hand, clocks or camera, those
+    of a lower one act first, whatever the order in which they are named.
     """
 
     name: ClassVar[str]
@@ -81,6 +82,7 @@ class Effect(ABC):
     invariants: ClassVar[tuple[Invariant, ...]] = ()
     excluded: ClassVar[bool] = False
     each_time: ClassVar[bool] = False
+    turn: ClassVar[int] = 0
 
     @staticmethod
     @abstractmethod

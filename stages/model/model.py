@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,12 +24,13 @@ from stringcast.stages.model.simulate import StringMotion, simulate
 from stringcast.stages.model.state import State
 from stringcast.stages.model.string import String
 
+Kind = TypeVar("Kind", bound=Effect)
 MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
 
 
 @dataclass(frozen=True)
 class Model(Parametrised):
-    """A string in a hand before a camera. Effects on the string are the string's own; the others act in order.
+    """A string in a hand before a camera. Effects on the string are the string's own; the others act in turn.
 
     known: values of parameters by qualified name, at which a search starts instead of at their own start.
     measured: ranges [low, high] to which a measurement beforehand narrows parameters, by qualified name.
@@ -65,11 +67,11 @@ class Model(Parametrised):
         if issubclass(effect, StringEffect):
             return replace(self, string=replace(self.string, effects=(*self.string.effects, effect)))
         if issubclass(effect, HandEffect):
-            return replace(self, hand_effects=(*self.hand_effects, effect))
+            return replace(self, hand_effects=_in_turn(*self.hand_effects, effect))
         if issubclass(effect, ClockEffect):
-            return replace(self, clock_effects=(*self.clock_effects, effect))
+            return replace(self, clock_effects=_in_turn(*self.clock_effects, effect))
         assert issubclass(effect, CameraEffect)
-        return replace(self, camera_effects=(*self.camera_effects, effect))
+        return replace(self, camera_effects=_in_turn(*self.camera_effects, effect))
 
     def divided(self, segments: int) -> Model:
         """The model with its string in so many segments."""
@@ -163,3 +165,8 @@ class Model(Parametrised):
         """An effect's parameters by their own names, the candidates along the first of so many dimensions."""
         places = {p.name: self.names.index(effect.qualified(p)) for p in effect.parameters}
         return {n: values[:, place].reshape(-1, *[1] * (dimensions - 1)) for n, place in places.items()}
+
+
+def _in_turn(*effects: type[Kind]) -> tuple[type[Kind], ...]:
+    """Effects that do not commute, as they act in the world: naming them in another order changes nothing."""
+    return tuple(sorted(effects, key=lambda effect: (effect.turn, effect.name)))

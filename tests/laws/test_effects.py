@@ -322,6 +322,19 @@ def test_arguments_of_laws_are_known():
             assert set(arguments(effect.laws()[law])) <= known, effect.name
 
 
+def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
+    """Gears play behind the motor: where that turns 10 % too far, a joint is half its gap behind the end, not 0.55."""
+    plain, _, motion, _ = swung
+    gain, play = LIBRARY["joint_gain"], LIBRARY["backlash"]
+    ends = []
+    for named in ((gain, play), (play, gain)):
+        model = plain.with_effects(*named)
+        known = NAMED | {"joint_gain.gain": 0.1, "backlash.gap_1": 0.1}
+        ends.append(model.joints(motion, model.values(known)[None]).angles[0, -1, 0])
+    turned = np.ptp(motion.angles[0, :, 0])
+    np.testing.assert_allclose(ends, motion.angles[0, 0, 0] + 1.1 * turned - 0.05, atol=1e-12)
+
+
 def test_an_effect_is_at_work_once(arm: Arm, camera: Camera):
     model = Model(String(0.3), arm, camera).with_effects(LIBRARY["tip_mass"])
     for twice in ("tip_mass", "gravity"):

@@ -267,7 +267,7 @@ CAUSES = (
     Cause("drift", ("clock_drift",), sized("sight.drift", -0.05, 0.05), _one("sight.drift", "clock_drift.rate")),
     Cause("roll", ("camera_rotation",), sized("sight.roll", -0.2, 0.2), _one("sight.roll", "camera_rotation.angle")),
     Cause("scale", ("pixel_scale",), sized("sight.scale", -0.1, 0.1), _one("sight.scale", "pixel_scale.excess")),
-    Cause("lens", ("lens_distortion",), sized("sight.lens", -0.2, 0.2), _one("sight.lens", "lens_distortion.radial")),
+    Cause("lens", ("lens_distortion",), sized("sight.lens", -0.2, 0.2)),  # by division: no one polynomial is as that
     Cause(
         "readout",
         ("rolling_shutter",),

@@ -12,6 +12,7 @@ class Backlash(HandEffect):
     """
 
     name = "backlash"
+    turn = 1  # gears play behind the motor, whose lag and gain come first
     parameters = tuple(
         Parameter(f"gap_{joint}", "rad", f"play of joint q{joint}, end to end", 0.0, 0.1, 0.0) for joint in (1, 2, 3)
     )

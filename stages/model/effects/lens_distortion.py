@@ -9,6 +9,7 @@ class LensDistortion(CameraEffect):
     """r' = r (1 + k r^2), r from the middle of the image in half-widths, beyond what the camera corrects."""
 
     name = "lens_distortion"
+    turn = 1  # it bends what a camera sees from where it stands
     of_lens = True
     parameters = (
         Parameter("radial", "1", "outward shift at the image's left and right edge, as a share", -0.2, 0.2, 0.0),

@@ -9,6 +9,7 @@ class PixelScale(CameraEffect):
     """Everything is seen larger by a share, as far from the world's origin as that makes it."""
 
     name = "pixel_scale"
+    turn = 2  # the last: pixels become metres
     parameters = (Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),)
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
     invariants = (odd("seen", "points"),)

@@ -11,6 +11,7 @@ class RollingShutter(CameraEffect):
     """
 
     name = "rolling_shutter"
+    turn = -1  # the first: it takes velocities as they are, before anything is turned or scaled
     parameters = (
         Parameter("readout", "s", "time from the exposure of the top row to the bottom row", -0.02, 0.02, 0.0),
         Parameter("stamped", "1", "row exposed at the frame's time, from the top, over the height", 0.0, 1.0, 0.5),
