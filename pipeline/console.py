@@ -44,20 +44,25 @@ def bars(console: Terminal) -> Iterator[Bar]:
         yield bar
 
 
-def summary(result: Result, config: Mapping[str, Any]) -> Group:
-    """A summary of the run: of the stage that it was for, or manipulation by manipulation. config: settings."""
-    if result.stage is not None:
-        return answer(result, result.stage)
-    table = _casts(result)
+def show(result: Result, config: Mapping[str, Any], console: Terminal) -> None:
+    """A summary of the run, what was at fault, and what comes next: commands and paths whole, to be pasted."""
+    console.print(casts(result) if result.stage is None else answer(result, result.stage))
+    for words in faults(result):
+        console.print(words, markup=False, highlight=False)
+    if other := by_the_other_method(config):
+        words = f"By the method `{config['other_method']}`: {called_as()} {other}"
+        console.print(words, soft_wrap=True, markup=False, highlight=False)
+    console.print(str(page(result)), soft_wrap=True, markup=False, highlight=False)
+
+
+def casts(result: Result) -> Panel:
+    """Manipulation by manipulation, and what they taught."""
     words = "" if result.estimate is None else str(result.estimate.fit["sentence"].iloc[0])
     colour = "green" if result.hit else "yellow"
     ended, _, more = result.sentence.partition(". ")
     title = f"[bold {colour}]{escape(ended)}"
     below = [Text(more)] if more else []
-    said = Panel(Group(table, "", Text(words), *learned(result), *below), title=title, border_style=colour)
-    other = by_the_other_method(config)
-    lines = [Text(f"By the method `{config['other_method']}`: {called_as()} {other}", overflow="fold")] if other else []
-    return Group(said, *map(Text, faults(result)), *lines, Text(str(page(result)), overflow="fold"))
+    return Panel(Group(_casts(result), "", Text(words), *learned(result), *below), title=title, border_style=colour)
 
 
 def learned(result: Result) -> list[RenderableType]:
@@ -72,11 +77,10 @@ def learned(result: Result) -> list[RenderableType]:
     return ["", listed(pd.DataFrame(list(rows), columns=names))] if len(known) else []
 
 
-def answer(result: Result, stage: StageSpec) -> Group:
+def answer(result: Result, stage: StageSpec) -> Panel:
     """The sentence and the table of a stage's result."""
     summary = stage.summary(result.answer)
-    said = Panel(Group(Text(result.sentence), "", listed(summary.table)), title=f"[bold]{escape(summary.title)}")
-    return Group(said, Text(str(page(result)), overflow="fold"))
+    return Panel(Group(Text(result.sentence), "", listed(summary.table)), title=f"[bold]{escape(summary.title)}")
 
 
 def listed(frame: pd.DataFrame) -> Table:

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.markup import escape
 
 from stringcast.pipeline import run_folder
-from stringcast.pipeline.console import bars, summary
+from stringcast.pipeline.console import bars, show
 from stringcast.pipeline.experiment import Experiment, Mode
 from stringcast.pipeline.iterations import Executor
 from stringcast.pipeline.layout import ENDED
@@ -39,7 +39,7 @@ class Stepwise(Mode):
             run_folder.end(result)
         if "frames" not in experiment.config["keep"]:
             run_folder.without_frames(experiment, result)
-        console.print(summary(result, experiment.config))
+        show(result, experiment.config, console)
         return result
 
 

@@ -113,8 +113,8 @@ def _mesh(likelihood: Likelihood, best: np.ndarray) -> str:
         return ""
     finer = f"string.points={2 * string.points - 1} string.largest_step={string.largest_step / 2:.2g}"
     return (
-        f" A far finer mesh would be {1e3 * error:.1f} mm elsewhere, root mean square, where {1e3 * noise:.1f} mm are "
-        f"noise: parameters make up for that in these motions, not in others. Estimate with {finer}."
+        f" A far finer mesh would put the string {1e3 * error:.1f} mm elsewhere, root mean square, beside "
+        f"{1e3 * noise:.1f} mm of noise: parameters make up for that in these motions, not in others. Finer: {finer}."
     )
 
 

@@ -120,17 +120,22 @@ def insensitive(goals: Sequence[Target], search: Candidates) -> Interval:
 
 def undetermined(parameters: Sequence[Parameter], determined: np.ndarray, clear: str) -> str:
     """The parameters that the data cannot determine, in a sentence; `clear` if there are none."""
-    loose = [p.symbol or p.name for p, good in zip(parameters, determined, strict=True) if not good]
+    loose = [called(p) for p, good in zip(parameters, determined, strict=True) if not good]
     if not loose:
         return clear
     why = "other values fit as well, or the best lies at the end of the range"
     return f"This data cannot determine {', '.join(loose)}: {why}."
 
 
+def called(parameter: Parameter) -> str:
+    """Its name, as in settings and tables, and the paper's symbol where it has one."""
+    return f"{parameter.name} ({parameter.symbol})" if parameter.symbol else parameter.name
+
+
 def correlated(parameters: Sequence[Parameter], determined: np.ndarray, correlation: np.ndarray) -> str:
     """The parameters, not all determined, that the data determines only in combination, in a sentence. correlation: (P,
     P)."""
-    names = [p.symbol or p.name for p in parameters]
+    names = [called(p) for p in parameters]
     pairs = [
         f"{names[i]} and {names[j]} (correlation {correlation[i, j]:+.2f})"
         for i, j in zip(*np.triu_indices(len(names), 1), strict=True)

@@ -1,9 +1,14 @@
 """The paper's experiments are cast by the paper's method or by the robust one, and each names the other."""
 
+import io
+
 import pytest
 
-from stringcast.pipeline.called import by_the_other_method
+from stringcast.pipeline.called import by_the_other_method, called_as
+from stringcast.pipeline.console import show
+from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import composed
+from stringcast.pipeline.terminal import Terminal
 
 PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
 
@@ -43,3 +48,13 @@ def test_what_belongs_to_no_experiment_of_the_paper_names_none():
     assert [by_the_other_method(composed(words)) for words in ([], ["+experiment=robust"], ["method=robust"])] == [
         ""
     ] * 3
+
+
+def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
+    """A command that is broken by the terminal's width is two commands, and a path is none."""
+    folder = tmp_path / ("a-long-name-of-a-folder-" * 4)
+    out = Terminal(file=io.StringIO(), width=80)
+    show(Result(folder, (), "The tip reached the target."), composed(["+experiment=stringB", "method=robust"]), out)
+    *_, command, page = out.file.getvalue().splitlines()
+    assert command == f"By the method `paper`: {called_as()} +experiment=stringB method=paper"
+    assert page == str(folder)
