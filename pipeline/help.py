@@ -30,7 +30,7 @@ Cast an unknown string at a target with a robot arm, and learn the string from e
   python -m pipeline +experiment=calibrate source=images source.folder=tilted plane.folder=flat   measure the camera
   python -m pipeline +experiment=stringB calibrated=outputs/...   with the camera that was measured
   python -m pipeline +experiment=align                         measure camera and clock against the arm
-  python -m pipeline +experiment=stringB extended=outputs/...  with the model that a diagnosis or an alignment made
+  python -m pipeline extended=outputs/...                      with the model that a diagnosis or an alignment made
 
 Commands (python -m pipeline <command> --help says more):
 {commands}

@@ -69,7 +69,7 @@ def after_casts(result: Result, config: Mapping[str, Any]) -> list[tuple[str, st
     if result.estimate is not None:
         ahead.append(("A card of the string's parameters, with units", f"export {HERE} string.csv"))
     if words := by_the_other_method(config):
-        ahead.append((f"The same casts by the method `{config['other_method']}`", words))
+        ahead.append((f"The same casts by the method {config['other_method']}", words))
     return ahead
 
 
@@ -77,7 +77,7 @@ def after_diagnosis(made: Diagnosis, config: Mapping[str, Any]) -> list[tuple[st
     """The commands to offer after a diagnosis, by its verdict."""
     look = ("Look at the measurements: what is usable, what looks wrong", f"check {config['trials']}")
     decide = ("Perform the motion that tells the look-alikes apart", f"+experiment=decide trials={config['trials']}")
-    cast = ("Cast with the model that this diagnosis made", f"+experiment=stringB extended={HERE}")
+    cast = ("Cast with the model that this diagnosis made", f"extended={HERE}")
     words = f"+experiment=estimate estimate=least_squares extended={HERE} trials={config['trials']}"
     fit = ("Estimate the string anew with the causes at work", words)
     by_verdict = {"effect": [cast, fit], "ambiguous": [decide, look], "none": [cast]}

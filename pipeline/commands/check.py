@@ -95,7 +95,7 @@ def page(there: Measured, found: Mapping[str, Any]) -> str:
         )
     ]
     following = [(why, f"{called_as()} {words}") for why, words in ahead if found["usable"]]
-    origin = {"seed": "none", "code": code(), "files": dict(there.data.hashes)}
+    origin = {"code": code(), "files": dict(there.data.hashes)}
     text: str = check_page(there, found, origin, following)
     return text
 

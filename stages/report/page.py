@@ -245,7 +245,7 @@ class Section(Part):
 @dataclass(frozen=True)
 class Page:
     """title: of the window. kicker: above the heading. tone: good or bad, for its colour and mark. nav: links to
-    sections. origin: seed, code, packages. settings: by name. following: commands for what is next.
+    sections. origin: seed if any, code, packages. settings: by name. following: commands for what is next.
     explored: with films and curves, which need scripts."""
 
     title: str
@@ -279,9 +279,10 @@ class Page:
     @property
     def again(self) -> Section:
         """The command that makes the page again."""
-        origin = f"Origin: seed {self.origin['seed']}, code {self.origin['code']['commit'][:10]}"
+        seed = f"seed {self.origin['seed']}, " if "seed" in self.origin else ""
+        origin = f"Origin: {seed}code {self.origin['code']['commit'][:10]}"
         settings = "All settings, by their names on the command line"
-        folded = [Details(line, [named(of)]) for line, of in ((origin, self.origin), (settings, self.settings))]
+        folded = [Details(line, [named(of)]) for line, of in ((origin, self.origin), (settings, self.settings)) if of]
         return Section("How to make this again", folded)
 
 

@@ -53,7 +53,7 @@ RUN = {
     "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
     "pipeline 'effects=[tip_mass,arm_lag]'": Run(**CAST),
     "pipeline +experiment=stringB seed=0 hydra.run.dir=outputs/gallery": Run(**CAST),
-    "pipeline +experiment=stringB extended=outputs/...": Run(**CAST, of="diagnosed"),
+    "pipeline extended=outputs/...": Run(**CAST, of="diagnosed"),
     "pipeline +experiment=stringB extended=outputs/...-align-...": Run(**CAST, of="aligned"),
     "pipeline +experiment/paper=wall seed=7": Run(**CAST),
     "pipeline +experiment=diagnose trials=data/sample": Run(r"report\.html$", **DIAGNOSED),

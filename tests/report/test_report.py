@@ -402,7 +402,9 @@ def test_estimation_alone_has_a_page(arm, small):
     cast = manipulation(arm, small)
     page = Page(cast_page(record_of(arm, small, [], estimates=(cast.estimate,), sentence="Estimated from 1 trial.")))
     assert "Estimated from 1 trial." in page.text
-    assert len(page.all("img")) == len(STRING.parameters)
+    assert page.all("img") == [], "a single estimation has no history"
+    twice = record_of(arm, small, [], estimates=(cast.estimate,) * 2, sentence="Estimated from 2 trials.")
+    assert len(Page(cast_page(twice)).all("img")) == len(STRING.parameters)
     assert [chart["axis"] for chart in page.explored()[1]] == ["E_f [1]"]
     assert "Cast 1" not in page.text
 

@@ -26,6 +26,22 @@ def trial_figure(seen: Seen) -> Figure:
     return figure
 
 
+def plane_figure(seen: Seen) -> Figure:
+    """Arm and string in the plane."""
+    figure = Figure(figsize=(5.3, 4.6))
+    _in_the_plane(figure.subplots(), seen)
+    return figure
+
+
+def time_figure(seen: Seen) -> Figure:
+    """Hand and tip over time; and how fast both move, each on its own clock."""
+    figure = Figure(figsize=(5.3, 4.6))
+    places, speeds = figure.subplots(2, sharex=True)
+    _over_time(places, seen)
+    _speeds(speeds, seen)
+    return figure
+
+
 def trial_words(seen: Seen) -> str:
     """A sentence on a trial: its frames, the string's length [mm], and when hand and string began to move."""
     begins = [
@@ -92,8 +108,8 @@ def _speeds(axes: Axes, seen: Seen) -> None:
     """How fast hand and tip are, each as a share of its fastest: on one clock they begin together."""
     t, tip = tip_of(seen)
     for when, where, colour, who in (
-        (seen.hand_t, seen.pose[:, :2], "axis", "hand, by the arm's clock"),
-        (t, tip, "measured", "tip, by the camera's clock"),
+        (seen.hand_t, seen.pose[:, :2], "axis", "hand, arm's clock"),
+        (t, tip, "measured", "tip, camera's clock"),
     ):
         speed = np.linalg.norm(np.diff(where, axis=0), axis=1) / np.maximum(np.diff(when), 1e-9)
         fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0

@@ -158,34 +158,36 @@ def learnt(record: Record) -> Section:
     known = _parameters(record)
     if not known:
         return Section(title, [Text("Nothing was estimated in this run.", "missing")])
-    key = [
-        ("best value; 0 is the start value", "var(--after)"),
-        ("● determined", "none"),
-        ("○ not determined by this data, or not known to be", "none"),
-        ("range searched", "band"),
-        ("95 % interval, where the method gives one", "bar"),
-    ]
     lead = Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))
     certain = [one for one in known if one[1]["determined"]]
     rest = [one for one in known if not one[1]["determined"]]
-    shown = [Card("", [Key(key), _histories(record, certain)]), Card("", [_learnt_table(certain)])] if certain else []
+    shown = [Card("", [*_histories(record, certain), _learnt_table(certain)])] if certain else []
     what = "which this data does not determine, or of which this method cannot say how sure they are"
     hidden = f"{len(rest)} {'other ' * bool(certain)}parameter{'s' * (len(rest) != 1)}, {what}"
-    parts = [Key(key), _histories(record, rest), _learnt_table(rest)]
-    folded = [Details(hidden, parts[bool(certain) :])] if rest else []
+    folded = [Details(hidden, [*_histories(record, rest), _learnt_table(rest)])] if rest else []
     return Section(title, [lead, *shown, *folded, _alone(record)])
 
 
+HISTORY = (  # what is drawn of a parameter, and how
+    ("best value; 0 is the start value", "var(--after)"),
+    ("● determined", "none"),
+    ("○ not determined by this data, or not known to be", "none"),
+    ("range searched", "band"),
+    ("95 % interval, where the method gives one", "bar"),
+)
 Known = list[tuple[Parameter, Any]]  # parameters, each with its row of the last estimate
 
 
-def _histories(record: Record, known: Known) -> Small:
+def _histories(record: Record, known: Known) -> list[Part]:
+    """Estimation by estimation; nothing after a single one, of which the table says all."""
+    if len(record.estimates) == 1:
+        return []
     drawn = []
     for parameter, row in known:
         named = joined([symbol(row["symbol"]) if row["symbol"] else "", bold(row["name"].replace("_", " "))])
         caption = Markup("{} <span>[{}]</span>").format(named, unit(row["unit"]))
         drawn.append((caption, history(parameter, record.estimates)))
-    return Small(drawn)
+    return [Key(HISTORY), Small(drawn)]
 
 
 def _learnt_table(known: Known) -> Table:

@@ -9,16 +9,28 @@ from matplotlib import style
 
 from stringcast.stages.check.measured import Measured, Seen
 from stringcast.stages.check.overview import EFFECTS, found_from
-from stringcast.stages.report.charts.measured import trial_figure, trial_words
-from stringcast.stages.report.page import Card, Cell, Figure, Page, Part, Section, Table, Text, Tile, Tiles, number
+from stringcast.stages.report.charts.measured import plane_figure, time_figure, trial_words
+from stringcast.stages.report.page import (
+    Card,
+    Cell,
+    Figure,
+    Grid,
+    Page,
+    Part,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    number,
+)
 from stringcast.stages.report.theme import STYLE, vector
 from stringcast.stages.report.words import mm
 
 DRAWN = 10  # trials: 130 kB each, so that a page stays below 1.5 MB
 CAPTION = (
-    "Left: arm and string as they began, and fainter later; the string shall begin in the hand and hang from it. "
-    "Right, above: where hand and tip are. Below: how fast each is, on its own clock, and when it begins to move "
-    "(dotted): string and hand shall begin together."
+    "Arm and string as they began, and fainter later: the string shall begin in the hand and hang from it. Over time: "
+    "where hand and tip are, and how fast: they shall begin to move together."
 )
 
 
@@ -36,7 +48,9 @@ def check_page(
             [
                 Tile(str(len(found["trials"])), "trials that can be read"),
                 Tile(mm(measured.length), "length of the string, from the grasp to the tip"),
-                Tile(str(count), f"finding{'s' * (count != 1)}, errors among them: {errors}"),
+                Tile(
+                    str(count), f"finding{'s' * (count != 1)}, {errors or 'no'} error{'s' * (errors != 1)} among them"
+                ),
             ]
         ),
         Section("What was found", [findings(found["findings"])]),
@@ -55,9 +69,20 @@ def check_page(
 
 
 def drawn(trials: Sequence[Seen]) -> list[Part]:
-    """Trials as they were measured."""
+    """Trials as they were measured, each in the plane and over time."""
     with style.context(STYLE):
-        return [Figure(f"Trial {s.name}", vector(trial_figure(s), trial_words(s)), trial_words(s)) for s in trials]
+        return [Grid([in_plane(seen), over_time(seen)]) for seen in trials]
+
+
+def in_plane(seen: Seen) -> Figure:
+    """Arm and string."""
+    return Figure(f"Trial {seen.name}", vector(plane_figure(seen), trial_words(seen)), trial_words(seen))
+
+
+def over_time(seen: Seen) -> Figure:
+    """Hand and tip, and their clocks."""
+    title = f"Trial {seen.name}: hand and tip over time"
+    return Figure(title, vector(time_figure(seen), title), "Each on its own clock; dotted: when it begins to move.")
 
 
 def findings(found: Sequence[Mapping[str, Any]]) -> Part:
