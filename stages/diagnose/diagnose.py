@@ -98,9 +98,13 @@ def diagnose(
         return again(model, good, rejected, (), obstacles, without=without, progress=progress)
     if len(kept) == 1 and judgement.verdict == "unknown":
         judgement = replace(judgement, verdict="insufficient", sentence=ALONE)
-    log.info("verdict: %s", judgement.verdict)
     given = Given(model, good, rejected, kept, rest, criteria, matching)
-    made = written(given, found, judgement, _proposal(found, judgement, criteria, obstacles, design, seed), seed)
+    gained = _gained(given, found, judgement.base)
+    if judgement.causes != (RESOLUTION,) and len(kept) > 1 and not gained.better:
+        judgement = judgement.unsupported
+    log.info("verdict: %s", judgement.verdict)
+    proposal = _proposal(found, judgement, criteria, obstacles, design, seed)
+    made = written(given, found, judgement, gained, proposal, seed)
     progress(1.0)
     return made
 
@@ -149,26 +153,44 @@ def _proposal(
     return designed(Rivals(fits, found.prepared.data, odds), obstacles, design, np.random.default_rng([seed, DESIGN]))
 
 
-def written(given: Given, found: Found, judgement: Judgement, proposal: Proposal, seed: int) -> Diagnosis:
+@dataclass(frozen=True)
+class Gained:
+    """held_out: table HELD_OUT. better: whether the extended model predicts trials left out better than the base."""
+
+    held_out: pd.DataFrame
+    better: bool
+
+
+def written(
+    given: Given, found: Found, judgement: Judgement, gained: Gained, proposal: Proposal, seed: int
+) -> Diagnosis:
     """The artifact."""
     data, z = found.prepared.data, float(norm.ppf(0.5 + given.criteria.coverage / 2))
     budget = budgeted(found, judgement.base, np.random.default_rng([seed, len(data.trials)]))
     base, end = judgement.base, _tempered(found, judgement)
     named = tables.causes(found, judgement, library(), end, z)
-    gains, predicts = _gained(given, found, base)
     left = left_over(data, found.fit, base, judgement, budget, given.criteria)
     plain = tempered(data, base, judgement.small)
     sure = {"base": tables.certainty(base, plain, z), "extended": tables.certainty(found.fit, judgement.tempered, z)}
     text = document(
-        found.prepared, base, judgement, budget, named, gains, given.rejected, left, proposal.next_experiment, sure
+        found.prepared,
+        base,
+        judgement,
+        budget,
+        named,
+        gained.held_out,
+        given.rejected,
+        left,
+        proposal.next_experiment,
+        sure,
     )
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
-    row |= {"extended": _extended(given, found, base, sure["extended"]["intervals"], predicts)}
+    row |= {"extended": _extended(given, found, base, sure["extended"]["intervals"], gained.better)}
     return Diagnosis(
         FINDING.check(pd.DataFrame([row])),
         named,
-        gains,
+        gained.held_out,
         tables.residuals(found.prepared, base, found.fit),
         tables.theories(found, budget.by_cause, judgement, given.criteria.tolerance),
         tables.screening(found),
@@ -186,15 +208,15 @@ def _tempered(found: Found, judgement: Judgement) -> dict[str, Tempered]:
     return {name: tempered(found.prepared.data, fit, judgement.small) for name, fit in fits.items()}
 
 
-def _gained(given: Given, found: Found, base: Fit) -> tuple[pd.DataFrame, bool]:
-    """Table HELD_OUT, and whether the extended model predicts better."""
+def _gained(given: Given, found: Found, base: Fit) -> Gained:
+    """What the causes gain on trials left out: nothing where there is one trial."""
     if len(given.observations) == 1:
-        return HELD_OUT.empty(), False
+        return Gained(HELD_OUT.empty(), False)
     seen = [given.observations[i] for i in given.rest or given.kept]
     data = found.prepared.others(seen, found.fit) if given.rest else found.prepared.data
     more = predicted(data, found.fit, unseen=True) if given.rest else found.predictions
     plain = more if base is found.fit else predicted(data, base, unseen=bool(given.rest))
-    return held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more)
+    return Gained(held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more))
 
 
 def _extended(given: Given, found: Found, base: Fit, ends: Mapping[str, Sequence[float]], predicts: bool) -> str:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
 
-from stringcast.stages.diagnose.prepared import converged
 from stringcast.stages.diagnose.single_effects import (
     Criteria,
     Found,
     Step,
     compared,
     moved,
+    polished,
     refitted,
     removed,
     unexplained,
@@ -63,20 +63,63 @@ class Judgement:
     tempered: Tempered
     sentence: str = ""
 
+    @property
+    def unsupported(self) -> Judgement:
+        """Without causes: what they explain they do not predict."""
+        if not self.causes:
+            return self
+        said = "What explains these trials best does not predict those left out of its fit."
+        return replace(self, verdict="unknown", causes=(), groups=(), sentence=said)
+
+
+def settled(
+    found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
+) -> tuple[Found, Judgement]:
+    """Where each cause is the likeliest in its place, every effect a little wrong, and what is said there: look-alikes
+    may have entered for one another. Each is fitted to the end first, as its rivals are. too_few_points: the configured
+    mesh alone puts the tip elsewhere."""
+    if len(found.fit.hypothesis.causes) > 1:  # one alone has entered so
+        found = _to_the_end(found, found.fit)
+    for changes in range(len(found.fit.hypothesis.causes), -1, -1):
+        small, slots = responses(found.prepared.data, found.fit, effects), list[Slot]()
+        for slot in _slots(found, effects, small, criteria, seed):
+            slots.append(slot)
+            other = _likelier(found, slot)
+            if changes and other is not None:
+                found = _to_the_end(found, other)
+                break
+        else:
+            break
+    return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
+
+
+def _to_the_end(found: Found, fit: Fit) -> Found:
+    """With another fit, of the same causes or others, and numerical error as it is there."""
+    return Found(*polished(found.prepared, fit), found.path)
+
+
+def _likelier(found: Found, slot: Slot) -> Fit | None:
+    """The fit with what is likelier in the place of a cause, another or none."""
+    name = max(slot.chances, key=lambda each: slot.chances[each])
+    named = not found.fit.hypothesis.causes or name in found.fit.hypothesis.names
+    return None if named else slot.fits.get(name, slot.less)
+
 
 def judged(
-    found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
+    found: Found,
+    small: Sequence[np.ndarray],
+    slots: Sequence[Slot],
+    criteria: Criteria,
+    too_few_points: bool,
+    seed: int,
 ) -> Judgement:
-    """The verdict on the causes that entered. too_few_points: the configured mesh alone puts the tip elsewhere."""
+    """The verdict on the causes that entered, one for each slot. small: as of `responses`."""
     data, fit = found.prepared.data, found.fit
-    small = responses(data, fit, effects)
-    end = tempered(data, fit, small)
-    steps = [_beside(found, cause, effects, criteria, seed) for cause in fit.hypothesis.causes]
-    slots = tuple(_slot(data, step, small, len(effects), criteria.least_size) for step in steps or found.path[-1:])
-    inclusion = _inclusion(slots)
+    inclusion, end = _inclusion(slots), tempered(data, fit, small)
     unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
     base = refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base)) if fit.hypothesis.causes else fit
-    unnamed = Judgement("unknown" if unknown > 0.5 else "none", (), (), inclusion, unknown, slots, base, small, end)
+    verdict = "unknown" if unknown > 0.5 else "none"
+    unnamed = Judgement(verdict, (), (), inclusion, unknown, tuple(slots), base, small, end)
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
@@ -90,31 +133,6 @@ def judged(
     return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
 
 
-def settled(
-    found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
-) -> tuple[Found, Judgement]:
-    """Where each cause is the likeliest in its place, every effect a little wrong, and what is said there: look-alikes
-    may have entered for one another. Numerical error is that of each in turn."""
-    judgement = judged(found, effects, criteria, too_few_points, seed)
-    for _ in found.fit.hypothesis.causes:
-        other = _likelier(found, judgement)
-        if other is None:
-            break
-        prepared, fit = converged(found.prepared, other)
-        found = Found(prepared, fit, found.path)
-        judgement = judged(found, effects, criteria, too_few_points, seed)
-    return found, judgement
-
-
-def _likelier(found: Found, judgement: Judgement) -> Fit | None:
-    """The fit with what is likelier in the place of a cause, another or none."""
-    for slot in judgement.slots if found.fit.hypothesis.causes else ():
-        name = max(slot.chances, key=lambda each: slot.chances[each])
-        if name not in found.fit.hypothesis.names:
-            return slot.fits.get(name, slot.less)
-    return None
-
-
 def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:
     """Probability that in some trial more is lacking at the tip than is tolerated, root mean square."""
     return float(np.mean(tip_draws(data, fit, DRAWS, rng).max(axis=0) > criteria.tolerance))
@@ -126,10 +144,20 @@ def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], 
     if first.best is not None and first.best.hypothesis.names == found.fit.hypothesis.names:
         return first
     data, less = found.prepared.data, found.fit.hypothesis.without(cause)
-    step = compared(found.prepared, refitted(data, found.fit, less), effects, criteria, seed)
     itself = less.joined(cause)
     named = evaluated(data, itself, itself.carried(found.fit.named))
-    return replace(step, tried=[named, *(fit for fit in step.tried if fit.hypothesis.names[-1] != cause.name)])
+    return compared(found.prepared, refitted(data, found.fit, less), effects, criteria, seed, named)
+
+
+def _slots(
+    found: Found, effects: Sequence[type[Effect]], small: Sequence[np.ndarray], criteria: Criteria, seed: int
+) -> Iterator[Slot]:
+    """Of each cause, the last that entered first: it is most often another's look-alike. Of what might yet enter where
+    none did."""
+    data, causes = found.prepared.data, reversed(found.fit.hypothesis.causes)
+    steps = (_beside(found, cause, effects, criteria, seed) for cause in causes)
+    for step in steps if found.fit.hypothesis.causes else found.path[-1:]:
+        yield _slot(data, step, small, len(effects), criteria.least_size)
 
 
 def _slot(data: Data, step: Step, small: Sequence[np.ndarray], count: int, least_size: float) -> Slot:

@@ -80,7 +80,7 @@ def elsewhere(data: Data, fit: Fit) -> np.ndarray:
     first. What says when or where leaves ridges and plains, on which a search by slopes ends."""
     linear, hypothesis = _Linear(data, fit), fit.hypothesis
     places = [place for cause in hypothesis.causes for place in hypothesis.places(cause, cause.parameters)]
-    found = [linear.elsewhere(place) for place in places]
+    found = [(np.zeros((0, len(fit.chi))), np.zeros(0)), *(linear.elsewhere(place) for place in places)]
     chi, gain = (np.concatenate(each) for each in zip(*found, strict=True))
     return np.asarray(chi[np.argsort(-gain, kind="stable")][: int((gain > 0).sum())][:STARTS])
 

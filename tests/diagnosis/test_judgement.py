@@ -4,16 +4,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import TRUTH, ordinary
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+import stringcast.stages.diagnose.diagnose
 from stringcast.stages.diagnose import judgement, single_effects
 from stringcast.stages.diagnose.judgement import Slot
+from stringcast.stages.diagnose.prepared import resolved
 from stringcast.stages.diagnose.single_effects import Found, Step
 from stringcast.stages.diagnose.small_effects import SMALL, tempered
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import log_prior
-from tests.diagnosis.performed import CRITERIA
+from stringcast.stages.model.library import library
+from tests.diagnosis.performed import CRITERIA, performed, said_of, swings
 
 
 class Scaled:
@@ -60,19 +64,31 @@ def test_each_trial_has_one_vote_on_what_causes_remove(before, after, share):
 
 
 def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
-    """The second is likelier in the place of the first, and none in that of the second."""
+    """The second is likelier in the place of the first, and none in that of the second; nothing is asked in vain."""
     names = {"one": ("a", "x"), "two": ("b", "x"), "three": ("b",)}
     fits = {n: SimpleNamespace(hypothesis=SimpleNamespace(names=names[n], causes=names[n]), name=n) for n in names}
-    slots = {
-        "one": [Slot({"a": 0.1, "b": 0.9}, {"b": fits["two"]}, None), Slot({"x": 1.0}, {}, None)],
-        "two": [Slot({"b": 1.0}, {}, None), Slot({"x": 0.2, "": 0.8}, {}, fits["three"])],
+    slots = {  # as they are asked, the last that entered first
+        "one": [Slot({"x": 1.0}, {}, None), Slot({"a": 0.1, "b": 0.9}, {"b": fits["two"]}, None)],
+        "two": [Slot({"x": 0.2, "": 0.8}, {}, fits["three"]), None],
         "three": [Slot({"b": 0.9, "": 0.1}, {}, None)],
     }
-    said = {n: SimpleNamespace(slots=slots[n]) for n in names}
-    monkeypatch.setattr(judgement, "judged", lambda found, *rest: said[found.fit.name])
-    monkeypatch.setattr(judgement, "converged", lambda prepared, fit: (f"{prepared} at {fit.name}", fit))
-    found, judged = judgement.settled(Found("data", fits["one"]), (), None, False, 0)
-    assert (found.fit, found.prepared, judged) == (fits["three"], "data at two at three", said["three"])
+    monkeypatch.setattr(judgement, "polished", lambda prepared, fit: (prepared.at(fit), fit))
+    monkeypatch.setattr(judgement, "responses", lambda data, fit, effects: f"small at {fit.name}")
+    monkeypatch.setattr(judgement, "_slots", lambda found, *rest: slots[found.fit.name])
+    monkeypatch.setattr(judgement, "judged", lambda found, small, slots, *rest: (found.fit.name, small, slots))
+    found, judged = judgement.settled(Found(Told(""), fits["one"]), (), None, False, 0)
+    assert (found.fit, found.prepared.data) == (fits["three"], " one two three")
+    assert judged == ("three", "small at three", slots["three"])
+
+
+class Told(SimpleNamespace):
+    """Data that tell at which fits their numerical error was taken off."""
+
+    def __init__(self, data):
+        super().__init__(data=data)
+
+    def at(self, fit):
+        return Told(f"{self.data} {fit.name}")
 
 
 @pytest.mark.parametrize(
@@ -93,3 +109,17 @@ def test_a_cause_by_which_too_few_trials_can_be_told_does_not_enter(before, doub
     monkeypatch.setattr(single_effects, "enters", lambda data, step, criteria: True)
     step = single_effects._contested(prepared, Step(SimpleNamespace(evidence=0.0), (), fits), CRITERIA)
     assert (step.best.name, step.entered) == (best, True)
+
+
+@pytest.mark.parametrize(("predicts", "verdict"), [(True, "effect"), (False, "unknown")])
+def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch, predicts, verdict):
+    """Joints that turn 3 % further than they say, where what trials left out are like is as stated."""
+    monkeypatch.setattr(stringcast.stages.diagnose.diagnose, "better", lambda base, extended: predicts)
+    real = resolved(ordinary(arm)).with_effects(library()["joint_gain"]).divided(80)
+    values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
+    places = np.arange(8, 81, 8)
+    trials = [performed(f"t{k}", arm, real, values, angles, places, rng) for k, angles in enumerate(swings(arm, 2))]
+    said = said_of(ordinary(arm), trials, 4)
+    assert said.finding["verdict"].iloc[0] == verdict
+    assert list(said.causes["effect"].unique()) == (["joint_gain"] if predicts else [])
+    assert ("joint_gain" in said.finding["extended"].iloc[0]) == predicts
