@@ -47,6 +47,9 @@ def titled(factor: str, units: Mapping[str, str]) -> str:
     return f"{factor} [{units[factor]}]" if factor in units else factor
 
 
+LONG = 28  # characters of a label that is higher than the axes of a curve
+
+
 def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str, units: Mapping[str, str]) -> Picture | None:
     """A curve of an outcome over a setting; None where nothing is known of it. jobs: those that ended. units: of
     settings, by name."""
@@ -75,7 +78,7 @@ def curve(jobs: pd.DataFrame, outcome: Outcome, factor: str, units: Mapping[str,
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: significant(value)))
     axes.set_xlabel(titled(factor, units), fontsize=8)
-    axes.set_ylabel(outcome.title, fontsize=8)
+    axes.set_ylabel(outcome.title, fontsize=7 if len(outcome.title) > LONG else 8)
     each = ", ".join(f"{mean_with_interval(row)} at {row[factor]}" for row in means.to_dict("records"))
     return vector(figure, f"{outcome.title} over {factor}: {each}.")
 

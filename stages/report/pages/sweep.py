@@ -56,16 +56,22 @@ def sweep_page(record: SweepRecord) -> str:
 
 
 def finding(record: SweepRecord) -> str:
-    """The largest effect of a setting on the first outcome there is, if it is beyond chance; empty where no setting was
+    """The largest effect of a setting on the first outcome that one changes beyond chance; empty where no setting was
     varied or nothing is known."""
     if not record.factors or record.done.empty:
         return ""
-    outcome = _mapped(record)[0]
+    outcomes = _mapped(record)
+    nothing = f"No setting varied changes the {outcomes[0].label} by more than chance"
+    return next(filter(None, (_largest(record, outcome) for outcome in outcomes)), nothing)
+
+
+def _largest(record: SweepRecord, outcome: Outcome) -> str:
+    """The largest effect of a setting on an outcome; empty where none is beyond chance."""
     means = {factor: response(record.done, outcome, [factor]) for factor in record.factors}
     ends = {f: (rows.loc[rows["mean"].idxmin()], rows.loc[rows["mean"].idxmax()]) for f, rows in means.items()}
     apart = {f: low for f, low in ends.items() if low[0]["high"] < low[1]["low"]}
     if not apart:
-        return f"No setting varied changes the {outcome.label} by more than chance"
+        return ""
     factor = max(apart, key=lambda f: float(apart[f][1]["mean"] - apart[f][0]["mean"]))
     low, high = apart[factor]
     values = [f"{significant(row['mean'])}{outcome.unit and f' {outcome.unit}'}" for row in (high, low)]
