@@ -25,6 +25,7 @@ from stringcast.stages.common import Progress as Report
 from stringcast.stages.spec import StageSpec
 
 Bar = Callable[[str], AbstractContextManager[Report]]
+TITLE = 74  # characters of a panel's title in 80 columns; a longer one would be cut
 MOST = 30  # characters of a log line that find room behind a bar, of 80 columns
 
 
@@ -57,12 +58,16 @@ def show(result: Result, config: Mapping[str, Any], console: Terminal) -> None:
 
 def casts(result: Result) -> Panel:
     """Manipulation by manipulation, and what they taught."""
-    words = "" if result.estimate is None else str(result.estimate.fit["sentence"].iloc[0])
     colour = "green" if result.hit else "yellow"
     ended, _, more = result.sentence.partition(". ")
-    title = f"[bold {colour}]{escape(ended)}"
-    below = [Text(more)] if more else []
-    return Panel(Group(_casts(result), "", Text(words), *learned(result), *below), title=title, border_style=colour)
+    parts: list[RenderableType] = [] if len(ended) <= TITLE else [Text(ended, "bold"), ""]
+    parts += _casts(result)
+    if result.estimate is not None:
+        parts += ["", Text(str(result.estimate.fit["sentence"].iloc[0])), *learned(result)]
+    if more:
+        parts += ["", Text(more)]
+    title = f"[bold {colour}]{escape(ended)}" if len(ended) <= TITLE else None
+    return Panel(Group(*parts), title=title, border_style=colour)
 
 
 def learned(result: Result) -> list[RenderableType]:
@@ -108,7 +113,7 @@ def faults(result: Result) -> list[str]:
     return [f"Cast {number}: {words}." for fault in (late, lay) for number, words in fault.items()]
 
 
-def _casts(result: Result) -> Table:
+def _casts(result: Result) -> list[Table]:
     """A row for each cast or stored trial of which there is anything to say, without columns in which there is not."""
     headings = ("cast", "tip in the box", "closest [mm]", "E before [1]", "E after [1]", "rms [mm]")
     rows = [row for row in map(_row, result.iterations) if any(row[1:])]
@@ -118,7 +123,7 @@ def _casts(result: Result) -> Table:
         table.add_column(Text(headings[n]), justify="right")
     for row in rows:
         table.add_row(*(row[n] for n in kept))
-    return table
+    return [table] if rows else []
 
 
 def _row(iteration: Iteration) -> list[str]:

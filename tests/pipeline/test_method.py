@@ -1,6 +1,7 @@
 """The paper's experiments are cast by the paper's method or by the robust one, and each names the other."""
 
 import io
+import re
 
 import pytest
 
@@ -58,3 +59,15 @@ def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
     *_, command, page = out.file.getvalue().splitlines()
     assert command == f"By the method `paper`: {called_as()} +experiment=stringB method=paper"
     assert page == str(folder)
+
+
+@pytest.mark.parametrize(
+    "said", ["The tip reached the target.", "Dry run: " + "a sentence that is longer than a line " * 3]
+)
+def test_what_a_run_says_is_not_cut(tmp_path, said):
+    out = Terminal(file=io.StringIO(), width=80)
+    show(Result(tmp_path, (), f"{said.strip()}. Nothing is learned from it."), composed([]), out)
+    shown = " ".join(re.sub("[│╭╮╰╯─]", " ", out.file.getvalue()).split())
+    assert f"{said.strip()}" in shown
+    assert "Nothing is learned from it." in shown
+    assert "cast" not in shown.partition(str(tmp_path))[0], "a heading without rows"
