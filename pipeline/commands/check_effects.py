@@ -17,7 +17,7 @@ from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.modes.stored import held_out, usable
 from stringcast.pipeline.settings import build, composed, names_given
 from stringcast.pipeline.terminal import Terminal
-from stringcast.stages.check.identifiability import Foreseen, foreseen
+from stringcast.stages.diagnose.identifiability import Foreseen, foreseen
 from stringcast.stages.diagnose.prepared import prepared
 from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria

@@ -19,7 +19,7 @@ from stringcast.data.artifacts import FINDING, HELD_OUT, Diagnosis, Observation,
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose import tables
-from stringcast.stages.diagnose.budget import budgeted
+from stringcast.stages.diagnose.budget import Budget, budgeted
 from stringcast.stages.diagnose.casts import Design
 from stringcast.stages.diagnose.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
@@ -121,6 +121,11 @@ class Given:
     criteria: Criteria
     matching: Matching
 
+    @property
+    def reach(self) -> float:
+        """Half width of an interval, in standard deviations."""
+        return float(norm.ppf(0.5 + self.criteria.coverage / 2))
+
 
 def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
     """Whether the configured mesh is worse than one that does not matter, and has the tip farther away than is
@@ -165,33 +170,14 @@ def written(
     given: Given, found: Found, judgement: Judgement, gained: Gained, proposal: Proposal, seed: int
 ) -> Diagnosis:
     """The artifact."""
-    data, z = found.prepared.data, float(norm.ppf(0.5 + given.criteria.coverage / 2))
+    data = found.prepared.data
     budget = budgeted(found, judgement.base, np.random.default_rng([seed, len(data.trials)]))
-    base, end = judgement.base, _tempered(found, judgement)
-    named = tables.causes(found, judgement, library(), end, z)
-    left = left_over(data, found.fit, base, judgement, budget, given.criteria)
-    plain = tempered(data, base, judgement.small)
-    sure = {"base": tables.certainty(base, plain, z), "extended": tables.certainty(found.fit, judgement.tempered, z)}
-    text = document(
-        found.prepared,
-        base,
-        judgement,
-        budget,
-        named,
-        gained.held_out,
-        given.rejected,
-        left,
-        proposal.next_experiment,
-        sure,
-    )
-    said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
-    row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
-    row |= {"extended": _extended(given, found, base, sure["extended"]["intervals"], gained.better)}
+    named = tables.causes(found, judgement, library(), _tempered(found, judgement), given.reach)
     return Diagnosis(
-        FINDING.check(pd.DataFrame([row])),
+        _finding(given, found, judgement, gained, proposal, budget, named),
         named,
         gained.held_out,
-        tables.residuals(found.prepared, base, found.fit),
+        tables.residuals(found.prepared, judgement.base, found.fit),
         tables.theories(found, budget.by_cause, judgement, given.criteria.tolerance),
         tables.screening(found),
         tables.likeness(found),
@@ -200,6 +186,28 @@ def written(
         proposal.control_points,
         proposal.foretold,
     )
+
+
+def _finding(
+    given: Given,
+    found: Found,
+    judgement: Judgement,
+    gained: Gained,
+    proposal: Proposal,
+    budget: Budget,
+    named: pd.DataFrame,
+) -> pd.DataFrame:
+    """Table FINDING. named: table CAUSES."""
+    data, base, z = found.prepared.data, judgement.base, given.reach
+    left = left_over(data, found.fit, base, judgement, budget, given.criteria)
+    plain = tempered(data, base, judgement.small)
+    sure = {"base": tables.certainty(base, plain, z), "extended": tables.certainty(found.fit, judgement.tempered, z)}
+    evidence = (budget, named, gained.held_out, given.rejected, left, proposal.next_experiment, sure)
+    text = document(found.prepared, base, judgement, *evidence)
+    said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
+    row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
+    row |= {"extended": _extended(given, found, base, sure["extended"]["intervals"], gained.better)}
+    return FINDING.check(pd.DataFrame([row]))
 
 
 def _tempered(found: Found, judgement: Judgement) -> dict[str, Tempered]:

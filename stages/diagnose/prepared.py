@@ -129,9 +129,14 @@ def prepared(
 def converged(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
     """Data with the numerical error of a fit, and the fit to these."""
     for _ in range(PASSES):
-        prepared = prepared.at(fit)
-        fit = fitted(prepared.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
+        prepared, fit = nearer(prepared, fit)
     return prepared, fit
+
+
+def nearer(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
+    """One pass of `converged`: enough where the fit is already one without its own numerical error."""
+    prepared = prepared.at(fit)
+    return prepared, fitted(prepared.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
 
 
 def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:

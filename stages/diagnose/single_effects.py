@@ -19,7 +19,7 @@ from pydantic import Field
 
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.predictions import Prediction, predicted
-from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, converged, searched_again
+from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, nearer, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
 from stringcast.stages.model.effect import Effect, components, position_dependent
@@ -243,12 +243,12 @@ def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
     """Data with the numerical error of a fit, and the fit to these: with other values of its causes' parameters, if
     these suit better."""
     log.info("fitting %s to the end", " + ".join(fit.hypothesis.names))
-    prepared, fit = converged(prepared, fit)
+    prepared, fit = nearer(prepared, fit)
     others = elsewhere(prepared.data, fit)
     if not len(others):
         return prepared, fit
     other = fitted(prepared.data, fit.hypothesis, others, fit.sizes, ROUNDS, MOST)
-    return converged(prepared, other) if other.evidence > fit.evidence else (prepared, fit)
+    return nearer(prepared, other) if other.evidence > fit.evidence else (prepared, fit)
 
 
 def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generator, starts: int) -> Found:

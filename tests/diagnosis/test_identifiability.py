@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
 
-from stringcast.stages.check.identifiability import foreseen
 from stringcast.stages.check.overview import found_from
+from stringcast.stages.diagnose.identifiability import foreseen
 from stringcast.stages.diagnose.prepared import Prepared, lacking, resolved
 from stringcast.stages.diagnose.single_effects import least_gain
 from stringcast.stages.inference.evidence import Hypothesis, evaluated, fitted
