@@ -19,14 +19,12 @@ from threadpoolctl import threadpool_limits
 
 from stringcast.data.errors import ExpectedError, printable, remedy_for
 from stringcast.pipeline import log
-from stringcast.pipeline.called import as_called
 from stringcast.pipeline.commands import NAMES, command
-from stringcast.pipeline.complaint import complain, interrupted, refusal
 from stringcast.pipeline.mistakes import refuse_mistakes
 from stringcast.pipeline.settings import refuse_twice
 from stringcast.pipeline.sweep.begun import ended as sweep_ended
 from stringcast.pipeline.sweep.begun import folder as sweep_folder
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.terminal import Terminal, as_called, complain, interrupted, refusal
 
 OmegaConf.register_new_resolver("unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True)
 UNANSWERED = 2  # exit status of a command that found no answer
@@ -49,7 +47,7 @@ def one_thread(module: Any) -> Any:
 def asked(name: str, arguments: list[str]) -> int:
     """Hand over to a command; its exit status."""
     try:
-        return int(one_thread(command(name)).main(arguments))
+        return one_thread(command(name))(arguments)
     except ExpectedError as error:
         complain(error, Terminal(stderr=True))
         return UNANSWERED

@@ -16,11 +16,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from stringcast.pipeline.called import by_the_other_method, called_as
 from stringcast.pipeline.iterations import Iteration
 from stringcast.pipeline.log import heard
 from stringcast.pipeline.result import Result
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.settings import CONF
+from stringcast.pipeline.terminal import Terminal, called_as
 from stringcast.stages.common import Progress as Report
 from stringcast.stages.spec import StageSpec
 
@@ -68,6 +68,14 @@ def casts(result: Result) -> Panel:
         parts += ["", Text(more)]
     title = f"[bold {colour}]{escape(ended)}" if len(ended) <= TITLE else None
     return Panel(Group(*parts), title=title, border_style=colour)
+
+
+def by_the_other_method(config: Mapping[str, Any]) -> str:
+    """The arguments of a run by the other method; empty where a run is none of the paper's."""
+    other, name = config.get("other_method"), config["name"]
+    if not other or not (CONF / "experiment" / f"{name}.yaml").exists() or name == "robust":
+        return ""
+    return f"+experiment={name} method={other}"
 
 
 def learned(result: Result) -> list[RenderableType]:

@@ -25,6 +25,7 @@ from stringcast.stages.model.accuracy import ToleranceError, accurate
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.library import files, named
 from stringcast.stages.model.model import Model
@@ -115,8 +116,8 @@ def prepare(config: Mapping[str, Any], where: Where) -> Experiment:
     target = build(Box, config["target"], "target", where("target"))
     string = _accurate(_string(config["string"], where("string")), arm, config, where("string"))
     camera = build(Camera, config["camera"], "camera", where("camera"))
-    model = with_effects(Model(string, arm, camera), config["effects"], where("effects"))
-    _of_the_library(config.get("own", []), where("own"))
+    model = Model(string, arm, camera).with_effects(*_effects(config["effects"], "effects", where("effects")))
+    _effects(config.get("own", []), "own", where("own"))  # they need not be at work
     known, measured = _known(config["known"], model, where("known"))
     model = replace(model, known=known, measured=measured)
     boxes = config["obstacles"]["boxes"]
@@ -153,24 +154,14 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
         raise UserError(f"keep = {config['keep']} ({where('keep')}): it must be a list of {choices}. Change it.")
 
 
-def with_effects(model: Model, names: Any, where: str) -> Model:
-    """The model with the effects of these names."""
+def _effects(names: Any, setting: str, where: str) -> tuple[type[Effect], ...]:
+    """The effects of these names. setting: that gives them. Raises UserError."""
     if not isinstance(names, list):
-        raise UserError(f"effects = {names!r} ({where}): it must be a list, such as [tip_mass, arm_lag]. Change it.")
+        raise UserError(f"{setting} = {names!r} ({where}): it must be a list, such as [rest_curvature]. Change it.")
     try:
-        return model.with_effects(*named([str(name) for name in names]))
+        return named([str(name) for name in names])
     except ValueError as error:
-        raise UserError(f"effects ({where}): {error}") from error
-
-
-def _of_the_library(own: Any, where: str) -> None:
-    """Refuse what is no list of effects; they need not be at work."""
-    if not isinstance(own, list):
-        raise UserError(f"own = {own!r} ({where}): it must be a list, such as [rest_curvature]. Change it.")
-    try:
-        named([str(name) for name in own])
-    except ValueError as error:
-        raise UserError(f"own ({where}): {error}") from error
+        raise UserError(f"{setting} ({where}): {error}") from error
 
 
 def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:

@@ -22,9 +22,13 @@ def refuse_source(settings: Mapping[str, Any], given: set[str]) -> None:
     named = sorted(name for name in given if name.partition(".")[0] == "source")
     if named and not looked_at:
         _refuse_unseen(named[-1], settings, mode.moves(settings))
-    for block in looked_at:
-        for key in PLACES.keys() & settings[block]:
-            _refuse_missing(f"{block}.{key}", PLACES[key], settings[block][key])
+    for block, key in ((name, key) for name in looked_at for key in PLACES.keys() & settings[name]):
+        place = settings[block][key]
+        if place is not None and not Path(place).exists():
+            raise UserError(
+                f"{block}.{key} = {place} (conf/source or the command line): there is no such {PLACES[key]}. Name one "
+                f"that is there, by its path from {Path.cwd()}."
+            )
 
 
 def _refuse_unseen(name: str, settings: Mapping[str, Any], casts: bool) -> None:
@@ -37,12 +41,3 @@ def _refuse_unseen(name: str, settings: Mapping[str, Any], casts: bool) -> None:
         "hardware=serial, hardware=dynamixel or +experiment=calibrate. Films of casts that were made are read by: "
         "python -m pipeline import <films> --to mine"
     )
-
-
-def _refuse_missing(name: str, what: str, place: str | None) -> None:
-    """Raise UserError where a place is named and nothing is there."""
-    if place is not None and not Path(place).exists():
-        raise UserError(
-            f"{name} = {place} (conf/source or the command line): there is no such {what}. Name one that is there, by "
-            f"its path from {Path.cwd()}."
-        )

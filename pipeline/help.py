@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 
 import yaml
 
-from stringcast.pipeline.called import as_called
 from stringcast.pipeline.commands import listed
 from stringcast.pipeline.meanings import explained
 from stringcast.pipeline.settings import CONF, composed
+from stringcast.pipeline.terminal import as_called
 from stringcast.stages.model.library import files
 
 PAGE = """\

@@ -58,14 +58,19 @@ def with_inherited_settings(config: DictConfig, given: set[str]) -> dict[str, An
     if config.calibrated is not None:
         OmegaConf.update(whole, "camera", measured_camera(Path(config.calibrated)), merge=False)
     if any(folder is not None for folder in (config.trials, config.extended, config.calibrated)):
-        for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
-            OmegaConf.update(whole, name, OmegaConf.select(config, name))
+        put_back(whole, config, given)
     if LENGTH in brought:
         OmegaConf.update(whole, LENGTH, brought[LENGTH])
     if config.trials is not None and not (Path(config.trials) / "config.json").exists():
         _hang(Path(config.trials), whole)
     settings: Any = OmegaConf.to_container(whole, resolve=True)
     return dict(settings)
+
+
+def put_back(whole: Any, config: DictConfig, given: set[str]) -> None:
+    """Set the settings that a person gave, by their names, to what they are in `config`: they stand above all."""
+    for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
+        OmegaConf.update(whole, name, OmegaConf.select(config, name))
 
 
 def _hang(folder: Path, whole: Any) -> None:

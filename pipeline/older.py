@@ -40,6 +40,18 @@ RENAMED: Mapping[str, Mapping[str, str]] = {  # by the block that the settings a
         "doubt": "uncertainty",
     },
 }
+MOVED = {  # what settings of stored runs still call by an old name
+    "pipeline.paper.finish.finish": "pipeline.studies.paper.finish.finish",
+    "stages.align.align": "stages.align.align.align",
+    "stages.calibrate.calibrate": "stages.calibrate.calibrate.calibrate",
+    "stages.diagnose.single_effects.diagnose.diagnose": "stages.diagnose.diagnose.diagnose",
+    "stages.excite.excite": "stages.align.excitation.excite.excite",
+    "stages.execute.execute": "stages.execute.execute.execute",
+    "stages.extract.extract": "stages.extract.extract.extract",
+    "stages.generate.generate": "stages.generate.generate.generate",
+    "stages.rehearse.dry": "stages.execute.dry_run.dry",
+    "stages.rehearse.slow": "stages.execute.dry_run.slow",
+}
 
 
 def new_name(name: str) -> str:

@@ -37,6 +37,7 @@ LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect wi
 MODEL = ROOT / "stages" / "model" / "model.py"
 LAB = "hardware.virtual."  # what it does can be done again, to the bit
 ABSENT = "absent"
+HASHED = ("input ", "source ")  # kinds of things of which an origin holds a hash, which tells people nothing
 
 
 # --- what made a file -----------------------------------------------------------------------
@@ -56,41 +57,28 @@ _version = cache(version)  # which reads a file each time
 
 @cache
 def code() -> dict[str, str]:
-    """The commit, if known, and a hash of the source files as they are."""
+    """The commit, if known, with a + behind it where sources are no longer as it has them, and a hash of the source
+    files as they are."""
     digest = hashlib.sha256()
     for file in sorted(p for folder in CODE for p in (ROOT / folder).rglob("*.py")):
         digest.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes())
-    return {"commit": _git("rev-parse", "HEAD").strip() or "unknown", "source": digest.hexdigest()}
-
-
-@cache
-def state() -> str:
-    """The commit, if known, with a + behind it where sources are no longer as it has them."""
-    changed = _git("status", "--porcelain", "--", *CODE).splitlines()
-    return code()["commit"] + ("+" if any(line.endswith(".py") for line in changed) else "")
-
-
-def _git(*words: str) -> str:
-    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    asked = (("rev-parse", "HEAD"), ("status", "--porcelain", "--", *CODE))
+    commit, changed = (
+        subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False).stdout for words in asked
+    )
+    dirty = "+" * any(line.endswith(".py") for line in changed.splitlines())
+    return {"commit": (commit.strip() or "unknown") + dirty, "source": digest.hexdigest()}
 
 
 # --- the sources behind a step --------------------------------------------------------------
 def sources(settings: Mapping[str, Any], stage: StageSpec) -> dict[str, str]:
     """Digests of the files of a stage and of all that they import, however far. settings: those that it uses."""
-    named = [allowed(target, role, "config.json") for role, target in targets(settings)]
+    targets = {name: target for name, target in leaves(settings).items() if name.endswith("._target_")}
+    named = [allowed(target, name.removesuffix("._target_"), "config.json") for name, target in targets.items()]
     roots = {home(name) for name in (*named, stage.run)} | ({MODEL} if "string" in settings else set())
     roots |= {files()[kind_of(name)[0]] for name in settings.get("effects", [])}
     behind = closure(roots) | {ROOT / name for name in GLUE}
     return {_short(file): read_code(file)[1] for file in sorted(behind)}
-
-
-def targets(block: Any, role: str = "") -> Iterator[tuple[str, Any]]:
-    """Every `_target_` in a block of settings, behind the name of the block that holds it."""
-    if isinstance(block, Mapping):
-        if "_target_" in block:
-            yield role, block["_target_"]
-        for name, value in block.items():
-            yield from targets(value, name)
 
 
 def home(target: str) -> Path:
@@ -205,30 +193,29 @@ def inputs_there(folder: Path, paths: Mapping[str, str], trials: str | None) -> 
 
 
 def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]) -> Iterator[str]:
-    """Differences of two origins, a line each. uses: the settings that count."""
+    """Differences of two origins, a line each, without the hashes. uses: the settings that count."""
     if "sources" not in made:
         yield "its files do not say of which sources they were made"
         return
-    yield from _renewed("input", made["inputs"], now["inputs"], "has another content")
-    configs = modern(made["config"]), json.loads(json.dumps(now["config"]))
-    used = (leaves({key: config.get(key) for key in uses}) for config in configs)
-    yield from (f"{key} {a} -> {b}" for key, a, b in pairs(*used))
-    yield from _renewed("source", made["sources"], now["sources"], "has changed")
-    yield from (f"package {key} {a} -> {b}" for key, a, b in pairs(made["packages"], now["packages"]))
-    if made["python"] != now["python"]:
-        yield f"Python {made['python']} -> {now['python']}"
+    as_stored = json.loads(json.dumps(now))  # JSON knows no tuples
+    for name, one, other in pairs(_decides(made, uses), _decides(as_stored, uses)):
+        became = "is new" if one == ABSENT else "is gone" if other == ABSENT else "has changed"
+        yield f"{name} {became}" if name.startswith(HASHED) else f"{name} {one} -> {other}"
+
+
+def _decides(made: Mapping[str, Any], uses: Sequence[str]) -> dict[str, Any]:
+    """All of an origin that decides what comes out, by name. uses: the settings that count."""
+    config = modern(made["config"])
+    inputs, sources, packages = (
+        {f"{kind} {name}": value for name, value in made[f"{kind}s"].items()} for kind in ("input", "source", "package")
+    )
+    return inputs | leaves({key: config.get(key) for key in uses}) | sources | packages | {"Python": made["python"]}
 
 
 def pairs(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
     """Names whose values differ, with both values; ABSENT where there is none."""
     both = [(name, a.get(name, ABSENT), b.get(name, ABSENT)) for name in dict.fromkeys([*a, *b])]
     return [(name, one, other) for name, one, other in both if one != other]
-
-
-def _renewed(what: str, a: Mapping[str, str], b: Mapping[str, str], words: str) -> Iterator[str]:
-    """Differences of hashes, a line each, without the hashes."""
-    for name, one, other in pairs(a, b):
-        yield f"{what} {name} {'is new' if one == ABSENT else 'is gone' if other == ABSENT else words}"
 
 
 def repeatable(config: Mapping[str, Any], artifact: str) -> bool:

@@ -10,10 +10,11 @@ from hydra.utils import get_object
 
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.store import write_text
-from stringcast.pipeline.called import by_the_other_method, called_as
+from stringcast.pipeline.console import by_the_other_method
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.provenance import software
 from stringcast.pipeline.result import Result
+from stringcast.pipeline.terminal import called_as
 from stringcast.stages.report.page import HERE_IN_WORDS as HERE
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.records import Cast, Facts, Record, cast_record

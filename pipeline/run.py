@@ -12,15 +12,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from stringcast.data.errors import ExpectedError
 from stringcast.pipeline import run_folder
-from stringcast.pipeline.called import as_called
-from stringcast.pipeline.complaint import complain, interrupted
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.filmed import refuse_source
 from stringcast.pipeline.inherited import check_bench, moves, refuse_inherited_limits, with_inherited_settings
 from stringcast.pipeline.log import kept
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import names_given
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.terminal import Terminal, as_called, complain, interrupted
 
 logging.getLogger("matplotlib").setLevel(logging.WARNING)  # it tells of names of trials that look like dates
 

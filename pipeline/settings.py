@@ -18,7 +18,8 @@ from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
 from stringcast.data.errors import ExpectedError
-from stringcast.pipeline.targets import MOVED, roles
+from stringcast.pipeline.older import MOVED
+from stringcast.pipeline.targets import roles
 from stringcast.stages.common import SettingsGroup
 
 Built = TypeVar("Built")

@@ -37,25 +37,12 @@ SHELL: Mapping[str, tuple[str, ...]] = {
         "stages.model.implicit.ImplicitLeapfrog",
     ),
     "launcher": (
-        "pipeline.sweep.launchers.serial.launch",
-        "pipeline.sweep.launchers.joblib.launch",
-        "pipeline.sweep.launchers.ray.launch",
-        "pipeline.sweep.launchers.slurm.launch",
+        "pipeline.sweep.launchers.serial",
+        "pipeline.sweep.launchers.joblib",
+        "pipeline.sweep.launchers.ray",
+        "pipeline.sweep.launchers.slurm",
     ),
     "finish": ("pipeline.sweep.finish.finish", "pipeline.studies.paper.finish.finish"),
-}
-
-MOVED = {  # what settings of stored runs still call by an old name
-    "pipeline.paper.finish.finish": "pipeline.studies.paper.finish.finish",
-    "stages.align.align": "stages.align.align.align",
-    "stages.calibrate.calibrate": "stages.calibrate.calibrate.calibrate",
-    "stages.diagnose.single_effects.diagnose.diagnose": "stages.diagnose.diagnose.diagnose",
-    "stages.excite.excite": "stages.align.excitation.excite.excite",
-    "stages.execute.execute": "stages.execute.execute.execute",
-    "stages.extract.extract": "stages.extract.extract.extract",
-    "stages.generate.generate": "stages.generate.generate.generate",
-    "stages.rehearse.dry": "stages.execute.dry_run.dry",
-    "stages.rehearse.slow": "stages.execute.dry_run.slow",
 }
 
 

@@ -1,14 +1,25 @@
-"""The terminal, on which names that others gave are text: an escape sequence in one would steer it."""
+"""The terminal: how this program was called, what is printed on it, and messages and exit statuses of what fails.
+
+Names that others gave are text: an escape sequence in one would steer the terminal.
+"""
 
 from __future__ import annotations
 
+import difflib
+import re
+import signal
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+from hydra.core.global_hydra import GlobalHydra
 from rich.console import Console
+from rich.markup import escape
 from rich.segment import Segment
 
 from stringcast.data.errors import printable
+from stringcast.pipeline.settings import CONF, composed, flat
 
 
 class Terminal(Console):
@@ -18,3 +29,56 @@ class Terminal(Console):
         """Render as rich does, with control characters in texts spelt out; rich's own control codes stay."""
         for segment in super().render(*given, **how):
             yield segment if segment.is_control else Segment(printable(segment.text), segment.style)
+
+
+def called_as() -> str:
+    """`stringcast`, or the interpreter with `-m pipeline`, by the shortest path from here."""
+    if Path(sys.argv[0]).stem == "stringcast":
+        return "stringcast"
+    here, python = Path.cwd(), Path(sys.executable)
+    module = "pipeline" if (here / "pipeline").is_dir() else "stringcast"
+    return f"{python.relative_to(here) if python.is_relative_to(here) else python} -m {module}"
+
+
+def as_called(text: str) -> str:
+    """A text with the commands in it as this program was called."""
+    return re.sub(r"(?<![\w/.])python -m pipeline", lambda _: called_as(), text)
+
+
+def complain(error: Exception, console: Terminal) -> None:
+    """Print an error's message, with commands as this program was called."""
+    console.print(f"[bold red]Error:[/] {escape(as_called(str(error)))}", highlight=False, soft_wrap=True)
+
+
+def interrupted(by: KeyboardInterrupt) -> int:
+    """Exit status after a signal, as shells have it: 130 after Ctrl-C, 143 after SIGTERM, which asks an arm to stop."""
+    return 128 + int(by.args[0] if by.args else signal.SIGINT)
+
+
+def refusal(error: BaseException) -> str:
+    """Hydra's message, with the nearest setting there is."""
+    said = str(error).strip().splitlines()[0]
+    key = re.match(r"Could not override '([^']+)'", said)
+    if re.match("no viable|mismatched|missing|extraneous|token recognition", said):
+        at = re.search(r"at input '([^']*)'", str(error))
+        unread = next((word for word in sys.argv[1:] if at and at[1] in word), "The command line")
+        return f"{unread}: it cannot be read. Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
+    if key is None:
+        said = "\n".join(line for line in str(error).splitlines() if line.strip() and "provider" not in line)
+        return said.removesuffix("Config search path:").strip()
+    GlobalHydra.instance().clear()
+    groups = [word for word in sys.argv[1:] if (CONF / word.partition("=")[0].lstrip("+")).is_dir()]
+    names = list(flat(composed(groups)))
+    near = difflib.get_close_matches(key[1], names, 1)
+    remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
+    remedy = f"It is one of {' and '.join(there)}." if (there := _options_with(key[1])) else remedy
+    return f"{key[1]} (command line): there is no such setting. {remedy}"
+
+
+def _options_with(name: str) -> list[str]:
+    """Options of a group that have a setting which those of this call have not: `estimate=random_search` for
+    `estimate.beta`."""
+    group, _, inner = name.partition(".")
+    line = re.compile(rf"^{re.escape(inner)}:", re.M)
+    files = sorted((CONF / group).glob("*.yaml")) if inner else []
+    return [f"{group}={file.stem}" for file in files if line.search(file.read_text(encoding="utf-8"))]

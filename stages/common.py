@@ -30,6 +30,11 @@ def mad_sigma(values: np.ndarray, axis: int | None = None) -> np.ndarray:
     return NORMAL * np.asarray(np.median(np.abs(values), axis=axis), dtype=float)
 
 
+def rms(values: np.ndarray) -> float:
+    """Root mean square of values of any shape, in their unit; NaN of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else float("nan")
+
+
 def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     """Indices of the points of each place, in the order of time, at most one a frame.
 

@@ -38,7 +38,9 @@ def hit_test(seen: Points, target: Box, obstacles: Sequence[Box], duration: floa
     alone would miss a hit. Obstacles are judged by the frames alone.
     """
     touched = touching(seen.points, obstacles, duration)
-    fine, way = _way(seen.readings, duration)
+    t = seen.readings.loc[seen.readings["valid"].astype(bool), "t"].to_numpy()
+    fine = np.arange(max(t[0], 0.0), min(t[-1], duration) + FINE / 2, FINE) if len(t) else np.empty(0)
+    way = tip_way(seen.readings, fine)
     if not np.isfinite(way).any():
         return Verdict(False, np.nan, np.nan, len(touched))
     inside = np.concatenate([[False], target.crossed(way[:-1], way[1:])])
@@ -58,16 +60,16 @@ def touching(points: pd.DataFrame, obstacles: Sequence[Box], duration: float) ->
     return np.unique(t[1:][np.any(crossed, axis=0)]) if crossed and len(t) else np.empty(0)
 
 
-def _way(readings: pd.DataFrame, duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fine times of the movement (K,) [s] and the tip there (K, 2) [m], NaN where it is not known."""
+def tip_way(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
+    """The tip at times (K,) [s], (K, 2) [m]: by a cubic through the readings, and carried on beyond them; NaN in gaps
+    that are too long to guess, and where fewer than two were read. readings: table READINGS."""
     good = readings[readings["valid"].astype(bool)]
-    t, tip = good["t"].to_numpy(), good[["tip_x", "tip_y"]].to_numpy()
-    if len(t) < 2:
-        return np.empty(0), np.empty((0, 2))
-    fine = np.arange(max(t[0], 0.0), min(t[-1], duration) + FINE / 2, FINE)
-    gap = np.diff(t)[np.clip(np.searchsorted(t, fine, side="right") - 1, 0, len(t) - 2)]
-    known = gap <= longest_gap(readings)
-    return fine, np.where(known[:, None], CubicSpline(t, tip)(fine), np.nan)
+    read = good["t"].to_numpy()
+    if len(read) < 2:
+        return np.full((len(t), 2), np.nan)
+    gap = np.diff(read)[np.clip(np.searchsorted(read, t, side="right") - 1, 0, len(read) - 2)]
+    way = CubicSpline(read, good[["tip_x", "tip_y"]])(t)
+    return np.where((gap <= longest_gap(readings))[:, None], way, np.nan)
 
 
 def longest_gap(readings: pd.DataFrame) -> float:

@@ -16,12 +16,12 @@ from omegaconf import OmegaConf
 from stringcast.data import dataset
 from stringcast.data.artifacts import PARAMETERS
 from stringcast.data.store import read_table, write_text
-from stringcast.pipeline.complaint import refusal
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.filmed import refuse_source
-from stringcast.pipeline.inherited import EXTENDED, extended_model, with_inherited_settings
+from stringcast.pipeline.inherited import EXTENDED, extended_model, put_back, with_inherited_settings
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.settings import UserError, composed, flat, names_given
+from stringcast.pipeline.settings import UserError, composed, names_given
+from stringcast.pipeline.terminal import refusal
 from stringcast.stages.export.mjcf import mjcf
 from stringcast.stages.model.model import Model
 
@@ -88,8 +88,7 @@ def prepared(words: Sequence[str], string: KnownString | None, **given: Any) -> 
     whole = asked.copy()
     for block, value in ({} if string is None else string.settings).items():
         OmegaConf.update(whole, block, value, merge=True)
-    for name in sorted(names & set(flat(OmegaConf.to_container(asked)))):
-        OmegaConf.update(whole, name, OmegaConf.select(asked, name))
+    put_back(whole, asked, names)
     settings = with_inherited_settings(whole, names)
     refuse_source(settings, names)
     return prepare(settings, lambda block: f"conf/{block} or this call")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import ast
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import import_module
 from keyword import iskeyword
 from pathlib import Path
@@ -49,18 +48,12 @@ def paths(command: Callable[[list[str]], int], arguments: list[str], **meanings:
     return [*vars(parser.parse_args(arguments)).values()]
 
 
-@dataclass(frozen=True)
-class Command:
-    """main: from the words behind its name to the exit status. words: what it does."""
-
-    main: Callable[[list[str]], int]
-    words: str
-
-
-def command(name: str) -> Command:
-    """A command, loaded: some draw, which takes a second to load, and neither a run nor the help needs any."""
+def command(name: str) -> Callable[[list[str]], int]:
+    """A command, from the words behind its name to the exit status. It is loaded now: some draw, which takes a
+    second to load, and neither a run nor the help needs any."""
     module = import_module(f"stringcast.pipeline.commands.{_module(name)}")
-    return Command(getattr(module, name if name in PROVENANCE else "main"), _first_line(name))
+    main: Callable[[list[str]], int] = getattr(module, name if name in PROVENANCE else "main")
+    return main
 
 
 def listed() -> str:

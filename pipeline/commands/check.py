@@ -20,12 +20,11 @@ from rich.text import Text
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
-from stringcast.pipeline.called import as_called, called_as
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.provenance import code
 from stringcast.pipeline.settings import UserError, build, composed, names_given
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.terminal import Terminal, as_called, called_as
 from stringcast.stages.check.finding import full_stop
 from stringcast.stages.check.measured import Measured
 from stringcast.stages.check.overview import EFFECTS, found_from, overview

@@ -21,12 +21,11 @@ from stringcast.data.importers.gathered import Gathered, gathered
 from stringcast.data.importers.reader import Taken
 from stringcast.data.schema import DataError
 from stringcast.data.store import whole
-from stringcast.pipeline.called import called_as
 from stringcast.pipeline.commands import check
 from stringcast.pipeline.commands.import_options import bench_hints, column_hints, command, parser
 from stringcast.pipeline.importing import Imported, imported, written
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.terminal import Terminal, called_as
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import Measured
 from stringcast.stages.check.mistakes import Mistake, explanations, impossible

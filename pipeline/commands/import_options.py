@@ -12,11 +12,11 @@ from typing import Any
 
 from stringcast.data.importers.columns import LENGTHS
 from stringcast.data.importers.reader import ColumnHints
-from stringcast.pipeline.called import called_as
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.importing import BenchHints
 from stringcast.pipeline.mistakes import FARTHEST
 from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.terminal import called_as
 
 EXAMPLES = """\
 examples:

@@ -9,10 +9,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stringcast.data.store import write_text
-from stringcast.pipeline.called import called_as
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.settings import CONF, UserError
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.terminal import Terminal, called_as
 
 ROOMS = CONF.parent
 NAME = re.compile(r"[a-z][a-z0-9_]*")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from graphlib import TopologicalSorter
@@ -112,43 +112,38 @@ def why(arguments: list[str]) -> int:
     (place,) = paths(why, arguments, place="a run's folder, or that of one step: <run>/iterations/01/estimate")
     folder = run_of(place)
     asked = place.resolve().relative_to(folder.resolve()).as_posix()
-    states = [state for state in states_of(stored_settings(folder), folder) if asked in (".", state.place)]
-    if not states:
+    states = states_of(stored_settings(folder), folder)
+    shown = {name: states[name] for name in sorted(states, key=lambda name: Path(name).parent) if asked in (".", name)}
+    if not shown:
         known = ", ".join(sorted({stage.folder for stage in stages().values()}))
         raise UserError(
             f"{place}: there is no such step; a study and a calibration have none. Name the folder of another run, or "
             f"of a step: iterations/<number>/<one of {known}>."
         )
-    for state in states:
-        _say(f"{state.place}: {state.state}", state.reasons)
-    return 1 if any(state.reasons for state in states) else 0
+    for name, (state, reasons) in shown.items():
+        _say(f"{name}: {state}", reasons)
+    return 1 if any(reasons for _, reasons in shown.values()) else 0
 
 
-@dataclass(frozen=True)
-class StepState:
-    """A step's folder within its run, whether it is FRESH, STALE, KEPT or MISSING, and why."""
-
-    place: str
-    state: str
-    reasons: tuple[str, ...]
-
-
-def states_of(settings: Mapping[str, Any], folder: Path) -> list[StepState]:
-    """States of all steps of a run, each after its inputs, and the step that an unfinished run lacks next. settings:
-    the run's."""
+def states_of(settings: Mapping[str, Any], folder: Path) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """FRESH, STALE, KEPT or MISSING, and why, of each step of a run after its inputs, and of the step that an
+    unfinished cast lacks next; by their folders within the run. settings: the run's."""
     known = {stage.folder for stage in stages().values()}
-    places = [place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known]
-    names = {place.relative_to(folder).as_posix(): place for place in sorted(places)}
+    places = sorted(place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known)
+    names = {place.relative_to(folder).as_posix(): place for place in places}
     inputs = {name: [one for one in _inputs(place) if one in names] for name, place in names.items()}
-    states: dict[str, StepState] = {}
+    states: dict[str, tuple[str, tuple[str, ...]]] = {}
     for name in TopologicalSorter(inputs).static_order():
-        above = [states[one] for one in inputs[name]]
-        stale = (f"{one.place}, an input, is stale" for one in above if one.state == STALE)
+        stale = (f"{one}, an input, is stale" for one in inputs[name] if states[one][0] == STALE)
         reasons = (*reasons_of(folder, names[name], settings), *stale)
         moved = performed(settings, folder, int(names[name].parent.name), names[name].name)
-        states[name] = StepState(name, FRESH if not reasons else KEPT if moved else STALE, reasons)
-    by_iteration = sorted(states.values(), key=lambda state: Path(state.place).parent)
-    return [*by_iteration, *_missing(settings, folder, len({place.parent for place in places}))]
+        states[name] = FRESH if not reasons else KEPT if moved else STALE, reasons
+    last = max(len({place.parent for place in places}), 1)
+    needed = [stages()[name].folder for name in settings["mode"].get("stages", ()) if name in stages()]
+    lacking = [place for name in needed if not (folder / (place := place_of(last, name))).is_dir()]
+    if lacking and not (folder / ENDED).exists():
+        states[lacking[0].as_posix()] = MISSING, ("it has not been made yet",)
+    return states
 
 
 def _inputs(place: Path) -> Mapping[str, str]:
@@ -157,15 +152,6 @@ def _inputs(place: Path) -> Mapping[str, str]:
         return store.origin_of(place).get("inputs", {})
     except (DataError, *store.UNREADABLE):
         return {}
-
-
-def _missing(settings: Mapping[str, Any], folder: Path, iterations: int) -> Iterator[StepState]:
-    """The first step of its last iteration that an unfinished cast lacks."""
-    names = settings["mode"].get("stages", ())
-    places = [place_of(max(iterations, 1), stages()[name].folder) for name in names if name in stages()]
-    lacking = [place for place in places if not (folder / place).is_dir()]
-    if lacking and not (folder / ENDED).exists():
-        yield StepState(lacking[0].as_posix(), MISSING, ("it has not been made yet",))
 
 
 # --- diff ---------------------------------------------------------------------------------------
@@ -208,35 +194,30 @@ def facts(run: Path) -> dict[str, dict[str, Any]]:
 def lineage(arguments: list[str]) -> int:
     """Show what made a file: back through its inputs to settings, seed, code and packages."""
     (file,) = paths(lineage, arguments, file="a file of a run, or a step's folder")
-    tree, grown = Tree(Text(str(file))), Lineage()
-    grown.grow(tree, file.resolve(), run_of(file))
+    tree = Tree(Text(str(file)))
+    changed = _grow(tree, file.resolve(), run_of(file), set())
     Terminal(highlight=False).print(tree)
-    return 1 if grown.changed else 0
+    return 1 if changed else 0
 
 
-@dataclass
-class Lineage:
-    """The state of a tree of origins as it grows. changed: inputs that are not as they were. shown: places and lines,
-    which are not shown twice."""
-
-    changed: list[str] = field(default_factory=list)
-    shown: set[Path | str] = field(default_factory=set)
-
-    def grow(self, tree: Tree, place: Path, run: Path) -> None:
-        """Add the origin of `place`, in the folder of `run`, to a tree, and the origins of its inputs."""
-        made = {} if place in self.shown else _made(place, run)
-        words = [line for line in _words(made) if line not in self.shown] if made else []
-        for line in words:
-            tree.add(Text(line))
-        self.shown |= {place, *words}
-        for name, digest in made.get("inputs", {}).items():
-            there = next((path.resolve() for path in (run / name, Path(name)) if path.exists()), None)
-            state = _state(there, digest)
-            self.changed += [name] if state else []
-            branch = tree.add(Text(f"{name}{state}{' (see above)' if there in self.shown else ''}"))
-            if there is not None:
-                home = next((up for up in (there, *there.parents) if (up / "config.json").is_file()), run)
-                self.grow(branch, there, home)
+def _grow(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bool:
+    """Add the origin of `place`, in the folder of `run`, to a tree, and the origins of its inputs; whether one of these
+    is not as it was. shown: places and lines, which are not shown twice."""
+    made = {} if place in shown else _made(place, run)
+    words = [line for line in _words(made) if line not in shown] if made else []
+    for line in words:
+        tree.add(Text(line))
+    shown |= {place, *words}
+    changed = False
+    for name, digest in made.get("inputs", {}).items():
+        there = next((path.resolve() for path in (run / name, Path(name)) if path.exists()), None)
+        state = _state(there, digest)
+        branch = tree.add(Text(f"{name}{state}{' (see above)' if there in shown else ''}"))
+        changed |= bool(state)
+        if there is not None:
+            home = next((up for up in (there, *there.parents) if (up / "config.json").is_file()), run)
+            changed |= _grow(branch, there, home, shown)
+    return changed
 
 
 def _made(place: Path, run: Path) -> dict[str, Any]:

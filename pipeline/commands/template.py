@@ -11,10 +11,9 @@ from stringcast.data.dataset import with_trial
 from stringcast.data.metadata import NAME
 from stringcast.data.schema import Table
 from stringcast.data.store import whole
-from stringcast.pipeline.called import called_as
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.settings import UserError
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.terminal import Terminal, called_as
 
 ABOUT = """\
 # A dataset: one string, several trials. All is in metres, seconds and radians, x to the right, y up, angles

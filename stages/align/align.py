@@ -18,7 +18,7 @@ from stringcast.stages.align.grasp import from_points
 from stringcast.stages.align.lookalike import LAG, OFFSET, likelihood, most_lag
 from stringcast.stages.align.outline import from_films
 from stringcast.stages.align.refuse import refuse_fit, refuse_sight, speed
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Progress, rms
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import Call
@@ -76,11 +76,6 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
         "extended": yaml.safe_dump(settings(model, measured, fit), sort_keys=False),
     }
     return Alignment(measured, seen_table(problem, before, after), alike, ALIGNED.check(pd.DataFrame([row])))
-
-
-def rms(off: np.ndarray) -> float:
-    """Root mean square of residuals of any shape, in their unit."""
-    return float(np.sqrt(np.mean(off**2)))
 
 
 def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:

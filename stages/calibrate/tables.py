@@ -14,6 +14,7 @@ from stringcast.data.calibration import CORNERS, MEASURED, OUTCOME, VIEWS, Calib
 from stringcast.stages.calibrate.acceptance import Solution
 from stringcast.stages.calibrate.fit import values_of
 from stringcast.stages.calibrate.views import View
+from stringcast.stages.common import rms
 from stringcast.stages.model.camera import Camera
 
 LENS = (
@@ -100,7 +101,7 @@ def _outcome(solution: Solution, reason: str) -> dict[str, object]:
         "width": solution.size[0],
         "height": solution.size[1],
         "rms": solution.lens.rms,
-        "held_out_rms": float(np.sqrt(np.mean(solution.alone**2))),
+        "held_out_rms": rms(solution.alone),
         "plane_rms": solution.plane_rms,
         "coverage": float(solution.filled.mean()),
         "spread": solution.spread,

@@ -46,10 +46,6 @@ class Draws:
         """Some of the draws, in the order of their numbers."""
         return Draws(self.values[chosen], self.amplitude[chosen], self.lag[chosen], self.off[chosen])
 
-    def of_the_string(self) -> Draws:
-        """The draws of the string with nothing else uncertain."""
-        return Draws(self.values, 0 * self.amplitude, 0 * self.lag, 0 * self.off)
-
 
 def drawn(
     model: Model, estimate: Estimate | None, uncertainty: Uncertainty, count: int, rng: np.random.Generator

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stringcast.stages.common import rms
 from stringcast.stages.generate.chance import Task, between, simulated
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.draws import Draws
@@ -25,8 +26,9 @@ def predictive_sd(task: Task, curves: Curves, draws: Draws, interest: int) -> np
 
     curves: M motions. interest: the number of one. Infinite for a motion on which a simulation fails.
     """
-    sigma = max(LEAST, float(np.sqrt(np.mean(draws.off**2))))
-    draws = draws.of_the_string()  # by few draws, what is chance would look like what the string does
+    sigma = max(LEAST, rms(draws.off))
+    # Of the string alone: by few draws, what is chance would look like what the string does.
+    draws = Draws(draws.values, *(0 * part for part in (draws.amplitude, draws.lag, draws.off)))
     chi = np.stack([p.chi(draws.values[:, i]) for i, p in enumerate(task.model.parameters)], axis=-1)
     exponents = (chi - chi.mean(axis=0))[:, np.ptp(chi, axis=0) > 0]  # (K, P), of parameters that draws do not share
     covariance = exponents.T @ exponents / len(draws) + RIDGE * np.eye(exponents.shape[1])

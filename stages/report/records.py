@@ -12,17 +12,14 @@ import numpy as np
 import pandas as pd
 import yaml
 from matplotlib.figure import Figure
-from scipy.interpolate import CubicSpline
 
 from stringcast.data.artifacts import JOINTS, Diagnosis, Estimate, Motion, Observation, Points, Trial
-from stringcast.stages.hit_test import Verdict, longest_gap
+from stringcast.stages.hit_test import Verdict, tip_way
 from stringcast.stages.inference.forward import motion_of
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
-from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String
 from stringcast.stages.report.outcomes import OUTCOMES, Outcome, parameter
 
 
@@ -85,13 +82,9 @@ class Cast:
     def tip(self, t: np.ndarray) -> np.ndarray:
         """The tip's way as it is judged, a cubic through the readings. t: (K,) [s]. Returns (K, 2) [m];
         NaN outside the readings and in gaps that are too long to guess."""
-        good = self.points.readings[self.points.readings["valid"].astype(bool)]
-        if len(good) < 2:
-            return np.full((len(t), 2), np.nan)
-        read = good["t"].to_numpy()
-        gap = np.diff(read)[np.clip(np.searchsorted(read, t, side="right") - 1, 0, len(read) - 2)]
-        way = CubicSpline(read, good[["tip_x", "tip_y"]], extrapolate=False)(t)
-        return np.where((gap <= longest_gap(self.points.readings))[:, None], way, np.nan)
+        read = self.points.readings.loc[self.points.readings["valid"].astype(bool), "t"]
+        inside = (t >= read.min()) & (t <= read.max())
+        return np.where(inside[:, None], tip_way(self.points.readings, t), np.nan)
 
     def joints(self, arm: Arm) -> np.ndarray:
         """Base, joints and hand as measured, (K, J + 1, 2) [m]."""
@@ -113,21 +106,6 @@ class Record:
     config: Mapping[str, Any]
     made_by: Mapping[str, Any]
     following: Sequence[tuple[str, str]] = ()
-
-    @property
-    def arm(self) -> Arm:
-        """The model's arm."""
-        return self.model.arm
-
-    @property
-    def camera(self) -> Camera:
-        """The model's camera."""
-        return self.model.camera
-
-    @property
-    def string(self) -> String:
-        """The model's string."""
-        return self.model.string
 
 
 def cast_record(

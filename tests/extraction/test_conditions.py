@@ -18,8 +18,9 @@ from stringcast.hardware.virtual.conditions.camera import Shake
 from stringcast.hardware.virtual.conditions.condition import exposed, film
 from stringcast.hardware.virtual.conditions.light import Flicker
 from stringcast.hardware.virtual.conditions.pose import Across, Loop
-from stringcast.pipeline.studies.extraction import Cell, compared, read, shares, take
-from stringcast.pipeline.studies.extraction.pictures import overview
+from stringcast.pipeline.studies.extraction.films import Cell, read, take
+from stringcast.pipeline.studies.extraction.scores import compared, shares
+from stringcast.pipeline.studies.extraction.study import overview
 from stringcast.stages.extract.centreline import Line
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.quality import length_beside, longest_run

@@ -9,8 +9,8 @@ import yaml
 from conftest import ROOT, specimen
 
 from stringcast.hardware.virtual.conditions import CONDITIONS
-from stringcast.pipeline.studies.extraction import Cell, read, take
 from stringcast.pipeline.studies.extraction import footage as real
+from stringcast.pipeline.studies.extraction.films import Cell, read, take
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import uncovered

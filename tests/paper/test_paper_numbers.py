@@ -7,7 +7,7 @@ from hydra.utils import get_object
 
 from stringcast.pipeline.settings import CONF, composed
 from stringcast.pipeline.studies.paper.finish import finish
-from stringcast.pipeline.studies.paper.numbers import numbers, of
+from stringcast.pipeline.studies.paper.scores import numbers, of
 from stringcast.stages.model.string import String
 from stringcast.stages.report.records import LABELS
 

@@ -15,11 +15,11 @@ from matplotlib.image import imread
 
 from stringcast.data.dataset import read
 from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
-from stringcast.pipeline.provenance import state
+from stringcast.pipeline.provenance import code
 from stringcast.pipeline.settings import composed
-from stringcast.pipeline.studies.blind.bench import OneBench
 from stringcast.pipeline.studies.blind.pictures import pictures
 from stringcast.pipeline.studies.blind.scores import TABLES, calibration_error, scores
+from stringcast.pipeline.studies.blind.study import OneBench
 from stringcast.pipeline.studies.blind.verdicts import answered, beliefs, confidence, correct
 from stringcast.pipeline.studies.counts import counted
 from stringcast.pipeline.studies.engine import all_made, kept
@@ -223,7 +223,7 @@ def test_a_study_goes_on_where_it_stopped_whatever_the_number_of_processes(tmp_p
     assert timeless(rows) == timeless(one_bench(seed, tmp_path / "b", Bench, looked) for seed in seeds)
     assert [one["truth"]["kind"] for one in rows] == ["effect", "effect", "none"]
     assert all(correct(one) for one in rows)
-    assert {(one["version"], one["code"]) for one in rows} == {(LATEST, state())}
+    assert {(one["version"], one["code"]) for one in rows} == {(LATEST, code()["commit"])}
     assert not list((tmp_path / "a" / "datasets" / "00001").glob("*.json"))
 
 

@@ -91,7 +91,7 @@ def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
     )
     assert "iterations/01/points: the same to the bit" in outcome.lines
     assert "iterations/02/estimate: DIFFERS" in outcome.lines  # made from points that are not there any more
-    assert any("input iterations/02/points has another content" in line for line in outcome.lines)
+    assert any("input iterations/02/points has changed" in line for line in outcome.lines)
 
 
 def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
@@ -203,7 +203,7 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     assert "iterations/02/motion: stale iterations/01/estimate, an input, is stale" in said
     change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
     status, said = asked(capsys, "why", run / "iterations/01/estimate")
-    assert "input iterations/01/points has another content" in said
+    assert "input iterations/01/points has changed" in said
     assert "motion" not in said
     real = provenance.origin
     monkeypatch.setattr(
@@ -339,7 +339,7 @@ def test_every_command_has_a_help_and_is_listed(capsys):
     for name in commands.NAMES:
         command = commands.command(name)
         with pytest.raises(SystemExit) as stopped:
-            command.main(["--help"])
+            command(["--help"])
         assert stopped.value.code == 0
         said = re.sub(r"\s+", " ", capsys.readouterr().out)
         assert re.sub(r"\s+", " ", command.words) in said

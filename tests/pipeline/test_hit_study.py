@@ -17,7 +17,8 @@ from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.settings import composed
 from stringcast.pipeline.studies.hitting.executor import PointExecutor, measured
 from stringcast.pipeline.studies.hitting.job import lessons, model_found, settings
-from stringcast.pipeline.studies.hitting.scores import TABLES, scores, sentence
+from stringcast.pipeline.studies.hitting.scores import TABLES, scores
+from stringcast.pipeline.studies.hitting.study import HitStudy
 from stringcast.stages.hit_test import hit_test
 
 
@@ -53,7 +54,7 @@ def test_states_of_the_code_are_told_apart():
         table = pd.DataFrame([row | ({"code": code} if code else {}) for row, code in zip(rows, codes, strict=True)])
         tables = scores(table, 2)
         assert list(tables["casts"]["code"]) == [code or "unknown" for code in codes]
-        assert ("2 states of the code" in sentence(tables)) == pooled
+        assert ("2 states of the code" in HitStudy().sentence(tables)) == pooled
 
 
 def test_hits_are_counted_by_run():
@@ -72,7 +73,7 @@ def test_hits_are_counted_by_run():
     assert learned["all", "ours", 3] == pytest.approx((0.1 + 0.05) / 2)  # a run that has hit stays as it is
     predicted = tables["calibration"].iloc[0]
     assert (predicted["right"], predicted["count"], predicted["foretold"]) == (2, 3, pytest.approx(0.8))
-    assert "paper: 0 %, 50 %, 50 % of 2 runs" in sentence(tables)
+    assert "paper: 0 %, 50 %, 50 % of 2 runs" in HitStudy().sentence(tables)
     for name, table in tables.items():
         TABLES[name].check(table)
 

@@ -5,11 +5,10 @@ import re
 
 import pytest
 
-from stringcast.pipeline.called import by_the_other_method, called_as
-from stringcast.pipeline.console import show
+from stringcast.pipeline.console import by_the_other_method, show
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import composed
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.terminal import Terminal, called_as
 
 PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
 

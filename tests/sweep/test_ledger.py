@@ -1,7 +1,6 @@
 """The ledger and its launchers with a stand-in for the pipeline, so that a job takes a blink: what is killed, claimed
 twice, failed, or left is told apart and loses nothing. Measured: a stand-in takes 0.05 s, and each test a second or two."""
 
-import importlib
 import json
 import os
 import signal
@@ -16,6 +15,7 @@ import pandas as pd
 import pytest
 
 from stringcast.data.schema import DataError
+from stringcast.pipeline.sweep import launchers
 from stringcast.pipeline.sweep.attempt import Attempt, complaint, ended
 from stringcast.pipeline.sweep.finish import finish
 from stringcast.pipeline.sweep.launcher import LedgerLauncher
@@ -93,7 +93,7 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(name
     if name == "ray":
         settings = settings | {"address": request.getfixturevalue("cluster")}
     ledger, keys = entered(tmp_path / "sweep", 0, 1, 2, 3, 5)
-    launch = importlib.import_module(f"stringcast.pipeline.sweep.launchers.{name}").launch
+    launch = getattr(launchers, name)
     ended_keys = list(launch([Attempt(ledger.folder, key, stand_in) for key in keys], threads=2, **settings))
     assert sorted(ended_keys) == sorted(keys)
     assert states(ledger) == {0: DONE, 1: DONE, 2: FAILED, 3: FAILED, 5: DONE}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import pandas as pd
 from omegaconf import OmegaConf
@@ -17,14 +18,16 @@ from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import DataError
 from stringcast.hardware.virtual import laboratory
-from stringcast.hardware.virtual.blind import draw
+from stringcast.hardware.virtual.blind import LATEST, draw
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import with_inherited_settings
+from stringcast.pipeline.provenance import code
 from stringcast.pipeline.settings import build
-from stringcast.pipeline.studies.blind.bench import Draw, OneBench
 from stringcast.pipeline.studies.blind.pictures import pictures
 from stringcast.pipeline.studies.blind.scores import OWN, TABLES, scores
-from stringcast.pipeline.studies.engine import Study
+from stringcast.pipeline.studies.engine import Study, StudyJob
+
+FAILED = "failed"  # verdict on a bench whose diagnosis raised
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,45 @@ class BlindSettings:
     kind: Literal["none", "single", "pair", "triple", "outside"] | None = None
 
 
+class Bench(Protocol):
+    """A bench with an envelope; see `hardware.virtual.blind` and `hardware.virtual.laboratory`."""
+
+    def write(self, folder: Path) -> None:
+        """Write what was measured."""
+
+    def envelope(self, path: Path) -> None:
+        """Write what is really so."""
+
+
+@dataclass(frozen=True)
+class OneBench(StudyJob):
+    """A row of the study: the hidden cause of the bench of a seed, and the diagnosis."""
+
+    seed: int
+    folder: Path
+    draw: Callable[[int], Bench]
+    diagnose: Callable[[Path], Mapping[str, Any]]
+
+    @property
+    def name(self) -> str:
+        return f"{self.seed:05d}"
+
+    def __call__(self) -> dict[str, Any]:
+        """The row: one bench must not stop the others, and counts as wrong where the diagnosis raises."""
+        dataset, envelope = self.folder / "datasets" / self.name, self.folder / "envelopes" / f"{self.name}.json"
+        bench = self.draw(self.seed)
+        bench.write(dataset)
+        bench.envelope(envelope)
+        begun = time.perf_counter()
+        try:
+            said = self.diagnose(dataset)
+        except Exception as error:
+            said = {"verdict": FAILED, "error": f"{type(error).__name__}: {error}"}
+        row = {"seed": self.seed, "runtime": time.perf_counter() - begun, "diagnosis": said}
+        truth = json.loads(envelope.read_text(encoding="utf-8"))
+        return row | {"truth": truth, "version": truth.get("version", LATEST), "code": code()["commit"]}
+
+
 @dataclass(frozen=True)
 class BlindStudy(Study):
     """Benches that hide a cause: drawn, diagnosed, and only then their envelopes opened."""
@@ -50,7 +92,7 @@ class BlindStudy(Study):
     def jobs(self, experiment: Experiment, folder: Path) -> list[OneBench]:
         """A bench for each seed."""
         asked = build(BlindSettings, experiment.config[self.BLOCK], self.BLOCK, "conf/config.yaml")
-        drawn: Draw = partial(draw, arm=experiment.arm, camera=experiment.camera)
+        drawn: Callable[[int], Bench] = partial(draw, arm=experiment.arm, camera=experiment.camera)
         if asked.laboratory != OWN:
             drawn = partial(laboratory.drawn, asked.laboratory, kind=asked.kind)
         asks = partial(diagnosed, config=experiment.config)

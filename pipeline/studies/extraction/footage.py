@@ -21,6 +21,7 @@ from stringcast.data.images import ImageFiles, Video
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.provenance import origin
 from stringcast.pipeline.studies.extraction.scores import why
+from stringcast.stages.common import rms
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.model.camera import Camera
@@ -80,12 +81,12 @@ def _agreement(found: Points, table: pd.DataFrame) -> dict[str, float]:
         x, y = (np.interp(real["s"], rows["s"], rows[c]) for c in ("x", "y"))
         frames.append(1e3 * np.hypot(x - real["x"], y - real["y"]).to_numpy())
         tips.append(frames[-1][-1])
-    rms = [float(np.sqrt(np.mean(some**2))) for some in frames]
+    each = [rms(some) for some in frames]
     return {
-        "rms_mm": float(np.sqrt(np.mean(np.square(rms)))),
+        "rms_mm": rms(np.array(each)),
         "median_mm": float(np.median(np.concatenate(frames))),
-        "worst_mm": max(rms),
-        "tip_rms_mm": float(np.sqrt(np.mean(np.square(tips)))),
+        "worst_mm": max(each),
+        "tip_rms_mm": rms(np.array(tips)),
     }
 
 

@@ -14,6 +14,7 @@ from stringcast.data.artifacts import Points
 from stringcast.data.schema import Column, Table
 from stringcast.hardware.virtual.conditions import Shot
 from stringcast.pipeline.studies.extraction.films import Cell, Take
+from stringcast.stages.common import rms
 
 WRONG_PX = 3.0  # [px]
 WRONG_SIGMAS = 5.0  # of the standard deviation that is stated
@@ -89,19 +90,15 @@ def _off(rows: pd.DataFrame, true: np.ndarray, px_per_m: float) -> dict[str, flo
     line = np.linalg.norm(points[:, None] - curve[None], axis=-1).min(axis=1) * px_per_m
     place = np.linalg.norm(points - places, axis=-1) * px_per_m
     return {
-        "line_px": _rms(line),
-        "line_mm": _rms(line) / px_per_m * 1e3,
-        "place_px": _rms(place),
+        "line_px": rms(line),
+        "line_mm": rms(line) / px_per_m * 1e3,
+        "place_px": rms(place),
         "tip_px": place[-1],
-        "line_stated_px": _rms(sigma),
+        "line_stated_px": rms(sigma),
         "tip_stated_px": sigma[-1],
-        "line_sigmas": _rms(line / sigma),
+        "line_sigmas": rms(line / sigma),
         "tip_sigmas": place[-1] / sigma[-1],
     }
-
-
-def _rms(x: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(x))))
 
 
 def shares(frames: pd.DataFrame) -> pd.DataFrame:

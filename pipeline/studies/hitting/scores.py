@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import pandas as pd
 
@@ -76,10 +74,15 @@ def scores(casts: pd.DataFrame, most: int) -> dict[str, pd.DataFrame]:
     runs = whole.assign(run=whole["case"] + whole["seed"].astype(str))
     both = pd.concat([runs, runs.assign(case=ALL)], ignore_index=True).groupby(["case", "method"], sort=False)
     rates = pd.concat([_rates(some, most).assign(case=c, method=m) for (c, m), some in both], ignore_index=True)
+    needed = [
+        {"case": case, "method": method, "casts": some.loc[some["share"] >= WANTED, "within"].min()}
+        | {"runs": some["count"].iloc[0]}
+        for (case, method), some in rates.groupby(["case", "method"], sort=False)
+    ]
     return {
         "casts": whole,
         "rates": rates,
-        "needed": _needed(rates),
+        "needed": pd.DataFrame(needed),
         "learned": pd.concat([_learned(some, most).assign(case=c, method=m) for (c, m), some in both]),
         "calibration": _calibration(whole),
     }
@@ -89,14 +92,6 @@ def _rates(casts: pd.DataFrame, most: int) -> pd.DataFrame:
     """The rows of RATES of one case and method."""
     first = casts["cast"].where(casts["hit"].astype(bool)).groupby(casts["run"]).min()
     return pd.DataFrame([{"within": within, **counted(first <= within)} for within in range(1, most + 1)])
-
-
-def _needed(rates: pd.DataFrame) -> pd.DataFrame:
-    rows = []
-    for (case, method), some in rates.groupby(["case", "method"], sort=False):
-        enough = some.loc[some["share"] >= WANTED, "within"].min()
-        rows.append({"case": case, "method": method, "casts": enough, "runs": some["count"].iloc[0]})
-    return pd.DataFrame(rows)
 
 
 def _learned(casts: pd.DataFrame, most: int) -> pd.DataFrame:
@@ -114,15 +109,3 @@ def _calibration(casts: pd.DataFrame) -> pd.DataFrame:
         for (m, i), some in predicted.groupby(["method", place], sort=False)
     ]
     return pd.DataFrame(rows) if rows else CALIBRATION.empty()
-
-
-def sentence(tables: Mapping[str, pd.DataFrame]) -> str:
-    """The study's rates in a sentence or two."""
-    rates = tables["rates"][tables["rates"]["case"] == ALL]
-    said = []
-    for method, some in rates.groupby("method", sort=False):
-        shares = ", ".join(f"{100 * share:.0f} %" for share in some["share"])
-        said.append(f"{method}: {shares} of {some['count'].iloc[0]} runs within 1 to {len(some)} casts")
-    codes = tables["casts"]["code"].nunique()
-    pooled = f" Runs are of {codes} states of the code: repeat the older." if codes > 1 else ""
-    return f"Hit: {'; '.join(said)}.{pooled}"

@@ -11,12 +11,12 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.provenance import state
+from stringcast.pipeline.provenance import code
 from stringcast.pipeline.settings import build
 from stringcast.pipeline.studies.engine import Study, StudyJob
 from stringcast.pipeline.studies.hitting.job import casts_of
 from stringcast.pipeline.studies.hitting.pictures import picture
-from stringcast.pipeline.studies.hitting.scores import TABLES, scores, sentence
+from stringcast.pipeline.studies.hitting.scores import ALL, TABLES, scores
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -63,7 +63,7 @@ class OneRun(StudyJob):
         """A row for each cast."""
         hits = self.config["hits"]
         rows = casts_of(self.config, hits["cases"][self.case], hits["methods"][self.method], self.seed)
-        return [row | {"code": state()} for row in rows]
+        return [row | {"code": code()["commit"]} for row in rows]
 
 
 @dataclass(frozen=True)
@@ -89,4 +89,11 @@ class HitStudy(Study):
         picture(tables, folder / "hits.png")
 
     def sentence(self, tables: Mapping[str, pd.DataFrame]) -> str:
-        return sentence(tables)
+        rates = tables["rates"][tables["rates"]["case"] == ALL]
+        said = []
+        for method, some in rates.groupby("method", sort=False):
+            shares = ", ".join(f"{100 * share:.0f} %" for share in some["share"])
+            said.append(f"{method}: {shares} of {some['count'].iloc[0]} runs within 1 to {len(some)} casts")
+        codes = tables["casts"]["code"].nunique()
+        pooled = f" Runs are of {codes} states of the code: repeat the older." if codes > 1 else ""
+        return f"Hit: {'; '.join(said)}.{pooled}"

@@ -45,16 +45,12 @@ def _tips(axes: Axes, table: pd.DataFrame, strings: list[str], column: str, labe
     """A row for each string, a mark for each set."""
     for laws, some in table.groupby("laws", sort=False):
         place = [strings.index(name) for name in some["string"]]
-        axes.plot(MM * some[column], place, "o", ms=5, color=_colour(table, str(laws)), label=str(laws))
+        alike = list(table.loc[table["string"] == some["string"].iloc[0], "laws"])  # sets of a string that has this one
+        colour = LIGHT[COLOURS[alike.index(laws) % len(COLOURS)]]
+        axes.plot(MM * some[column], place, "o", ms=5, color=colour, label=str(laws))
     axes.set(xlabel=label, xscale="log", ylim=(len(strings) - 0.5, -0.5))
     axes.set_xticks([1, 3, 10, 30], ["1", "3", "10", "30"])
     axes.set_yticks(range(len(strings)), strings)
-
-
-def _colour(table: pd.DataFrame, laws: str) -> str:
-    """The colour of a set of laws, by its place among those of a string that has it."""
-    string = table.loc[table["laws"] == laws, "string"].iloc[0]
-    return LIGHT[COLOURS[list(table.loc[table["string"] == string, "laws"]).index(laws) % len(COLOURS)]]
 
 
 def _over_time(axes: Axes, sets: Mapping[str, pd.DataFrame], trial: str) -> None:

@@ -15,7 +15,7 @@ from pydantic import Field
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.modes.stepwise import needs_trials
-from stringcast.pipeline.provenance import origin, state
+from stringcast.pipeline.provenance import code, origin
 from stringcast.pipeline.run import perform
 from stringcast.pipeline.settings import UserError, build, composed
 from stringcast.pipeline.studies.engine import Study, StudyJob
@@ -62,7 +62,8 @@ class OneFit(StudyJob):
         names = {"string": self.string, "laws": self.laws, "effects": ", ".join(family.sets[self.laws]["effects"])}
         row = names | scored(here, result) | {"authors_tip": family.authors.get(self.string)}
         used = os.times()
-        return row | {"cpu": used.user + used.system if whole else None, "code": state()[:7] + state()[40:]}
+        commit = code()["commit"]
+        return row | {"cpu": used.user + used.system if whole else None, "code": commit[:7] + commit[40:]}
 
 
 def place_of(folder: Path, string: str, laws: str) -> Path:

@@ -8,7 +8,6 @@ from stringcast.data.schema import Table
 from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.provenance import software
 from stringcast.pipeline.studies.paper import scores, shown
-from stringcast.pipeline.studies.paper.numbers import NUMBERS, numbers
 from stringcast.pipeline.sweep.finish import common
 from stringcast.pipeline.sweep.ledger import Job, Ledger
 from stringcast.stages.report.pages.paper import figures, paper_page
@@ -24,12 +23,12 @@ def finish(folder: Path) -> list[Job]:
     of_runs = scores.runs(ledger, jobs)
     of_casts, counted = scores.casts(ledger, of_runs), scores.pooled(of_runs)
     tables = {"runs": of_runs, "casts": of_casts, "rates": scores.rates(counted), "needed": scores.needed(counted)}
-    tables |= {"parameters": shown.parameters(folder, of_runs), "numbers": numbers()}
+    tables |= {"parameters": shown.parameters(folder, of_runs), "numbers": scores.numbers()}
     tables |= shown.shown(folder, shown.typical(of_runs), of_casts)
     made = software()
     for table in TABLES:
         write_table(table, tables[table.name], folder / f"{table.name}.parquet", {"step": "paper"} | made)
-    write_table(NUMBERS, tables["numbers"], folder / "numbers.parquet", {"step": "paper"} | made)
+    write_table(scores.NUMBERS, tables["numbers"], folder / "numbers.parquet", {"step": "paper"} | made)
     record = PaperRecord(tables, len(jobs), common(jobs), {"seed": "of each run"} | made)
     drawn = figures(record)
     for name, picture in drawn.items():

@@ -1,4 +1,5 @@
-"""How often it hit and how many manipulations that took, from the runs' own records."""
+"""How often it hit and how many manipulations that took, from the runs' own records; and the numbers that the paper
+prints of it, from one file, each with its place there."""
 
 from __future__ import annotations
 
@@ -13,10 +14,10 @@ from scipy.stats import quantile_test
 
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.studies.counts import counted
-from stringcast.pipeline.studies.paper.numbers import of
 from stringcast.pipeline.sweep.ledger import DONE, FAILED, Job, Ledger
 from stringcast.pipeline.sweep.table import factors
 
+FILE = Path(__file__).with_name("numbers.csv")
 NINE = tuple(f"{string}_{target}" for string in "ABC" for target in ("300_900", "400_700", "500_900"))
 CONDITION = "experiment/paper"  # the setting that names a job's experiment
 _EXPERIMENT = Column(
@@ -78,6 +79,30 @@ NEEDED = Table(
         Column("paper", "1", "what the paper needed in its one run; NaN where it does not say"),
     ),
 )
+
+NUMBERS = Table(
+    "numbers",
+    "numbers that the paper prints; units as printed, with Nm written N m",
+    (
+        Column("what", "", "minimum and maximum of Table 3, a column of Table 4, hit_at, or a setting", "text"),
+        Column("of", "", "parameter, string, or experiment", "text"),
+        Column("value", "", "as printed, in SI"),
+        Column("unit", "", "as printed", "text"),
+        Column("place", "", "in the paper", "text"),
+    ),
+)
+
+
+def numbers() -> pd.DataFrame:
+    """Table NUMBERS."""
+    return NUMBERS.check(pd.read_csv(FILE), str(FILE))
+
+
+def of(what: str) -> dict[str, float]:
+    """Values of one kind, by what they are of."""
+    table = numbers()
+    some = table[table["what"] == what]
+    return dict(zip(some["of"], some["value"], strict=True))
 
 
 def runs(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:

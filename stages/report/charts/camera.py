@@ -46,16 +46,9 @@ class View:
         return np.array([self.right - self.left, self.bottom - self.top])
 
 
-def spread_levels(image: np.ndarray, black_white: tuple[float, float], scale: float) -> np.ndarray:
-    """An image (height, width) with its levels spread, `scale` times as large, uint8."""
-    low, high = black_white
-    clear = np.clip((image.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
-    return cv2.resize(clear, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-
-
 def view(record: Record, world: np.ndarray, margin: float = 0.05) -> View:
     """The part of the image that shows world points. world: (N, 2), margin [m]; NaN is passed over."""
-    camera = record.camera
+    camera = record.model.camera
     seen = camera.pixels(world[np.isfinite(world).all(axis=1)])
     border = margin * camera.px_per_m
     whole = np.array([camera.width, camera.height])
@@ -66,9 +59,9 @@ def view(record: Record, world: np.ndarray, margin: float = 0.05) -> View:
 
 def whole_view(record: Record) -> View:
     """All that happened in a run, the same part for each of its casts."""
-    places = [np.array([record.arm.base]), corners(record.target), *map(corners, record.obstacles)]
+    places = [np.array([record.model.arm.base]), corners(record.target), *map(corners, record.obstacles)]
     for cast in record.casts:
-        places += [cast.joints(record.arm).reshape(-1, 2), *(line[:, :2] for line in cast.measured.values())]
+        places += [cast.joints(record.model.arm).reshape(-1, 2), *(line[:, :2] for line in cast.measured.values())]
     return view(record, np.concatenate(places))
 
 
@@ -96,8 +89,8 @@ def draw(axes: Axes, record: Record, cast: Cast, frame: int, part: View, lw: flo
     image = part.crop(cast.trial.images[frame])
     axes.imshow(image, cmap="gray", vmin=low, vmax=high, extent=extent, aspect="auto", zorder=0)
     for obstacle in record.obstacles:
-        axes.fill(*record.camera.pixels(corners(obstacle)).T, facecolor=ON_FRAMES["wall"], alpha=0.55)
-    axes.fill(*record.camera.pixels(corners(record.target)).T, fill=False, edgecolor=ON_FRAMES["target"], lw=lw)
+        axes.fill(*record.model.camera.pixels(corners(obstacle)).T, facecolor=ON_FRAMES["wall"], alpha=0.55)
+    axes.fill(*record.model.camera.pixels(corners(record.target)).T, fill=False, edgecolor=ON_FRAMES["target"], lw=lw)
     line(axes, record, cast.before[frame], color=ON_FRAMES["before"], lw=lw)
     line(axes, record, cast.after[frame], color=ON_FRAMES["after"], lw=lw)
 
@@ -105,20 +98,20 @@ def draw(axes: Axes, record: Record, cast: Cast, frame: int, part: View, lw: flo
 def line(axes: Axes, record: Record, world: np.ndarray, **style: Any) -> None:
     """A line through world points (K, 2) [m]; nothing where any is not finite."""
     if np.isfinite(world).all():
-        axes.plot(*record.camera.pixels(world).T, **style)
+        axes.plot(*record.model.camera.pixels(world).T, **style)
 
 
 def millimetres(axes: Axes, record: Record, part: View) -> None:
     """A grid every 100 mm with its coordinates; bent as the lens bends it."""
     box = np.array([[part.left, part.bottom], [part.right, part.bottom], [part.right, part.top], [part.left, part.top]])
-    seen = record.camera.world(box)
+    seen = record.model.camera.world(box)
     low, high = seen.min(axis=0), seen.max(axis=0)
     for axis in (0, 1):
         for at in np.arange(np.ceil(low[axis] / GRID), np.floor(high[axis] / GRID) + 1) * GRID:
             way = np.linspace(low, high, 40)
             way[:, axis] = at
             line(axes, record, way, color="white", alpha=0.14, lw=0.7)
-            _label(axes, record.camera.pixels(way), axis, f"{at * MM:.0f}", part)
+            _label(axes, record.model.camera.pixels(way), axis, f"{at * MM:.0f}", part)
     axes.annotate("mm", (1, 0), (-6, 5), "axes fraction", "offset points", ha="right", color="white", fontsize=8)
 
 
@@ -155,15 +148,12 @@ def overlay(record: Record, cast: Cast) -> Picture | None:
     line(axes, record, way[np.isfinite(way).all(axis=1)], color=ON_FRAMES["measured"], lw=0.9, ls=(0, (2, 2)))
     line(axes, record, cast.tip(np.array([cast.verdict.t])), color=ON_FRAMES["ink"], marker="o", ms=8, mfc="none")
     millimetres(axes, record, part)
-    return raster(figure, _alt(cast, frame))
-
-
-def _alt(cast: Cast, frame: int) -> str:
     known = np.isfinite(cast.verdict.distance)
     closest = f"{mm(cast.verdict.distance)} from its centre at {ms(cast.verdict.t, 1)}" if known else "never seen"
-    return (
+    return raster(
+        figure,
         f"Camera frame at {ms(cast.t[frame])}, with the target box and the string as measured and as simulated "
-        f"before and after estimation. The tip is {closest}."
+        f"before and after estimation. The tip is {closest}.",
     )
 
 
@@ -226,8 +216,11 @@ def choose(cast: Cast, most: int) -> list[int]:
 
 def _small(image: np.ndarray, black_white: tuple[float, float], scale: float) -> str:
     """A frame with its levels spread, never larger than it was filmed: the player enlarges it."""
+    low, high = black_white
+    clear = np.clip((image.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
     for smaller, quality in SMALLER:
-        data = webp(spread_levels(image, black_white, min(scale, 1.0) * smaller), quality)
+        share = min(scale, 1.0) * smaller
+        data = webp(cv2.resize(clear, None, fx=share, fy=share, interpolation=cv2.INTER_AREA), quality)
         if len(data) <= LARGEST:
             break
     return data_uri("webp", data)
@@ -237,4 +230,4 @@ def _pixels(record: Record, world: np.ndarray, part: View, scale: float) -> list
     """Pixels of the small picture (corner of the first at 0); empty where the simulation did not stay finite."""
     if not np.isfinite(world).all():
         return []
-    return np.round(part.pixels(record.camera, world, scale), 1).tolist()
+    return np.round(part.pixels(record.model.camera, world, scale), 1).tolist()

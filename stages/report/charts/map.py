@@ -128,7 +128,12 @@ def reach(jobs: pd.DataFrame, most: int) -> Picture:
         _mark(axes, x * MM, y * MM, casts, most)
     axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]", aspect="equal", adjustable="datalim")
     axes.margins(0.12)
-    return vector(figure, _reached(median))
+    hit, never, first = (int(some.sum()) for some in (np.isfinite(median), np.isinf(median), median == 1))
+    return vector(
+        figure,
+        f"Of {len(median)} targets {hit} were hit, {first} in the first cast; {never} were not, "
+        f"{median.isna().sum()} did not run.",
+    )
 
 
 def _lower_median(needed: pd.Series) -> float:
@@ -146,12 +151,3 @@ def _mark(axes: Axes, x: float, y: float, casts: float, most: int) -> None:
         shade = 1 - (1 - FAINTEST) * (casts - 1) / max(most - 1, 1)
         axes.plot(x, y, "s", color=LIGHT["after"], alpha=shade, mew=0, ms=18)
         axes.annotate(f"{casts:.0f}", (x, y), ha="center", va="center", fontsize=8, color=LIGHT["ink"])
-
-
-def _reached(median: pd.Series) -> str:
-    hit, never = int(np.isfinite(median).sum()), int(np.isinf(median).sum())
-    first = int((median == 1).sum())
-    failed = int(median.isna().sum())
-    return (
-        f"Of {len(median)} targets {hit} were hit, {first} in the first cast; {never} were not, {failed} did not run."
-    )

@@ -65,13 +65,12 @@ def _in_the_plane(axes: Axes, seen: Seen) -> None:
     axes.plot(*(tip * MM).T, color=LIGHT["measured"], lw=0.8, alpha=0.5, label="the tip's way")
     low, high = max(t[0], seen.hand_t[0]), min(t[-1], seen.hand_t[-1])
     for number, at in enumerate(np.linspace(low, max(high, low), POSES)):
-        strength = 1.0 if number == 0 else FAINT
+        strength, labels = (FAINT, (None, None)) if number else (1.0, ("arm", "string, as measured"))
         now = seen.points[seen.points["t"] == seen.frame_t[np.argmin(np.abs(seen.frame_t - at))]]
         hand = _at(seen, at)
         line = np.vstack([hand[-1], now[["x", "y"]].to_numpy()]) * MM
-        axes.plot(*(hand * MM).T, "o-", color=LIGHT["axis"], ms=3, lw=2.4, alpha=strength, label=_first(number, "arm"))
-        label = _first(number, "string, as measured")
-        axes.plot(*line.T, ".-", color=LIGHT["after"], ms=4, lw=1.2, alpha=strength, label=label)
+        axes.plot(*(hand * MM).T, "o-", color=LIGHT["axis"], ms=3, lw=2.4, alpha=strength, label=labels[0])
+        axes.plot(*line.T, ".-", color=LIGHT["after"], ms=4, lw=1.2, alpha=strength, label=labels[1])
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", adjustable="datalim")
     _legend(axes, 3)
 
@@ -79,11 +78,6 @@ def _in_the_plane(axes: Axes, seen: Seen) -> None:
 def _legend(axes: Axes, columns: int) -> None:
     """A legend above the axes, where it hides nothing."""
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
-
-
-def _first(number: int, label: str) -> str | None:
-    """A label for the first of several lines."""
-    return label if number == 0 else None
 
 
 def _at(seen: Seen, at: float) -> np.ndarray:

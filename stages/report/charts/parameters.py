@@ -57,17 +57,12 @@ def cause(effect: type[Effect], values: Mapping[str, float]) -> Picture:
     figure = Figure(figsize=(3.4, 2.5))
     axes = figure.subplots()
     effect.plot(axes, values)
-    _in_theme(axes)
-    return vector(figure, f"The law of {effect.name.replace('_', ' ')}: {effect.describe(values)}.")
-
-
-def _in_theme(axes: Axes) -> None:
-    """Grey lines and black arrows in colours that have a dark side."""
-    for line in axes.lines:
+    for line in axes.lines:  # an effect draws grey lines and black arrows; these colours have a dark side
         if line.get_color() in ("0.6", "0.7"):
             line.set_color(LIGHT["axis"])
     for arrows in axes.collections:
         arrows.set_facecolor(LIGHT["after"])
+    return vector(figure, f"The law of {effect.name.replace('_', ' ')}: {effect.describe(values)}.")
 
 
 BARS = 14  # effects drawn at most, the most promising

@@ -69,8 +69,8 @@ def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame
     at the same arc length."""
     frame = np.repeat(list(cast.measured), [len(line) for line in cast.measured.values()])
     x, y, s = np.concatenate(list(cast.measured.values())).T
-    place = np.clip(s / record.string.segment, 0, record.string.points - 1)
-    first = np.minimum(place.astype(int), record.string.points - 2)
+    place = np.clip(s / record.model.string.segment, 0, record.model.string.points - 1)
+    first = np.minimum(place.astype(int), record.model.string.points - 2)
     share = (place - first)[:, None]
     there = (1 - share) * simulated[frame, first] + share * simulated[frame, first + 1]
     return pd.DataFrame({"frame": frame, "s": s, "away": np.hypot(*(there - np.stack([x, y], axis=-1)).T)})
@@ -82,7 +82,7 @@ def _cells(axes: Axes, record: Record, cast: Cast, table: pd.DataFrame, furthest
     moments = np.append(cast.t - half, cast.t[-1] + half)
     if len(cast.t) > COLUMNS:
         moments = np.linspace(moments[0], moments[-1], COLUMNS + 1)
-    edges = np.linspace(0, max(record.string.length, table["s"].max()), CELLS + 1)
+    edges = np.linspace(0, max(record.model.string.length, table["s"].max()), CELLS + 1)
     places = (table["s"], cast.t[table["frame"]])
     total, count = (np.histogram2d(*places, (edges, moments), weights=w)[0] for w in (table["away"], None))
     with np.errstate(invalid="ignore"):

@@ -25,7 +25,7 @@ def path(record: Record, cast: Cast) -> Picture | None:
     if cast.trial.arm.empty:
         return None
     figure, axes = _plane_of(record)
-    joints = cast.joints(record.arm) * MM
+    joints = cast.joints(record.model.arm) * MM
     closest = cast.verdict.t if np.isfinite(cast.verdict.t) else cast.motion.duration
     for frame, alpha in ((0, 0.35), (int(np.argmin(np.abs(cast.trial.arm["t"].to_numpy() - closest))), 1.0)):
         axes.plot(*joints[frame].T, "-o", color=LIGHT["soft"], lw=3, ms=4, alpha=alpha)
@@ -45,10 +45,10 @@ def paths(record: Record) -> Picture | None:
         return None
     figure, axes = _plane_of(record)
     for number, cast in enumerate(record.casts, start=1):
-        hand = cast.joints(record.arm)[:, -1] * MM
+        hand = cast.joints(record.model.arm)[:, -1] * MM
         share = (number - 1) / max(len(record.casts) - 1, 1)
         axes.plot(*hand.T, color=LIGHT["after"], alpha=0.25 + 0.75 * share, lw=1 + share, label=f"cast {number}")
-    axes.plot(*np.array(record.arm.base) * MM, "s", ms=6, color=LIGHT["soft"])
+    axes.plot(*np.array(record.model.arm.base) * MM, "s", ms=6, color=LIGHT["soft"])
     _legend_above(figure, axes)
     return vector(figure, f"Way of the hand in {len(casts)} casts; {_where(record)}.")
 
@@ -65,9 +65,9 @@ def _plane_of(record: Record) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _box(box: Box, **style: object) -> Rectangle:
+def _box(box: Box, **style: Any) -> Rectangle:
     corner = ((box.x - box.w / 2) * MM, (box.y - box.h / 2) * MM)
-    return Rectangle(corner, box.w * MM, box.h * MM, **style)  # type: ignore[arg-type]
+    return Rectangle(corner, box.w * MM, box.h * MM, **style)
 
 
 def _legend_above(figure: Figure, axes: Axes) -> None:
@@ -205,7 +205,9 @@ def shapes(record: PaperRecord, casts: Sequence[tuple[str, int]]) -> Drawn | Non
         _cast_panel(axes, record, condition, number)
         axes.set_title(_title(record, condition, number), fontsize=8.5)
     panels[0].set_ylabel("y [mm]")
-    figure.legend(*_legend_of_kinds(panels[0]), loc="outside upper left", ncols=3)
+    handles = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
+    kinds = [name for name in CALLED.values() if name in handles]  # in this order
+    figure.legend([handles[name] for name in kinds], kinds, loc="outside upper left", ncols=3)
     said = [_title(record, *cast).replace("\n", ", ") for cast in casts]
     return Drawn(figure, f"Drawn are {'; '.join(said)}.")
 
@@ -213,11 +215,10 @@ def shapes(record: PaperRecord, casts: Sequence[tuple[str, int]]) -> Drawn | Non
 def boxes(axes: Axes, of: pd.DataFrame) -> None:
     """Target and obstacles. of: table boxes."""
     for box in of.itertuples():
-        corner = ((box.x - box.w / 2) * MM, (box.y - box.h / 2) * MM)
         target = box.kind == "target"
         look: dict[str, Any] = {"fc": LIGHT["wall"], "alpha": 0.5}
         look = {"fill": False, "ec": LIGHT["target"], "lw": 1.6} if target else look
-        axes.add_patch(Rectangle(corner, box.w * MM, box.h * MM, zorder=3, **look))
+        axes.add_patch(_box(Box(box.x, box.y, box.w, box.h), zorder=3, **look))
 
 
 def _cast_panel(axes: Axes, record: PaperRecord, condition: str, number: int) -> None:
@@ -238,13 +239,6 @@ def _title(record: PaperRecord, condition: str, number: int) -> str:
     verdict = record.verdict(condition, number)
     ended = "hit" if verdict["hit"] else f"missed by {mm(verdict['miss_m'])}"
     return f"{LABELS[condition]}\nmanipulation {number}, {ended}"
-
-
-def _legend_of_kinds(axes: Axes) -> tuple[list[Any], list[str]]:
-    """Handles and labels of the legend, in the order of CALLED, with the target."""
-    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    names = [name for name in CALLED.values() if name in handles]
-    return [handles[name] for name in names], names
 
 
 TARGETS = ("after", "before", "measured")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -130,8 +129,15 @@ def missing(record: DiagnosisRecord) -> Picture | None:
     rows = table[table["trial"].isin(shown)].groupby("trial")
     figure = Figure(figsize=(6.0, 0.7 + 1.25 * len(rows)))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    per_inch = float(table["size"].max()) / LONGEST
     for axes, (trial, part) in zip(panels, rows, strict=True):
-        _arrows(axes, part, float(table["size"].max()))
+        place = (part["t"] * MM, part["s"] * MM)
+        axes.plot(*place, ".", ms=1.5, color=LIGHT["axis"])
+        # angles: arrows point as the displacement does in the plane, x to the right and y up, whatever the axes' scales
+        look: dict[str, Any] = {"angles": "uv", "scale_units": "inches", "scale": per_inch, "width": 0.0022}
+        axes.quiver(*place, part["x"], part["y"], color=LIGHT["target"], **look)
+        axes.margins(0.06, 0.3)
+        axes.set_ylabel("s [mm]")
         axes.text(1.0, 1.0, trial, transform=axes.transAxes, ha="right", va="bottom", color=LIGHT["soft"])
     panels[-1].set_xlabel("time [ms]")
     top = table.loc[table["size"].idxmax()]
@@ -148,16 +154,6 @@ def latent(record: DiagnosisRecord, trial: str) -> Chart | None:
     largest = np.hypot(part["x"], part["y"]).groupby(part["t"]).max() * MM
     lines = [Line("largest along the string", largest.to_numpy(), "target")]
     return Chart("Unexplained", largest.index.to_numpy(), lines, "[mm]", f"What nothing explains in trial {trial}.")
-
-
-def _arrows(axes: Axes, part: pd.DataFrame, longest: float) -> None:
-    """Arrows point as the displacement does in the plane, x to the right and y up."""
-    place = (part["t"] * MM, part["s"] * MM)
-    axes.plot(*place, ".", ms=1.5, color=LIGHT["axis"])
-    arrows: dict[str, Any] = {"angles": "uv", "scale_units": "inches", "scale": longest / LONGEST, "width": 0.0022}
-    axes.quiver(*place, part["x"], part["y"], color=LIGHT["target"], **arrows)
-    axes.margins(0.06, 0.3)
-    axes.set_ylabel("s [mm]")
 
 
 # --- Fig. 14 of the paper

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
@@ -60,18 +58,12 @@ def measured(made: Alignment) -> Section:
         "makes any other experiment take what is part of the alignment as measured."
     )
     columns = ("parameter", "meaning", "value", "from", "to", "part of the alignment")
-    rows = [_parameter(row) for row in made.measured.to_dict("records")]
+    rows = []
+    for row in made.measured.to_dict("records"):
+        values = [number(f"{1e3 * row[of]:.3f} {THOUSANDTHS[row['unit']]}") for of in ("value", "low", "high")]
+        found = "yes" if row["found"] else "looked for, not seen"
+        rows.append([Cell(row["name"], "code"), row["meaning"], *values, found])
     return Section("What was measured", [Text(lead), Card("", [Table(columns, rows, named=True)])])
-
-
-def _parameter(row: dict[str, Any]) -> list[Any]:
-    values = [number(shown(row[of], row["unit"])) for of in ("value", "low", "high")]
-    return [Cell(row["name"], "code"), row["meaning"], *values, "yes" if row["found"] else "looked for, not seen"]
-
-
-def shown(value: float, unit: str) -> str:
-    """A parameter in thousandths of its unit, as people think of it: ms, mm."""
-    return f"{1e3 * value:.3f} {THOUSANDTHS[unit]}"
 
 
 def fit(made: Alignment) -> Section:

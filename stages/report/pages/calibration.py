@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -14,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from stringcast.data.calibration import Calibration
+from stringcast.stages.common import rms
 from stringcast.stages.report.page import (
     Card,
     Cell,
@@ -106,18 +106,15 @@ def figures(row: dict[str, Any]) -> str:
 
 
 def views(made: Calibration, times: float) -> Section:
-    """Every picture of the board."""
+    """Every picture of the board, that in the plane first."""
     lead = f"Circles: corners as seen. Crosses: as the camera has them. Arrows: the errors, {times:g} times as long."
-    return Section("Views", [Text(lead), Card("", [Small(list(_views(made, times)))])])
-
-
-def _views(made: Calibration, times: float) -> Iterator[tuple[Markup, Picture]]:
-    """Words and picture of each view, that in the plane first."""
+    shown = []
     for row in made.views.sort_values("plane", ascending=False, kind="stable").itertuples():
         name = "in the plane of motion" if row.plane else f"view {row.view}"
         corners = made.corners[(made.corners["view"] == row.view) & (made.corners["plane"] == row.plane)]
         words = row.reason or f"{row.rms:.2f} px, tilted by {np.degrees(row.tilt):.0f}°"
-        yield joined([bold(name), "·", words]), view(row.picture, corners, times, name)
+        shown.append((joined([bold(name), "·", words]), view(row.picture, corners, times, name)))
+    return Section("Views", [Text(lead), Card("", [Small(shown)])])
 
 
 # --- pictures
@@ -127,7 +124,7 @@ LENGTH = 0.04  # of the picture's width, of an arrow that is as long as the usua
 def magnified(corners: pd.DataFrame, width: int) -> float:
     """The factor by which errors are magnified: a round number that makes them seen. width: of the pictures [px]."""
     errors = np.hypot(corners["u"] - corners["fit_u"], corners["v"] - corners["fit_v"])
-    ideal = LENGTH * width / max(float(np.sqrt(np.mean(errors**2))), 1e-6)
+    ideal = LENGTH * width / max(rms(errors.to_numpy()), 1e-6)
     step = 10.0 ** np.floor(np.log10(ideal))
     return float(step * max(s for s in (1, 2, 5) if s * step <= ideal))
 

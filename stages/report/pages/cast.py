@@ -83,7 +83,7 @@ def cast_page(record: Record) -> str:
 
 def _aim(record: Record) -> str:
     """String and target in a sentence."""
-    string, target = f"A string of {mm(record.string.length)}", record.target
+    string, target = f"A string of {mm(record.model.string.length)}", record.target
     if not record.casts:
         return f"{string}."
     size = f"{round(target.w * MM, 1):g} × {round(target.h * MM, 1):g} mm"
@@ -191,8 +191,24 @@ def _histories(record: Record, known: Known) -> list[Part]:
 
 
 def _learnt_table(known: Known) -> Table:
+    """A row for each parameter."""
     columns = ("parameter", "", "value", "95 % interval", "range searched", "unit", "determined by this data")
-    return Table(columns, [_learnt(parameter, row) for parameter, row in known])
+    rows = []
+    for parameter, row in known:
+        bounded = np.isfinite(row["low"]) and np.isfinite(row["high"])
+        value, low, high = within(row["value"], row["low"], row["high"])
+        determined = "yes" if row["determined"] else "no" if np.isfinite(row["low"]) else UNKNOWN
+        cells = [
+            Cell(row["name"].replace("_", " "), title=parameter.meaning),
+            symbol(row["symbol"]),
+            number(value),
+            number(f"{low} to {high}") if bounded else Cell("none", "n missing"),
+            number(f"{significant(row['minimum'])} to {significant(row['maximum'])}"),
+            unit(row["unit"]),
+            determined + ", at the end of its range" * bool(row["at_bound"]),
+        ]
+        rows.append(cells)
+    return Table(columns, rows)
 
 
 def _alone(record: Record) -> Part | None:
@@ -213,35 +229,22 @@ def _parameters(record: Record) -> list[tuple[Parameter, Any]]:
     return [(p, last.loc[p.name]) for p in record.model.parameters if p.name in last.index]
 
 
-def _learnt(parameter: Parameter, row: Any) -> list[Any]:
-    """A parameter in the table."""
-    bounded = np.isfinite(row["low"]) and np.isfinite(row["high"])
-    value, low, high = within(row["value"], row["low"], row["high"])
-    ends = number(f"{low} to {high}") if bounded else Cell("none", "n missing")
-    known = "yes" if row["determined"] else "no" if np.isfinite(row["low"]) else UNKNOWN
-    return [
-        Cell(row["name"].replace("_", " "), title=parameter.meaning),
-        symbol(row["symbol"]),
-        number(value),
-        ends,
-        number(f"{significant(row['minimum'])} to {significant(row['maximum'])}"),
-        unit(row["unit"]),
-        known + (", at the end of its range" if row["at_bound"] else ""),
-    ]
-
-
 # --- one cast -----------------------------------------------------------------------------------
 def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Section:
     """Everything of one cast. far: end of the colour scale of all casts [m]."""
     unstable = [name for name, line in (("before", cast.before), ("after", cast.after)) if not np.isfinite(line).all()]
     undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
     layers = [Layer(name, ON_FRAMES[name], shown=name != "measured") for name in ("before", "after", "measured")]
-    seen = [Column([_closest(record, cast), _where(record, cast, far)]), _animated(record, cast, part)]
+    where = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
+    where += "mean the same in all casts."
+    away = Figure("Distance of simulated and measured string", residual_map(record, cast, far), where, UNREAD)
+    seen = [Column([_closest(record, cast), away]), _animated(record, cast, part)]
+    own = None if cast.estimate is None or cast.estimate is record.estimates[-1] else cast.estimate.fit.iloc[0]
     about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
     paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
     parts = [
         Text(_told(cast)),
-        *_estimated(record, cast),
+        None if own is None else Text(sentence(own["sentence"])),  # that of the last stands above all casts
         *(Text(undrawn.format(name), "missing") for name in unstable),
         Explore([Grid(seen), Grid(_over_time(record, cast))], layers),
         Grid([paths, Column([_attempts(cast), _link_and_frames(cast)])]),
@@ -271,13 +274,6 @@ def _told(cast: Cast) -> Markup:
     return joined(said)
 
 
-def _estimated(record: Record, cast: Cast) -> list[Text]:
-    """The sentence of its estimation, but for the last, which stands above all casts."""
-    if cast.estimate is None or cast.estimate is record.estimates[-1]:
-        return []
-    return [Text(sentence(cast.estimate.fit["sentence"].iloc[0]))]
-
-
 def _closest(record: Record, cast: Cast) -> Part:
     title, drawn = "At the closest approach", overlay(record, cast)
     if drawn is None:
@@ -303,12 +299,6 @@ def _over_time(record: Record, cast: Cast) -> list[Part]:
     charts = [either("Matching rate over time", rates, f"There is no matching rate: {unmatched}.")]
     charts += [either("Distance over time", residual_curves(record, cast), UNREAD)]
     return [*charts, *joints(cast)] if len(cast.trial.arm) else [*charts, either("Joint angles", None, SILENT)]
-
-
-def _where(record: Record, cast: Cast, far: float) -> Figure:
-    about = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
-    about += "mean the same in all casts."
-    return Figure("Distance of simulated and measured string", residual_map(record, cast, far), about, UNREAD)
 
 
 def _attempts(cast: Cast) -> Card:

@@ -13,6 +13,12 @@ from stringcast.stages.report.page import Card, Cell, Details, Figure, Grid, Par
 from stringcast.stages.report.records import DiagnosisRecord
 from stringcast.stages.report.words import gain, mm, percent, plain
 
+SEARCH = (
+    "One cause after another: beside those already in the model every effect of the library is tried to first "
+    "order, the most promising are fitted together with the string's parameters, and the one with most evidence "
+    "enters if it has enough of it whichever trial is left out. What the others make needless leaves again."
+)
+NO_SEARCH = "The base model left nothing that was worth a search for causes."
 FEW = 12  # theories shown at once; the others are folded
 EVIDENCE = (
     "Log evidence: logarithm of the Bayes factor over the base model, all sizes of what the model may lack taken into "
@@ -35,21 +41,9 @@ def found(record: DiagnosisRecord) -> Section:
     more = theories[FEW:]
     tried: list[Part] = [_theories_table(theories[:FEW])]
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
-    return Section(
-        "How it was found",
-        [Text(_search(record)), Grid(drawn), Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])],
-    )
-
-
-def _search(record: DiagnosisRecord) -> str:
-    """How causes were looked for."""
-    if len(record.diagnosis.theories) <= 1 and record.diagnosis.screening.empty:
-        return "The base model left nothing that was worth a search for causes."
-    return (
-        "One cause after another: beside those already in the model every effect of the library is tried to first "
-        "order, the most promising are fitted together with the string's parameters, and the one with most evidence "
-        "enters if it has enough of it whichever trial is left out. What the others make needless leaves again."
-    )
+    searched = len(record.diagnosis.theories) > 1 or not record.diagnosis.screening.empty
+    fitted = Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])
+    return Section("How it was found", [Text(SEARCH if searched else NO_SEARCH), Grid(drawn), fitted])
 
 
 def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -62,16 +56,11 @@ def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
     columns = ("causes", "log evidence", "without the strongest trial", "tip moved", "left unexplained")
-    return Table((*columns, "probability"), [_theory(row) for row in theories])
-
-
-def _theory(row: Mapping[str, Any]) -> list[Any]:
-    weakest = row["held_out_gain"]
-    return [
-        plain(row["causes"]) if row["causes"] else "base model alone",
-        number(gain(row["fit_gain"])),
-        number(gain(weakest)) if np.isfinite(weakest) else Cell("not evaluated", "n missing"),
-        number(mm(row["moved"], 1)),
-        number(percent(row["unexplained"])),
-        number(percent(row["probability"])),
-    ]
+    rows = []
+    for row in theories:
+        held_out = row["held_out_gain"]
+        weakest = number(gain(held_out)) if np.isfinite(held_out) else Cell("not evaluated", "n missing")
+        shares = (number(mm(row["moved"], 1)), number(percent(row["unexplained"])), number(percent(row["probability"])))
+        causes = plain(row["causes"]) if row["causes"] else "base model alone"
+        rows.append([causes, number(gain(row["fit_gain"])), weakest, *shares])
+    return Table((*columns, "probability"), rows)
