@@ -21,7 +21,7 @@ import yaml
 
 from stringcast.data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from stringcast.data.errors import printable
-from stringcast.data.foreign import inside, json_block, leaves, own
+from stringcast.data.foreign import inside, leaves, own
 from stringcast.data.images import ImageFiles, Shots, filmed, listed, videos
 from stringcast.data.metadata import FORMAT, NAME, metadata
 from stringcast.data.rows import Rows, cleaned, from_csv
@@ -189,11 +189,6 @@ def _hashes(folder: Path, shots: Mapping[str, Shots]) -> dict[str, str]:
     stills = (images.files for _, images in shots.values() if isinstance(images, ImageFiles))
     found |= {(folder / file).parent for files in stills for file in files}
     return {path.relative_to(folder).as_posix(): content_hash(path) for path in sorted(found)}
-
-
-def settings(path: Path) -> dict[str, Any]:
-    """The settings of a run of ours, from its config.json; raises DataError where it is damaged."""
-    return json_block(path)
 
 
 def _find(folder: Path, name: str) -> Path | None:

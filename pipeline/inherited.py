@@ -8,7 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from stringcast.data import dataset
-from stringcast.data.foreign import plain, yaml_block
+from stringcast.data.foreign import json_block, plain, yaml_block
 from stringcast.data.schema import DataError
 from stringcast.pipeline.older import modern
 from stringcast.pipeline.settings import UserError, allowed, chosen, flat, leaves
@@ -146,7 +146,7 @@ def inherited(folder: Path, given: set[str]) -> dict[str, Any]:
     given: names on the command line; a group that is chosen there is not brought along, but for the string's length.
     """
     if (folder / "config.json").exists():
-        known = modern(dataset.settings(folder / "config.json"))
+        known = modern(json_block(folder / "config.json"))
         brought = plain({name: known[name] for name in FROM_TRIALS if name in known}, folder / "config.json")
         brought |= {LENGTH: known["string"]["length"]} if "string" in known else {}
     else:

@@ -20,6 +20,7 @@ from typing import Any
 from stringcast.data import dataset, disk, store
 from stringcast.data.artifacts import Points, Trial
 from stringcast.data.errors import remedy_for
+from stringcast.data.foreign import json_block
 from stringcast.data.images import Fresh
 from stringcast.data.schema import DataError
 from stringcast.pipeline.console import Bar
@@ -128,7 +129,7 @@ def begin(experiment: Experiment, folder: Path) -> None:
     before = path.read_text(encoding="utf-8") if path.exists() else None
     if before not in (None, text):
         growing = experiment.mode.growing
-        if _less(modern(dataset.settings(path)), growing) != _less(json.loads(text), growing):
+        if _less(modern(json_block(path)), growing) != _less(json.loads(text), growing):
             raise DataError(
                 f"{folder}: this folder holds a run with other settings (see config.json). "
                 "Leave hydra.run.dir to its default, or repeat the settings of that run."

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
 
@@ -59,3 +61,16 @@ class Wire(Protocol):
 
     def clear(self) -> None:
         """Undo `latch` on purpose, after a person has looked at the arm."""
+
+
+def clear(wire: Wire) -> None:
+    """Have a person look at the arm, and then undo its emergency stop; exits with the reason where that fails."""
+    if input("Is the arm safe to move, and nobody within its reach? Type yes: ").strip() != "yes":
+        sys.exit("It stays latched.")
+    try:
+        wire.clear()
+    except HardwareError as error:
+        sys.exit(f"Error: {error}")
+    finally:
+        wire.close()
+    print("Cleared.")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
+from stringcast.hardware.arm.wire import clear
 from stringcast.hardware.dynamixel.bus import DynamixelBus, Servo
-from stringcast.stages.execute.interfaces import HardwareError
 
 
 def main() -> None:
@@ -16,16 +15,7 @@ def main() -> None:
     parser.add_argument("id", type=int, nargs="+")
     parser.add_argument("--baud", type=int, default=4_000_000)
     options = parser.parse_args()
-    if input("Is the arm safe to move, and nobody within its reach? Type yes: ").strip() != "yes":
-        sys.exit("It stays latched.")
-    bus = DynamixelBus(options.port, options.baud, [Servo(i, 0, 1) for i in options.id], (), 0.1, 1)
-    try:
-        bus.clear()
-    except HardwareError as error:
-        sys.exit(f"Error: {error}")
-    finally:
-        bus.close()
-    print("Cleared.")
+    clear(DynamixelBus(options.port, options.baud, [Servo(i, 0, 1) for i in options.id], (), 0.1, 1))
 
 
 if __name__ == "__main__":

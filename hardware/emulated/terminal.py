@@ -10,26 +10,77 @@ import signal
 import threading
 import time
 import tty
-from collections.abc import Collection
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
-STEP = 0.0005  # [s] between looks
+from stringcast.hardware.emulated.joints import STEP
 
 
 class UnpluggedError(Exception):
     """The cable is pulled."""
 
 
-class Emulated(Protocol):
-    """The interface of an emulated device."""
+@dataclass
+class Emulated(ABC):
+    """A device on a clock of its own, with a note of everything that happens.
 
+    faults: by number of the velocity command, from 0. note: told of every event. clock: true time [s]; owed: time that
+    passed but makes no whole step [s]; deaf: until when nothing is read [s]. number: of the next velocity command.
+    seen: `state` when it was last looked at.
+    """
+
+    faults: Mapping[int, str]
+    note: Callable[[str, Any], object]
+    clock: float = field(default=0.0, init=False)
+    owed: float = field(default=0.0, init=False)
+    deaf: float = field(default=0.0, init=False)
+    number: int = field(default=0, init=False)
+    seen: tuple[str, bool] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Only what changes from here on is an event."""
+        self.seen = self.state
+
+    @abstractmethod
     def hear(self, data: bytes) -> None:
-        """Bytes from the host. May raise UnpluggedError."""
+        """Bytes from the host. Raises UnpluggedError."""
+
+    @abstractmethod
+    def step(self) -> bytes:
+        """Let one step pass; the bytes that leave meanwhile."""
+
+    @property
+    @abstractmethod
+    def state(self) -> tuple[str, bool]:
+        """What the device says of itself, and whether the arm stands."""
 
     def advance(self, elapsed: float) -> bytes:
         """Let `elapsed` [s] pass; the bytes that leave meanwhile."""
+        out = b""
+        self.owed += elapsed
+        while self.owed >= STEP:
+            self.owed -= STEP
+            self.clock += STEP
+            out += self.step()
+            (before, stood), (now, stands) = self.seen, self.state
+            if now != before:
+                self.note(now, self)
+            if stands is not stood:
+                self.note("stands" if stands else "moves", self)
+            self.seen = now, stands
+        return out
+
+    def fault(self) -> str:
+        """The fault of the velocity command that just came, which is noted; empty for none."""
+        fault = self.faults.get(self.number, "")
+        self.number += 1
+        if fault:
+            self.note(fault, self)
+        return fault
 
 
 def parser(prog: str, description: str | None, kinds: Collection[str]) -> argparse.ArgumentParser:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
+from stringcast.hardware.arm.wire import clear
 from stringcast.hardware.serial.wire import SerialWire
-from stringcast.stages.execute.interfaces import HardwareError
 
 
 def main() -> None:
@@ -15,16 +14,7 @@ def main() -> None:
     parser.add_argument("port")
     parser.add_argument("--baud", type=int, default=1_000_000)
     options = parser.parse_args()
-    if input("Is the arm safe to move, and nobody within its reach? Type yes: ").strip() != "yes":
-        sys.exit("It stays latched.")
-    wire = SerialWire(options.port, options.baud)
-    try:
-        wire.clear()
-    except HardwareError as error:
-        sys.exit(f"Error: {error}")
-    finally:
-        wire.close()
-    print("Cleared.")
+    clear(SerialWire(options.port, options.baud))
 
 
 if __name__ == "__main__":

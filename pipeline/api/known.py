@@ -13,8 +13,8 @@ import yaml
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from stringcast.data import dataset
 from stringcast.data.artifacts import PARAMETERS
+from stringcast.data.foreign import json_block
 from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.filmed import refuse_source
@@ -44,7 +44,7 @@ class KnownString:
         estimates = sorted(whole.glob("iterations/*/estimate/parameters.parquet"))
         if (whole / EXTENDED).exists() or not estimates:
             return cls.load(whole)
-        settings, table = modern(dataset.settings(whole / "config.json")), read_table(PARAMETERS, estimates[-1])
+        settings, table = modern(json_block(whole / "config.json")), read_table(PARAMETERS, estimates[-1])
         known = dict(zip(table["name"], table["value"].astype(float), strict=True))
         return cls({"string": settings["string"], "effects": settings["effects"], "known": known})
 

@@ -14,8 +14,9 @@ from rich.progress import track
 from rich.table import Table as Printed
 from rich.text import Text
 
-from stringcast.data import dataset, store
+from stringcast.data import store
 from stringcast.data.artifacts import FIT
+from stringcast.data.foreign import json_block
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.layout import ENDED, FAILED
@@ -91,7 +92,7 @@ def page(runs: pd.DataFrame, to: Path, folder: Path) -> str:
 def row(run: Path) -> dict[str, Any]:
     """One run. What is damaged does not stop the list: it says so."""
     try:
-        settings, ended = dataset.settings(run / "config.json"), _json(run / ENDED)
+        settings, ended = json_block(run / "config.json"), _json(run / ENDED)
         return {"experiment": str(settings["name"]), **_ending(run, ended), **_steps(run)}
     except (DataError, *OTHERWISE) as error:
         nothing: dict[str, Any] = {"experiment": "", "outcome": "", "date": "", "iterations": 0, "best_E": float("nan")}
@@ -120,7 +121,7 @@ def _runs(folder: Path) -> Iterator[Path]:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    return dataset.settings(path) if path.is_file() else {}
+    return json_block(path) if path.is_file() else {}
 
 
 def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
@@ -143,7 +144,7 @@ def _steps(run: Path) -> dict[str, Any]:
     rates = [
         float(store.read_table(FIT, fit)["after"].iloc[0]) for fit in run.glob("iterations/*/estimate/fit.parquet")
     ]
-    settings = modern(dataset.settings(run / "config.json"))
+    settings = modern(json_block(run / "config.json"))
     reasons = ((step.relative_to(run).as_posix(), reasons_of(run, step, settings)) for step in steps)
     return {
         "date": min((one["at"] for one in made if one), default=""),

@@ -14,9 +14,10 @@ from typing import Any
 from rich.text import Text
 from rich.tree import Tree
 
-from stringcast.data import dataset, store
+from stringcast.data import store
 from stringcast.data.compare import differences, differing_files
 from stringcast.data.errors import printable
+from stringcast.data.foreign import json_block
 from stringcast.data.schema import DataError
 from stringcast.pipeline import run_folder
 from stringcast.pipeline.commands import paths
@@ -175,14 +176,14 @@ def facts(run: Path) -> dict[str, dict[str, Any]]:
     origins = [made for file in sorted(run.rglob("*.parquet")) if "code" in (made := store.origin_of(file))]
     if not origins:
         raise DataError(f"{run}: the run has made nothing yet. `python -m pipeline resume {run}` goes on with it.")
-    numbers: dict[str, Any] = dataset.settings(ended) if ended.exists() else {"ended": False, "iterations": []}
+    numbers: dict[str, Any] = json_block(ended) if ended.exists() else {"ended": False, "iterations": []}
     numbers |= {"iterations": {str(row["number"]): row for row in numbers["iterations"]}}
     inputs = {name: digest for made in origins for name, digest in made["inputs"].items()}
     outside = {name: digest for name, digest in inputs.items() if not name.startswith("iterations/")}
     first = origins[0]
     used = {name: digest for made in origins for name, digest in made.get("sources", {}).items()}
     return {
-        "settings": leaves(dataset.settings(path)),
+        "settings": leaves(json_block(path)),
         "data": {Path(name).name: f"content {digest[:8]}" for name, digest in outside.items()},
         "code": {"commit": first["code"]["commit"], "all sources": first["code"]["source"][:8]} | used,
         "packages": first["packages"] | {"Python": first["python"]},

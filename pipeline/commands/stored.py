@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stringcast.data import dataset
+from stringcast.data.foreign import json_block
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.modes.stepwise import Stepwise
@@ -53,7 +53,7 @@ def stored_settings(folder: Path) -> dict[str, Any]:
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
-    written = dataset.settings(path)
+    written = json_block(path)
     settings = modern(written)
     renamed = {name: new_name(name) for name in flat(written) if new_name(name) != name}
     read = [f"{old} is read as {new}" for old, new in renamed.items()]

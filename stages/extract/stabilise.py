@@ -89,24 +89,19 @@ def _against(images: Sequence[np.ndarray], by: int, start: np.ndarray) -> tuple[
 
 
 def _closest(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int) -> tuple[np.ndarray, float]:
-    """Gain and shift from where they were found to be, (3,), and one sigma of the shift [px]."""
+    """Gain and shift from where they were found to be, (3,), by Gauss and Newton, and one sigma of the shift [px]."""
     for _ in range(STEPS):
-        found, sigma = _closer(image, template, found, by)
-    return found, sigma
-
-
-def _closer(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int) -> tuple[np.ndarray, float]:
-    """One step of Gauss and Newton, and one sigma of the shift [px]."""
-    like = _moved(template, found[1:] / by)
-    across, down = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
-    columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[:, 2:-2, 2:-2]
-    rest = (image - found[0] * like)[2:-2, 2:-2]
-    still = np.abs(rest) < MOVES * (float(mad_sigma(rest.ravel()[::7])) + 1e-3)
-    sums = _by_part(np.concatenate([columns, rest[None]]) * still)
-    others = sums.sum(axis=0) - sums
-    steps = np.linalg.solve(others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:])[..., 0]
+        like = _moved(template, found[1:] / by)
+        across, down = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
+        columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[:, 2:-2, 2:-2]
+        rest = (image - found[0] * like)[2:-2, 2:-2]
+        still = np.abs(rest) < MOVES * (float(mad_sigma(rest.ravel()[::7])) + 1e-3)
+        sums = _by_part(np.concatenate([columns, rest[None]]) * still)
+        others = sums.sum(axis=0) - sums
+        steps = np.linalg.solve(others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:])[..., 0]
+        found = found + np.mean(steps, axis=0)
     scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))  # the jackknife: without each part in turn
-    return found + np.mean(steps, axis=0), float(np.linalg.norm(scatter[1:]))
+    return found, float(np.linalg.norm(scatter[1:]))
 
 
 def _by_part(rows: np.ndarray) -> np.ndarray:

@@ -89,12 +89,9 @@ class Model(Parametrised):
         """All parameters, with qualified names: the string's first."""
         others = (replace(p, name=e.qualified(p)) for e in self._beyond for p in e.parameters)
         every = (*self.string.parameters, *others)
-        return tuple(self._with_known(p) for p in every)
-
-    def _with_known(self, parameter: Parameter) -> Parameter:
-        """The parameter with the start and range that are known of it."""
-        low, high = self.measured.get(parameter.name, (parameter.low, parameter.high))
-        return replace(parameter, low=low, high=high, start=self.known.get(parameter.name, parameter.start))
+        ends = (self.measured.get(p.name, (p.low, p.high)) for p in every)
+        known = zip(every, ends, strict=True)
+        return tuple(replace(p, low=low, high=high, start=self.known.get(p.name, p.start)) for p, (low, high) in known)
 
     def hand(self, motion: JointMotion | HandMotion, values: np.ndarray) -> HandMotion:
         """The hand's actual motion, one for all candidates or one each. values: (C, P)."""

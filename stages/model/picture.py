@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 # How far arguments go in a fast cast of a soft string, by unit; stretch has none.
 REACH = {"1": 0.01, "1/s": 10.0, "1/m": 40.0, "1/(m s)": 1000.0, "rad": 1.0, "rad/s": 10.0}
+REACH |= {"m": 1.0, "m/s": 10.0, "s": 1.0}  # of the string's place and speed, and of time
 
 
 def line(axes: Axes, x: np.ndarray, y: np.ndarray, across: str, up: str) -> None:
@@ -28,7 +29,8 @@ def line(axes: Axes, x: np.ndarray, y: np.ndarray, across: str, up: str) -> None
 def law(
     axes: Axes, laws: Mapping[str, Law], values: Mapping[str, float], by_unit: Mapping[str, float], of_a_point: bool
 ) -> None:
-    """Draw the first of an effect's laws, over the first argument of its slot that it takes.
+    """Draw the first of an effect's laws, over the first argument of its slot that it takes, if any; of a vector both
+    components.
 
     values: of parameters and what is derived of them; a parameter of the paper's that is not given is one. by_unit:
     values by their units. of_a_point: they are per mass point, not of the material.
@@ -39,16 +41,17 @@ def law(
     slot, drawn = next(iter(laws.items()))
     known = SLOTS[slot].arguments
     taken_here = [name for name in arguments(drawn) if name in known]
-    across, length = taken_here[0], "length" in known
+    across, length = next(iter([*taken_here, *known])), "length" in known
     reach = 1.0 if length else REACH[known[across]]
     x = np.linspace(0.0 if length else -reach, reach, 401)
     fixed = dict.fromkeys(arguments(drawn), 1.0) | {name: 0.0 for name in taken_here if name != "length"}
-    up = drawn(**{**fixed, **taken(drawn, values), across: x})
+    up = drawn(**taken(drawn, {**fixed, **values, across: x}))
     belongs = SLOTS[PER[slot][0]] if slot in PER else SLOTS[slot]
     label = f"{across} / length" if length else f"{across} / ({known[across]})"
     unit = "of a mass point" if of_a_point else f"/ ({belongs.unit})"
     adds = belongs.adds.removesuffix(" over mass per length")  # which the unit says
-    line(axes, x, up * x if slot in PER else up, label, f"{adds} {unit}")
+    for part in up if isinstance(up, tuple) else (up,):
+        line(axes, x, part * x if slot in PER else part, label, f"{adds} {unit}")
 
 
 def loop(axes: Axes, laws: Mapping[str, Law], values: Mapping[str, float], by_unit: Mapping[str, float]) -> None:

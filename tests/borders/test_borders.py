@@ -58,7 +58,8 @@ def test_no_module_knows_one_that_knows_it():
 
 
 def test_the_picture_of_the_rooms_shows_what_they_import():
-    """Arrows that follow from others are left out, and those of the shell are not all imports."""
+    """Arrows that follow from others are left out, and those of the shell are not all imports. A room that is not drawn
+    is a stage of one's own: none of ours stands on it."""
     arrows = re.findall(r"^    (.+) --> (.+)$", (ROOT / "stages" / "README.md").read_text(), re.M)
     drawn = {(one, other) for left, right in arrows for one in left.split(" & ") for other in right.split(" & ")}
     below = {one: {other for begin, other in drawn if begin == one} for one, _ in drawn}
@@ -72,7 +73,10 @@ def test_the_picture_of_the_rooms_shows_what_they_import():
             for name in known[room] - {room}
             if not any(name in beneath(known, b) for b in known[room] - {room, name})
         }
-        assert below[room] == needed, room
+        if room in below:
+            assert below[room] == needed, room
+        else:
+            assert not any(room in known[other] for other in known.keys() - {room}), f"{room} is not drawn"
 
 
 def room_of(parts):

@@ -196,7 +196,7 @@ def served(servos):
     tty.setraw(slave)
     ended = threading.Event()
     there = threading.Thread(
-        target=_talk, args=(Bus(servos, {}, lambda *_: None), master, time.monotonic() + 60, ended)
+        target=_talk, args=(Bus({}, lambda *_: None, servos), master, time.monotonic() + 60, ended)
     )
     there.start()
     try:

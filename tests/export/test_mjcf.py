@@ -87,7 +87,7 @@ def test_what_mujoco_has_no_law_for_is_refused_by_name(arm):
 def test_the_command_writes_a_chain_and_a_card(tmp_path, capsys):
     known = {"bending_stiffness": 4.0, "tip_mass.ratio": {"value": 0.2, "low": 0.1, "high": 0.3}}
     KnownString({"effects": ["tip_mass", "arm_lag"], "known": known}).save(tmp_path)
-    export = command("export").main
+    export = command("export")
     assert export([str(tmp_path), str(tmp_path / "string.xml"), "--mass", "0.01"]) == 0
     text = (tmp_path / "string.xml").read_text()
     assert ET.fromstring(text).tag == "mujoco"

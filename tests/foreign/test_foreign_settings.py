@@ -19,6 +19,7 @@ from stringcast.pipeline.inherited import (
     refuse_inherited_limits,
     with_inherited_settings,
 )
+from stringcast.pipeline.older import MOVED
 from stringcast.pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
 from stringcast.stages.model import generated
 from tests.faults.toy import toy_experiment, toy_run
@@ -80,10 +81,10 @@ def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
     run.mkdir(parents=True)
     (run / "config.json").write_text(json.dumps(poisoned(settings, place, poisons(canary)[place])))
     if asked in ("index", "why"):  # which look at files and settings alone
-        assert command(asked).main([str(run.parent if asked == "index" else run)]) == (asked == "why")
+        assert command(asked)([str(run.parent if asked == "index" else run)]) == (asked == "why")
     else:
         with pytest.raises(UserError, match=rf"{place}._target_ = .*config\.json.*may not be named here\. Choose"):
-            command(asked).main([str(run)])
+            command(asked)([str(run)])
     assert not canary.exists()
     assert [path.name for path in run.iterdir()] == ["config.json"]
 
@@ -91,8 +92,8 @@ def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
 def test_index_and_why_build_no_model(settings, tmp_path, monkeypatch, capsys):
     (tmp_path / "config.json").write_text(json.dumps(settings))
     monkeypatch.setattr("stringcast.stages.model.string.String.__init__", None)
-    assert command("index").main([str(tmp_path)]) == 0
-    assert command("why").main([str(tmp_path)]) == 1
+    assert command("index")([str(tmp_path)]) == 0
+    assert command("why")([str(tmp_path)]) == 1
     assert "iterations/01/motion: missing" in capsys.readouterr().out
 
 
@@ -197,7 +198,7 @@ def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tm
 
 def test_settings_of_stored_runs_may_call_what_there_is_by_its_old_name():
     roles = {name: role for role, names in targets.roles().items() for name in names}
-    for old, new in targets.MOVED.items():
+    for old, new in MOVED.items():
         assert loaded(old, roles[new], "config.json") is loaded(new, roles[new], "")
 
 
@@ -242,7 +243,7 @@ def test_a_virtual_arm_asks_nobody(settings):
 def test_resume_of_a_real_arm_asks_for_a_word(settings, tmp_path):
     (tmp_path / "config.json").write_text(json.dumps(resolved("hardware=serial")))
     with pytest.raises(UserError, match=r"hardware\.port: .*/dev/ttyUSB0 there[\s\S]*--accept-limits"):
-        command("resume").main([str(tmp_path)])
+        command("resume")([str(tmp_path)])
     assert [path.name for path in tmp_path.iterdir()] == ["config.json"]
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from matplotlib.figure import Figure
 
 from stringcast.data import dataset
 from stringcast.data.metadata import metadata
@@ -34,6 +35,9 @@ def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(tmp_path, monkeypatch
         assert invariant.error(law_of(effect, invariant.law), samples(effect, 0)) < 1e-9
     assert effect.describe({"strength": 0.25}) == "the string is pulled to the right with 0.250 m/s2"
     np.testing.assert_allclose(effect.acceleration(0.5), (0.5, 0.0))
+    axes = Figure().add_subplot()
+    effect.plot(axes, {"strength": 0.25})
+    assert [drawn.get_ydata()[0] for drawn in axes.lines[::2]] == [0.25, 0.0]  # each beside a line at zero
     with pytest.raises(UserError, match="it is there already"):
         new.main(["effect", "my_pull"])
 

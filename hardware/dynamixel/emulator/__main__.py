@@ -19,7 +19,7 @@ def main() -> None:
     options = parser("python -m stringcast.hardware.dynamixel.emulator", __doc__, STRIKES).parse_args()
     with options.log.open("w", buffering=1) as log:
         servos = {number: Servo() for number in (1, 2, 3)}
-        bus = Bus(servos, dict(options.fault), lambda event, bus: log.write(line(event, bus)))
+        bus = Bus(dict(options.fault), lambda event, bus: log.write(line(event, bus)), servos)
         serve(bus, options.until, AFTER)
 
 

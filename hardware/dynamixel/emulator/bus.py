@@ -35,7 +35,7 @@ from stringcast.hardware.dynamixel.registers import (
     Register,
 )
 from stringcast.hardware.emulated.joints import STEP, Joint
-from stringcast.hardware.emulated.terminal import UnpluggedError
+from stringcast.hardware.emulated.terminal import Emulated, UnpluggedError
 
 MODEL = bytes([0xFC, 0x03, 0x2D])  # XM430-W350, firmware 45
 NO_ERROR, UNKNOWN, RANGE, LIMIT, ACCESS = 0, 2, 4, 6, 7  # of status packets
@@ -98,20 +98,12 @@ class Servo:
 
 
 @dataclass
-class Bus:
-    """servos: by id. faults: by number of the goal velocity that is written to all, from 0. note: told of every event.
-    deaf: until when nothing is read [s]."""
+class Bus(Emulated):
+    """servos: by id. A goal velocity that is written to all is one command."""
 
     servos: Mapping[int, Servo]
-    faults: Mapping[int, str]
-    note: Callable[[str, Bus], None]
-    clock: float = 0.0
-    owed: float = 0.0
-    number: int = 0
-    deaf: float = 0.0
     splitter: Splitter = field(default_factory=Splitter)
     coming: list[Packet] = field(default_factory=list)
-    seen: tuple[bool, bool] = (False, True)
 
     def hear(self, data: bytes) -> None:
         """Bytes from the host. Raises UnpluggedError."""
@@ -119,31 +111,29 @@ class Bus:
             if not self._lost(packet):
                 self.coming.append(packet)
 
-    def advance(self, elapsed: float) -> bytes:
-        """Let `elapsed` [s] pass; the status packets that leave meanwhile."""
-        out = b""
-        self.owed += elapsed
-        while self.owed >= STEP:
-            self.owed -= STEP
-            self.clock += STEP
-            for servo in self.servos.values():
-                servo.step(self.clock)
-            if self.clock >= self.deaf:
-                out += b"".join(self._obey(packet) for packet in self.coming)
-                self.coming.clear()
-            self._watch()
+    def step(self) -> bytes:
+        """Servos, and the status packets that leave meanwhile."""
+        for servo in self.servos.values():
+            servo.step(self.clock)
+        if self.clock < self.deaf:
+            return b""
+        out = b"".join(self._obey(packet) for packet in self.coming)
+        self.coming.clear()
         return out
+
+    @property
+    def state(self) -> tuple[str, bool]:
+        """Whether a watchdog has tripped, in a word, and whether the arm stands."""
+        servos = self.servos.values()
+        tripped = any(servo.get(BUS_WATCHDOG) == TRIPPED for servo in servos)
+        return "tripped" if tripped else "cleared", all(servo.joint.still for servo in servos)
 
     def _lost(self, packet: Packet) -> bool:
         """Count goal velocities, and let the fault of this one strike."""
         if packet.instruction != SYNC_WRITE or packet.parameters[0] != GOAL_VELOCITY.address:
             return False
-        fault = self.faults.get(self.number, "")
-        self.number += 1
-        if not fault:
-            return False
-        self.note(fault, self)
-        return STRIKES[fault](self)
+        fault = self.fault()
+        return bool(fault) and STRIKES[fault](self)
 
     def _obey(self, packet: Packet) -> bytes:
         for servo in self.servos.values():
@@ -176,16 +166,6 @@ class Bus:
         for at in range(4, len(parameters), 1 + size):
             if parameters[at] in self.servos:
                 self.servos[parameters[at]].write(place.start, parameters[at + 1 : at + 1 + size])
-
-    def _watch(self) -> None:
-        """Note when a watchdog trips, and when the arm sets off or stands."""
-        servos = self.servos.values()
-        now = (any(s.get(BUS_WATCHDOG) == TRIPPED for s in servos), all(s.joint.still for s in servos))
-        if now[0] is not self.seen[0]:
-            self.note("tripped" if now[0] else "cleared", self)
-        if now[1] is not self.seen[1]:
-            self.note("stands" if now[1] else "moves", self)
-        self.seen = now
 
 
 def _place(parameters: bytes) -> slice:

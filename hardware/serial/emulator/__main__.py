@@ -22,7 +22,7 @@ def main() -> None:
     options = asked.parse_args()
     with options.log.open("w", buffering=1) as log:
         firmware, faults = Firmware(options.watchdog), dict(options.fault)
-        device = Device(firmware, faults, lambda event, device: log.write(line(event, device)), options.since)
+        device = Device(faults, lambda event, device: log.write(line(event, device)), firmware, options.since)
         serve(device, options.until, AFTER)
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from stringcast.hardware.emulated.joints import STEP, Joints
-from stringcast.hardware.emulated.terminal import UnpluggedError
+from stringcast.hardware.emulated.joints import Joints
+from stringcast.hardware.emulated.terminal import Emulated, UnpluggedError
 from stringcast.hardware.serial.emulator.faults import LINE, whole
 from stringcast.hardware.serial.firmware import Firmware
-from stringcast.hardware.serial.protocol import Deframer, FrameError, Kind, State, decode_command
+from stringcast.hardware.serial.protocol import Deframer, FrameError, Kind, decode_command
 
 FREEZE = 0.2  # [s] for which a frozen device reads nothing; its watchdog's timer goes on
 BOOT = 0.05  # [s] that a device needs once its supply is back
@@ -26,25 +26,16 @@ class Arrival(NamedTuple):
 
 
 @dataclass
-class Device:
-    """firmware: what it runs. faults: by number of the velocity command, from 0. note: told of every event.
-    since: its clock when it starts [us]. clock: true time [s]; owed: time that passed but makes no whole step;
-    booted: when it last started; deaf: until when it reads nothing [s]."""
+class Device(Emulated):
+    """firmware: what it runs. since: its clock when it starts [us]. booted: when it last started [s]."""
 
     firmware: Firmware
-    faults: Mapping[int, str]
-    note: Callable[[str, Device], None]
     since: int = 0
     joints: Joints = field(default_factory=Joints)
-    clock: float = 0.0
-    owed: float = 0.0
     booted: float = 0.0
-    deaf: float = 0.0
-    number: int = 0
     coming: list[Arrival] = field(default_factory=list)
     going: list[Arrival] = field(default_factory=list)
     deframer: Deframer = field(default_factory=Deframer)
-    seen: tuple[State, bool] = (State.FRESH, True)
 
     @property
     def micros(self) -> int:
@@ -57,19 +48,16 @@ class Device:
             fault = self._befallen(frame)
             self.coming += self._sent(frame, fault, LINE.get(fault, whole))
 
-    def advance(self, elapsed: float) -> bytes:
-        """Let `elapsed` [s] pass: timer, joints, and what arrives meanwhile. Returns the bytes that leave."""
-        out = b""
-        self.owed += elapsed
-        while self.owed >= STEP:
-            self.owed -= STEP
-            self.clock += STEP
-            self.firmware.tick(self.micros)
-            self.joints.step(self.firmware.target)
-            if self.clock >= self.deaf:
-                out += self._exchange()
-            self._watch()
-        return out
+    def step(self) -> bytes:
+        """Timer, joints, and what arrives meanwhile."""
+        self.firmware.tick(self.micros)
+        self.joints.step(self.firmware.target)
+        return self._exchange() if self.clock >= self.deaf else b""
+
+    @property
+    def state(self) -> tuple[str, bool]:
+        """The firmware's state, and whether the arm stands."""
+        return self.firmware.state.name.lower(), self.joints.still
 
     def restart(self) -> None:
         """The supply broke down for a moment: all that was known is lost, the joints stay where they are."""
@@ -84,10 +72,7 @@ class Device:
                 return ""
         except FrameError:
             return ""
-        fault = self.faults.get(self.number, "")
-        self.number += 1
-        if fault:
-            self.note(fault, self)
+        fault = self.fault()
         STRIKES.get(fault, lambda device: None)(self)
         return fault
 
@@ -101,15 +86,6 @@ class Device:
             through = LINE[fault.removeprefix(BACK)] if fault.startswith(BACK) else whole
             self.going += self._sent(answer, fault, through)
         return b"".join(arrival.frame for arrival in _taken(self.going, self.clock))
-
-    def _watch(self) -> None:
-        """Note when the firmware changes its state, and when the arm sets off or stands."""
-        now = (self.firmware.state, self.joints.still)
-        if now[0] is not self.seen[0]:
-            self.note(now[0].name.lower(), self)
-        if now[1] is not self.seen[1]:
-            self.note("stands" if now[1] else "moves", self)
-        self.seen = now
 
 
 def _taken(way: list[Arrival], now: float) -> list[Arrival]:

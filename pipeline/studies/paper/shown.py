@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, JOINTS, Estimate, Motion, Points
+from stringcast.data.foreign import json_block
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import load, read_table
 from stringcast.pipeline.settings import build
@@ -87,7 +87,7 @@ def shown(folder: Path, chosen: pd.DataFrame, of_casts: pd.DataFrame) -> dict[st
     """Every table of TABLES by name. folder: the study's. chosen: `typical`. of_casts: table CASTS of `scores`."""
     parts: dict[str, list[pd.DataFrame]] = {table.name: [] for table in TABLES}
     for run in chosen.itertuples():
-        settings = dataset.settings(folder / run.folder / "config.json")
+        settings = json_block(folder / run.folder / "config.json")
         arm = build(Arm, settings["arm"], "arm", "config.json")
         obstacles = [{"kind": "obstacle", **box} for box in settings["obstacles"]["boxes"]]
         boxes = pd.DataFrame([{"kind": "target", **settings["target"]}, *obstacles])

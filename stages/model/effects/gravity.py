@@ -1,8 +1,6 @@
 """Gravity, F_g of Table 1."""
 
-import numpy as np
-
-from stringcast.stages.model.effect import Axes, Quantity, StringEffect, Values, line
+from stringcast.stages.model.effect import Quantity, StringEffect, Values
 
 
 class Gravity(StringEffect):
@@ -14,11 +12,6 @@ class Gravity(StringEffect):
     @staticmethod
     def describe(values: Values) -> str:
         return "gravity pulls straight down"
-
-    @classmethod
-    def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the acceleration in x and in y."""
-        line(axes, np.array([0.0, 1.0]), np.array(cls.acceleration()), "x, y", "acceleration / (m/s2)")
 
     @staticmethod
     def acceleration() -> tuple[Quantity, Quantity]:
