@@ -79,18 +79,14 @@ def _block(path: Path, parse: Any, kind: Any, fault: str) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: it is not text in UTF-8 ({error}). Save it as UTF-8.") from error
     except (yaml.YAMLError, ValueError, OSError) as error:
-        raise DataError(f"{path}: {fault} ({_where(error)}). Correct it there, or restore it.") from error
+        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", "")
+        where = " ".join(str(error).split()) if mark is None else f"line {mark.line + 1}: {problem}"
+        raise DataError(f"{path}: {fault} ({where}). Correct it there, or restore it.") from error
     except RecursionError as error:
         raise DataError(f"{path}: its blocks lie too deep in one another. Make it flat.") from error
     if known is not None and not isinstance(known, dict):
         raise DataError(f"{path}: it must hold names and values, like 'format: 1'. Correct it.")
     return known or {}
-
-
-def _where(error: Exception) -> str:
-    """A parser's complaint in one line."""
-    mark = getattr(error, "problem_mark", None)
-    return " ".join(str(error).split()) if mark is None else f"line {mark.line + 1}: {getattr(error, 'problem', '')}"
 
 
 def plain(known: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -121,7 +121,7 @@ def _jumps(motion: pd.DataFrame, numbers: list[str]) -> pd.Series:
 def outliers(t: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Whether each sample is an outlier, (K,) bool. t: (K,) increasing times [s]. values: (K, J), continuous."""
     found = np.zeros(len(t), dtype=bool)
-    if len(t) < 5:
+    if len(t) < 5:  # a sample is held against two on each side
         return found
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     off = values[1:-1] - values[:-2] - share[:, None] * (values[2:] - values[:-2])

@@ -75,6 +75,7 @@ def tip_way(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
 def longest_gap(readings: pd.DataFrame) -> float:
     """Time between readings over which the tip's way is still guessed [s]: from frame to frame always."""
     frames = np.diff(np.sort(readings["t"].to_numpy()))
+    # times of frames are rounded
     return max(LONGEST_GAP, 1.01 * float(np.median(frames))) if len(frames) else LONGEST_GAP
 
 

@@ -166,15 +166,11 @@ def _trials(moved: Sequence[Recording], seen: Sequence[Recording]) -> dict[int, 
     for group in (moved, seen):
         stems = [recording.name or recording.file.stem for recording in group]
         several = len({*stems}) > 1
-        begin, end = (_alike(side) if several else 0 for side in (stems, [stem[::-1] for stem in stems]))
+        alike = (commonprefix(side) for side in (stems, [stem[::-1] for stem in stems]))  # noqa: RUF071
+        begin, end = (len(same.rstrip("0123456789")) for same in alike)  # numbers stay whole
         for recording, stem in zip(group, stems, strict=True):
             names[id(recording)] = trial_name(stem[begin : len(stem) - end] if several else "00")
     return names
-
-
-def _alike(names: Sequence[str]) -> int:
-    """The number of leading characters that all names share, numbers left whole."""
-    return len(commonprefix(names).rstrip("0123456789"))  # noqa: RUF071
 
 
 def _refuse_strangers(motion: pd.DataFrame, seen: Sequence[str]) -> None:

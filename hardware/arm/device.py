@@ -113,6 +113,7 @@ class VelocityArm:
             way = np.asarray(angles) - here
             if np.abs(way).max() < START_TOLERANCE / 4:
                 break
+            # half a cosine is pi / 2 times as fast in its middle as on average
             duration = max(np.abs(way).max() * np.pi / 2 / self.driving.approach, 20 * self.arm.tick)
             ticks = int(np.ceil(duration / self.arm.tick))
             share = (1 - np.cos(np.pi * np.arange(ticks + 1) / ticks)) / 2

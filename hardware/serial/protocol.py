@@ -167,7 +167,7 @@ def cobs(data: bytes) -> bytes:
     result = bytearray()
     for block in blocks:
         while len(block) >= 254:
-            result += b"\xff" + block[:254]
+            result += b"\xff" + block[:254]  # of a full block no zero was taken out
             block = block[254:]  # noqa: PLW2901
         result += bytes([len(block) + 1]) + block
     return bytes(result)
@@ -182,7 +182,7 @@ def uncobs(data: bytes) -> bytes:
             raise FrameError("stuffing")
         result += data[at + 1 : at + code]
         at += code
-        if code < 255 and at < len(data):
+        if code < 255 and at < len(data):  # neither a full block nor the last stands before a zero
             result.append(0)
     return bytes(result)
 

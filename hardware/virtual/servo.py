@@ -26,6 +26,7 @@ class Servo:
         """The joints' motion under commands held from tick to tick: fine times (K,) [s] and angles turned since the
         start (K, J) [rad]. t: (N,) [s]. speeds: (N, J) commanded [rad/s]."""
         fine = np.arange(t[0], t[-1] + self.step / 2, self.step)
+        # a command acts from its very tick on, whatever the rounding
         held = speeds[np.clip(np.searchsorted(t, fine + 1e-9, side="right") - 1, 0, len(t) - 1)]
         held = held * (1 + self.repeatability * rng.standard_normal(speeds.shape[1]))
         # two equal poles p: -3 dB of 1 / (s / p + 1)^2 is at p sqrt(sqrt(2) - 1)

@@ -57,17 +57,16 @@ def command(name: str) -> Callable[[list[str]], int]:
 
 
 def listed() -> str:
-    """The commands, a line each, for the help."""
-    return "\n".join(f"  {name:<8} {_first_line(name)}" for name in NAMES)
+    """The commands, a line each, for the help: the first of a command's description, without loading the command."""
+    lines = []
+    for name in NAMES:
+        tree = ast.parse(Path(__file__).with_name(f"{_module(name)}.py").read_text(encoding="utf-8"))
+        functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+        described = ast.get_docstring(functions[name] if name in PROVENANCE else tree) or ""
+        lines.append(f"  {name:<8} {described.splitlines()[0]}")
+    return "\n".join(lines)
 
 
 def _module(name: str) -> str:
     """A command's module: Python keeps some names for itself."""
     return "provenance" if name in PROVENANCE else f"{name}_" if iskeyword(name) else name
-
-
-def _first_line(name: str) -> str:
-    """The first line of a command's description, without loading the command."""
-    tree = ast.parse(Path(__file__).with_name(f"{_module(name)}.py").read_text(encoding="utf-8"))
-    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-    return (ast.get_docstring(functions[name] if name in PROVENANCE else tree) or "").splitlines()[0]

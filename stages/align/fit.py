@@ -66,6 +66,7 @@ class Problem:
         parts, first = [], 0
         for trial, span in zip(self.trials, spans, strict=True):
             count = max(round(span / length), 1)
+            # below 1 for the last one too, which then has a block
             share = (trial.sightings.times - trial.sightings.times[0]) / (span * (1 + 1e-9))
             parts.append(first + (share * count).astype(int)[trial.sightings.frame])
             first += count
@@ -196,7 +197,7 @@ def fitted(
 
 def robust(residual: np.ndarray) -> float:
     """Standard deviation about zero of residuals (N,), from their median, in their unit."""
-    return float(mad_sigma(residual)) + 1e-12
+    return float(mad_sigma(residual)) + 1e-12  # never zero, for residuals are divided by it
 
 
 def chosen(problem: Problem) -> Fit:

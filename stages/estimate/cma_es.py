@@ -40,6 +40,7 @@ def estimate(
     """
     goals = targets(model, observations, matching)
     before = start_chi(model.parameters, previous)
+    # about a point on a bound half of what is drawn lies beyond
     middle = np.clip(before, 0.05, 0.95) if previous is not None else np.full(len(before), 0.5)
     bounds = np.tile([0.0, 1.0], (len(before), 1))
     settings = {"sigma": sigma / manipulation, "bounds": bounds, "population_size": population}
@@ -51,6 +52,7 @@ def estimate(
             search = CMA(mean=rng.uniform(0, 1, len(before)), seed=int(rng.integers(2**31)), **settings)
         chi = np.stack([search.ask() for _ in range(population)])
         rate = matching_rate(goals, values_of(model.parameters, chi))
+        # E is at least 0: a run that was rejected is worse than any other
         search.tell([(c, -r if np.isfinite(r) else 1.0) for c, r in zip(chi, rate, strict=True)])
         tried.append(chi)
         rates.append(rate)

@@ -54,6 +54,7 @@ def filmed(commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: fl
 
 def within(recording: Recording, begin: float, end: float) -> tuple[pd.DataFrame, list[np.ndarray]]:
     """Frames of a stretch of time [s], as table FRAMES and images; raises HardwareError where there are none."""
+    # frames at the very ends count, whatever the rounding
     inside = np.flatnonzero((recording.t >= begin - 1e-9) & (recording.t <= end + 1e-9))
     if not len(inside):
         why = recording.fault or "its clock or delay is wrong"

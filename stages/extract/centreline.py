@@ -171,7 +171,7 @@ def _end(light: np.ndarray, blind: np.ndarray, half: float) -> tuple[float, floa
     even = light[first : max(last - int(2 * half), first + 1)]
     beyond = int(np.argmin(np.append(blind[last + 1 :], False)))
     if beyond or last + 1 == len(light):
-        return last + beyond / 2, max(beyond, 1) / np.sqrt(12)
+        return last + beyond / 2, max(beyond, 1) / np.sqrt(12)  # one sigma of anywhere along so many points
     drop = float(light[last] - light[last + 1])
     return last + float(light[last] - level) / drop, float(np.hypot(SHAPE, mad_sigma(even - 2 * level) / drop))
 

@@ -26,6 +26,7 @@ class Curves:
         """Angles and velocities (B, K, J) on the tick from 0 to `until` [s]; at rest after T."""
         u = np.arange(round(until / tick) + 1) * tick / self.duration[:, None]
         inside = np.clip(u, 0, 1)[:, :, None]
+        # the tick at T still moves, whatever the rounding
         speed = np.einsum("bkn,bjn->bkj", _bernstein(inside), self.control) * (u <= 1 + 1e-9)[..., None]
         # The integral of a Bezier curve is one of a degree more over the sums of its points.
         sums = np.concatenate([np.zeros((*self.control.shape[:2], 1)), np.cumsum(self.control, axis=-1)], axis=-1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated
 
@@ -121,7 +121,9 @@ def generate(
         found, tried = _searched(check, draw, budget, progress)
         count += tried
         if found:
-            return _counted(max(found, key=lambda one: one[0])[1], count)
+            best = max(found, key=lambda one: one[0])[1]
+            attempts = ATTEMPTS.check(pd.DataFrame(sorted(count.items()), columns=["outcome", "count"]))
+            return replace(best, attempts=attempts, outcome=best.outcome.assign(tried=count.total()))
     raise MotionNotFoundError(_failure(count))
 
 
@@ -267,13 +269,6 @@ def string_of(times: np.ndarray, arc: np.ndarray, points: np.ndarray) -> pd.Data
     t, s = np.meshgrid(times, arc, indexing="ij")
     columns = {"t": t.ravel(), "s": s.ravel(), "x": points[..., 0].ravel(), "y": points[..., 1].ravel()}
     return PREDICTED_STRING.check(pd.DataFrame(columns))
-
-
-def _counted(motion: Motion, count: Counter[str]) -> Motion:
-    """The motion with the record of all that was tried."""
-    attempts = pd.DataFrame(sorted(count.items()), columns=["outcome", "count"])
-    outcome = motion.outcome.assign(tried=sum(count.values()))
-    return Motion(motion.commands, motion.control_points, motion.string, ATTEMPTS.check(attempts), outcome)
 
 
 def _failure(count: Counter[str]) -> str:

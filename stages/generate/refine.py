@@ -63,6 +63,7 @@ def refine(task: Task, space: Space, starts: Curves, draws: Draws, rounds: int, 
     best, most = points.copy(), outcome(task, starts, draws).closeness
     settings = {"sigma": STEP, "bounds": space.bounds, "population_size": POPULATION}
     inside = np.clip(points, *space.bounds.T)
+    # NumPy takes no larger seed
     searches = [CMA(mean=point, seed=(seed + number) % 2**32, **settings) for number, point in enumerate(inside)]
     for _ in range(rounds):
         asked = [_asked(task, space, search) for search in searches]
@@ -70,6 +71,7 @@ def refine(task: Task, space: Space, starts: Curves, draws: Draws, rounds: int, 
         close = outcome(task, space.curves(tried), draws).closeness
         parts = np.split(close, np.cumsum([count for _, count in asked])[:-1])
         for number, (search, (point, count), own) in enumerate(zip(searches, asked, parts, strict=True)):
+            # what is not allowed is worse than what never comes near
             value = np.concatenate([1 - own, np.full(len(point) - count, 2.0)])
             search.tell(list(zip(point, value, strict=True)))
             if count and own.max() > most[number]:

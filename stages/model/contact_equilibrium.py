@@ -71,7 +71,7 @@ def _share(here: _Strings, step: np.ndarray) -> np.ndarray:
         if going.size == 0:
             break
         (low, high), (down, up) = ends[:, going], falls[:, going]
-        share[going] = low + (high - low) * np.clip(down / (down - up), 0.02, 0.98)
+        share[going] = low + (high - low) * np.clip(down / (down - up), 0.02, 0.98)  # on an end it would stand still
         fall = _fall(here.only(going), step[going], share[going])
         side = (fall <= 0).astype(int)
         ends[side, going], falls[side, going] = share[going], fall

@@ -6,7 +6,7 @@ import difflib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -63,19 +63,15 @@ def kind_of(name: str) -> tuple[str, int]:
 def files() -> dict[str, Path]:
     """The file of each effect, by name, none of them loaded. Raises ValueError as `library`."""
     found: dict[str, Path] = {}
-    for path in _files():
-        if path.stem in found:
-            raise ValueError(f"{path}: there is an effect '{path.stem}' already. Rename the file and its effect.")
-        found[path.stem] = path
-    return found
-
-
-def _files() -> Iterator[Path]:
     more = filter(None, os.environ.get(VARIABLE, "").split(os.pathsep))
     for folder in (Path(package.__path__[0]), *map(Path, more)):
         if not folder.is_dir():
             raise ValueError(f"{VARIABLE}: there is no folder {folder}. Correct the path.")
-        yield from sorted(p.resolve() for p in folder.glob("*.py") if not p.name.startswith("_"))
+        for path in sorted(p.resolve() for p in folder.glob("*.py") if not p.name.startswith("_")):
+            if path.stem in found:
+                raise ValueError(f"{path}: there is an effect '{path.stem}' already. Rename the file and its effect.")
+            found[path.stem] = path
+    return found
 
 
 @cache

@@ -85,6 +85,7 @@ class Servo:
         """One step of time; clock: the servo's own [s]."""
         self.silent += STEP
         watchdog = self.get(BUS_WATCHDOG)
+        # 0 is off, and TRIPPED is beyond what can be set
         if self.get(TORQUE_ENABLE) and 0 < watchdog < 128 and self.silent > watchdog * WATCHDOG_UNIT:
             self.set(BUS_WATCHDOG, TRIPPED)
             self.set(GOAL_VELOCITY, 0)

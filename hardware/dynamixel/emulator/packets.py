@@ -47,6 +47,7 @@ class Splitter:
         found = []
         while (begin := self.rest.find(HEADER)) >= 0:
             self.rest = self.rest[begin:]
+            # header, identity and length; the length counts all behind it
             end = 7 + int.from_bytes(self.rest[5:7], "little")
             if len(self.rest) < 7 or len(self.rest) < end:
                 break

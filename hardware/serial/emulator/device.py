@@ -8,13 +8,36 @@ from typing import NamedTuple
 
 from stringcast.hardware.emulated.joints import Joints
 from stringcast.hardware.emulated.terminal import Emulated, UnpluggedError
-from stringcast.hardware.serial.emulator.faults import LINE, whole
 from stringcast.hardware.serial.firmware import Firmware
 from stringcast.hardware.serial.protocol import Deframer, FrameError, Kind, decode_command
 
+LATE = 0.03  # [s] of a delayed frame: several ticks
+PAST_NEXT = 0.0075  # [s] after which the next frame, a tick behind, has arrived
 FREEZE = 0.2  # [s] for which a frozen device reads nothing; its watchdog's timer goes on
 BOOT = 0.05  # [s] that a device needs once its supply is back
 BACK = "answer-"  # of faults on the way back
+
+
+Pieces = list[tuple[float, bytes]]  # what arrives of a frame, and how much later [s]
+
+
+def _whole(frame: bytes) -> Pieces:
+    return [(0.0, frame)]
+
+
+def _flipped(frame: bytes) -> Pieces:
+    """With another bit in the middle."""
+    middle = len(frame) // 2
+    return [(0.0, frame[:middle] + bytes([frame[middle] ^ 0x10]) + frame[middle + 1 :])]
+
+
+LINE: dict[str, Callable[[bytes], Pieces]] = {
+    "drop": lambda frame: [],
+    "duplicate": lambda frame: [(0.0, frame), (0.0, frame)],
+    "corrupt": _flipped,
+    "delay": lambda frame: [(LATE, frame)],
+    "reorder": lambda frame: [(PAST_NEXT, frame)],  # the next one overtakes it
+}
 
 
 class Arrival(NamedTuple):
@@ -46,7 +69,7 @@ class Device(Emulated):
         """Bytes from the host, on their way from now on. Raises UnpluggedError."""
         for frame in self.deframer.frames(data):
             fault = self._befallen(frame)
-            self.coming += self._sent(frame, fault, LINE.get(fault, whole))
+            self.coming += self._sent(frame, fault, LINE.get(fault, _whole))
 
     def step(self) -> bytes:
         """Timer, joints, and what arrives meanwhile."""
@@ -76,14 +99,14 @@ class Device(Emulated):
         STRIKES.get(fault, lambda device: None)(self)
         return fault
 
-    def _sent(self, frame: bytes, fault: str, through: Callable[[bytes], list[tuple[float, bytes]]]) -> list[Arrival]:
+    def _sent(self, frame: bytes, fault: str, through: Callable[[bytes], Pieces]) -> list[Arrival]:
         return [Arrival(self.clock + late, piece, fault) for late, piece in through(frame)]
 
     def _exchange(self) -> bytes:
         """Obey the frames that have arrived. Returns the bytes that are due to leave."""
         for _, frame, fault in _taken(self.coming, self.clock):
             answer = self.firmware.obey(frame, self.micros, self.joints.measured)
-            through = LINE[fault.removeprefix(BACK)] if fault.startswith(BACK) else whole
+            through = LINE[fault.removeprefix(BACK)] if fault.startswith(BACK) else _whole
             self.going += self._sent(answer, fault, through)
         return b"".join(arrival.frame for arrival in _taken(self.going, self.clock))
 

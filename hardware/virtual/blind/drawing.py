@@ -41,7 +41,7 @@ class Redraw(Exception):  # noqa: N818 - nothing has gone wrong
 
 def draw(seed: int, arm: Arm, camera: Camera, version: int = LATEST) -> BlindBench:
     """The bench of a seed; `version` says which case it is (see `VERSIONS`)."""
-    rng = np.random.default_rng([seed, 20211])
+    rng = np.random.default_rng([seed, 20211])  # no other use of this seed shall draw the same
     while True:
         try:
             return _drawn(seed, VERSIONS[version], rng, arm, camera)

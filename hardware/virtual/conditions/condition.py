@@ -67,7 +67,7 @@ class Condition:
 
 def shot_of(bench: Bench, t: np.ndarray) -> Shot:
     """The shot of the last performed motion on a bench, at times t (F,) [s]."""
-    margin = 0.6 / bench.camera.fps
+    margin = 0.6 / bench.camera.fps  # an exposure reaches half of an interval beyond its frame's time at most
     times = np.arange(t[0] - margin, t[-1] + margin, FINE)
     wall = scenery(bench.camera, bench.look, bench.seed)
     return Shot(bench.camera, bench.look, wall, t, times, bench.joints_at(times), bench.string_at(times))
