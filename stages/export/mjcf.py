@@ -109,6 +109,7 @@ def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, An
     rest = sum(string.added("rest_curvature", material, given), np.zeros_like(places))[0] * length
     hinges = [(named["grasp_stiffness"], named["grasp_damping"], float(grasp_set(string, material)[0, 0]))]
     hinges += [(named["bending_stiffness"] / length, named["bending_damping"] / length, angle) for angle in rest]
+    # a sphere's drag: by Stokes its radius follows from the linear part, and the coefficient of the rest from both
     radius = cells * named["linear_drag"] / (6 * np.pi * VISCOSITY)
     blunt = cells * named["quadratic_drag"] / (DENSITY * np.pi * radius**2)
     offsets = [np.ravel(offset) for offset in string.added("grasp_offset", material, {})]

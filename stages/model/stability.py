@@ -42,6 +42,7 @@ def steps_per_tick(string: String, material: np.ndarray, tick: float) -> tuple[n
     step = np.minimum(SAFETY * stable, string.largest_step)
     needed = tick / np.maximum(step, 1e-300)
     possible = np.isfinite(needed) & (needed <= MOST_STEPS)
+    # a whole number may come out a little above itself, hence the 1e-9
     level = np.ceil(np.log(np.maximum(np.where(possible, needed, 1.0), 1.0)) / np.log(LEVEL) - 1e-9)
     return np.ceil(LEVEL**level - 1e-9).astype(int), possible
 
