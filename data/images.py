@@ -79,7 +79,9 @@ class Video(Images):
 
     @cached_property
     def _capture(self) -> Any:
-        if not _contained(self.path):
+        with regular(self.path).open("rb") as file:
+            begins = file.read(8)
+        if not (begins.startswith(CONTAINERS) or begins[4:] in ATOMS):  # OpenCV follows lists of addresses, too
             raise DataError(f"{self.path}: no MP4, QuickTime, AVI or Matroska file. Convert it, or store PNGs.")
         capture = cv2.VideoCapture(str(self.path))
         if not capture.isOpened():
@@ -127,13 +129,6 @@ def _refuse_size(path: Path, width: float, height: float) -> None:
         raise DataError(
             f"{path}: it has {width:.0f} x {height:.0f} pixels, at most {MOST_PIXELS:.0f} are read. Store it smaller."
         )
-
-
-def _contained(path: Path) -> bool:
-    """Whether a file begins as a video does: a list of other files or addresses is followed by OpenCV, too."""
-    with regular(path).open("rb") as file:
-        begins = file.read(8)
-    return begins.startswith(CONTAINERS) or begins[4:] in ATOMS
 
 
 class Held(Images):

@@ -46,7 +46,12 @@ def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
         for name, table in tables.items():
             _write_parquet(table, getattr(artifact, name), aside / f"{name}.parquet", origin)
         if hasattr(artifact, "images"):
-            _write_images(artifact, aside)
+            files = [aside / file for file in artifact.frames["file"]]
+            for file, image in zip(files, artifact.images, strict=True):
+                disk.make_folder(file.parent)
+                disk.write(file, png(image))
+            for inside in {file.parent for file in files}:
+                disk.sync_folder(inside)
         disk.sync_folder(aside)
 
 
@@ -165,15 +170,6 @@ def _write_parquet(table: Table, frame: pd.DataFrame, path: Path, origin: Mappin
     disk.write(path, buffer.getvalue().to_pybytes())
     if pq.read_metadata(path).num_rows != len(checked):
         raise OSError(errno.EIO, "it reads back differently")
-
-
-def _write_images(artifact: Any, folder: Path) -> None:
-    """Write a trial's images under the names in its table `frames`."""
-    for file, image in zip(artifact.frames["file"], artifact.images, strict=True):
-        disk.make_folder((folder / file).parent)
-        disk.write(folder / file, png(image))
-    for inside in {(folder / file).parent for file in artifact.frames["file"]}:
-        disk.sync_folder(inside)
 
 
 @contextmanager

@@ -90,7 +90,11 @@ class Ledger:
 
     def elsewhere(self, jobs: Sequence[Job]) -> int:
         """The number of these jobs that another process is running."""
-        return sum(job.state == RUNNING and self._taken(job.key) for job in jobs)
+        count = 0
+        for job in (job for job in jobs if job.state == RUNNING):
+            with self.claimed(job.key) as log:
+                count += log is None
+        return count
 
     def waiting(self, keys: Sequence[str], states: Sequence[str]) -> list[str]:
         """The jobs that are to be run: those that never ended, or ended in one of `states`; entered as pending."""
@@ -104,10 +108,6 @@ class Ledger:
     def place(self, key: str) -> Path:
         """The folder of a job's run."""
         return self.folder / key
-
-    def _taken(self, key: str) -> bool:
-        with self.claimed(key) as log:
-            return log is None
 
     def _put(self, key: str, states: Sequence[str], state: str, error: str = "") -> bool:
         """Put a job that nobody is at from one of `states` into `state`; whether it is in `state` now.

@@ -61,15 +61,9 @@ def drawn(
     tip = uncertainty.tip if estimate is None else float(estimate.fit["rms_after"].iloc[0])
     off = tip * rng.standard_normal((count, 2))
     if estimate is None:
-        return Draws(_prior(model, count, rng), amplitude, lag, off)
+        columns = [p.value(rng.uniform(0, 1, count)) for p in model.parameters]
+        known = [model.known.get(name) for name in model.names]
+        values = [column if x is None else np.full(count, x) for column, x in zip(columns, known, strict=True)]
+        return Draws(np.stack(values, axis=-1), amplitude, lag, off)
     every = np.stack([model.values(row) for row in estimate.draws.to_dict("records")])  # any as likely as another
     return Draws(every[rng.integers(0, len(every), count)], amplitude, lag, off)
-
-
-def _prior(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Values (count, P) before the first trial."""
-    columns = [p.value(rng.uniform(0, 1, count)) for p in model.parameters]
-    known = {name: place for place, name in enumerate(model.names) if name in model.known}
-    for name, place in known.items():
-        columns[place] = np.full(count, model.known[name])
-    return np.stack(columns, axis=-1)

@@ -240,13 +240,11 @@ class String(Parametrised):
         for effect in self.effects:
             for slot, law in effect.laws().items():
                 names = arguments(law)
-                found.setdefault(slot, []).append((law, names, self._places(effect, names)))
+                # an effect's own parameter before another's of the same name
+                rows = {n: [q for q in (f"{effect.name}.{n}", n) if q in self.rows] for n in names}
+                places = {name: self.rows.index(own[0]) for name, own in rows.items() if own}
+                found.setdefault(slot, []).append((law, names, places))
         return found
-
-    def _places(self, effect: type[StringEffect], names: Sequence[str]) -> dict[str, int]:
-        """Where those of the names that are parameters are among the rows of `material`: an effect's own first."""
-        known = {name: [q for q in (f"{effect.name}.{name}", name) if q in self.rows] for name in names}
-        return {name: self.rows.index(rows[0]) for name, rows in known.items() if rows}
 
     def masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Masses of the points over nominal mass per length [m], and the length each stands for [m].

@@ -109,7 +109,10 @@ class Bus(Emulated):
     def hear(self, data: bytes) -> None:
         """Bytes from the host. Raises UnpluggedError."""
         for packet in self.splitter.packets(data):
-            if not self._lost(packet):
+            moves = packet.instruction == SYNC_WRITE and packet.parameters[0] == GOAL_VELOCITY.address
+            fault = self.fault() if moves else ""
+            lost = bool(fault) and STRIKES[fault](self)
+            if not lost:
                 self.coming.append(packet)
 
     def step(self) -> bytes:
@@ -128,13 +131,6 @@ class Bus(Emulated):
         servos = self.servos.values()
         tripped = any(servo.get(BUS_WATCHDOG) == TRIPPED for servo in servos)
         return "tripped" if tripped else "cleared", all(servo.joint.still for servo in servos)
-
-    def _lost(self, packet: Packet) -> bool:
-        """Count goal velocities, and let the fault of this one strike."""
-        if packet.instruction != SYNC_WRITE or packet.parameters[0] != GOAL_VELOCITY.address:
-            return False
-        fault = self.fault()
-        return bool(fault) and STRIKES[fault](self)
 
     def _obey(self, packet: Packet) -> bytes:
         for servo in self.servos.values():
