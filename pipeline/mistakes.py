@@ -150,7 +150,9 @@ def _unknown_choice(word: Word) -> Iterator[Answer]:
     if (CONF / word.setting / word.value).with_suffix(".yaml").exists():  # in a folder of the group
         return
     near = _nearest(word.value, there)
-    known = "" if near else f"; there are {', '.join(there)}"
+    known = "" if near else f"; there {'are' if len(there) > 1 else 'is'} {', '.join(there)}"
+    if not near and word.setting in ("arm", "camera"):
+        known += f"; python -m pipeline new {word.setting} {word.value} writes one of your own"
     yield Answer(f"{word.text}: there is no such option{known}.", [f"{word.name}={near or word.value}"])
 
 

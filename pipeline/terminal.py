@@ -35,14 +35,20 @@ def called_as() -> str:
     """`stringcast`, or the interpreter with `-m pipeline`, by the shortest path from here."""
     if Path(sys.argv[0]).stem == "stringcast":
         return "stringcast"
+    module = "pipeline" if (Path.cwd() / "pipeline").is_dir() else "stringcast"
+    return f"{_python()} -m {module}"
+
+
+def _python() -> Path:
+    """The interpreter that runs this, by the shortest path from here."""
     here, python = Path.cwd(), Path(sys.executable)
-    module = "pipeline" if (here / "pipeline").is_dir() else "stringcast"
-    return f"{python.relative_to(here) if python.is_relative_to(here) else python} -m {module}"
+    return python.relative_to(here) if python.is_relative_to(here) else python
 
 
 def as_called(text: str) -> str:
-    """A text with the commands in it as this program was called."""
-    return re.sub(r"(?<![\w/.])python -m pipeline", lambda _: called_as(), text)
+    """A text with the commands in it as this program was called, and with the pip of what runs it."""
+    text = re.sub(r"(?<![\w/.])python -m pipeline", lambda _: called_as(), text)
+    return re.sub(r"(?<!-m )pip install", lambda _: f"{_python()} -m pip install", text)
 
 
 def complain(error: Exception, console: Terminal) -> None:

@@ -40,7 +40,7 @@ def reads(path: Path) -> bool:
 def read(path: Path) -> list[Recording]:
     """Places of its points [px] by frame, one recording; raises DataError where it is damaged or h5py is not there."""
     if find_spec("h5py") is None:
-        raise DataError(f"{path}: to read HDF5, h5py is needed: pip install h5py. Or import the CSV beside it.")
+        raise DataError(f"{path}: to read HDF5 (or import the CSV beside it), h5py is needed: pip install h5py")
     import h5py  # noqa: PLC0415
 
     try:

@@ -32,7 +32,7 @@ def reads(path: Path) -> bool:
 def read(path: Path) -> list[Recording]:
     """A recording for each topic that says where something is. Raises DataError."""
     if find_spec("mcap") is None or find_spec("mcap_ros2") is None:
-        raise DataError(f"{path}: to read MCAP, two packages are needed: pip install mcap mcap-ros2-support.")
+        raise DataError(f"{path}: to read MCAP, two packages are needed: pip install mcap mcap-ros2-support")
     from mcap.exceptions import McapError  # noqa: PLC0415
 
     rows: dict[str, list[dict[str, float]]] = {}

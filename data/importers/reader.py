@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -164,25 +164,27 @@ class Reader:
         said = self.hints.unit
         return column.meaning.unit or said.get(self.recording.file.name) or said.get("") or "m"
 
-    def angle(self, column: Column, role: str) -> np.ndarray:
-        """A column of angles [rad]."""
+    def angle(self, column: Column, role: str, beside: Sequence[Column] = ()) -> np.ndarray:
+        """A column of angles [rad]. beside: columns without a unit that are in the same one."""
         unit, how = column.meaning.unit, column.how
         if not unit and self.hints.degrees is not None:
-            unit, how = ("deg" if self.hints.degrees else "rad"), "--deg" if self.hints.degrees else "--rad"
+            unit, how = ("deg", "--deg") if self.hints.degrees else ("rad", "--rad")
         if not unit:
-            raw = np.abs(pd.to_numeric(self.recording.table[column.name], errors="coerce").to_numpy(dtype=float))
-            far = float(np.nanquantile(raw, 0.9)) if np.isfinite(raw).any() else 0.0
-            unit, how = ("deg", "values") if far > TURNED else ("rad", how)
+            unit, how = ("deg", "values") if self._turn_far(beside or [column]) else ("rad", how)
         return self.numbers(column, role, unit, ANGLES[unit], how)
+
+    def _turn_far(self, columns: Sequence[Column]) -> bool:
+        """Whether one of them turns further than a joint can [rad]."""
+        raw = self.recording.table[[c.name for c in columns]].apply(pd.to_numeric, errors="coerce").abs()
+        return bool(float(raw.quantile(0.9).max()) > TURNED)
 
     def motion(self, columns: Sequence[Column]) -> pd.DataFrame | None:
         """Joint angles or poses of the hand, if it holds them."""
         joints = [column for column in columns if column.meaning.kind == "joint"]
         if joints:
             ordered = sorted(joints, key=lambda c: int(c.meaning.name))
-            degrees = [c for c in ordered if not c.meaning.unit]  # in degrees all or none
-            reader = self if not degrees else replace(self, hints=self._degrees_of(degrees))
-            angles = {f"q{n}": reader.angle(column, f"q{n}") for n, column in enumerate(ordered, 1)}
+            unsaid = [c for c in ordered if not c.meaning.unit]  # in degrees all or none
+            angles = {f"q{n}": self.angle(column, f"q{n}", unsaid) for n, column in enumerate(ordered, 1)}
             return pd.DataFrame(angles, index=self.recording.table.index)
         hand = {c.meaning.axis: c for c in columns if c.meaning.kind == "hand"}
         turned = "angle" in hand or {*QUATERNION} <= {*hand}
@@ -191,14 +193,6 @@ class Reader:
         right, up = self.plane(columns)
         places = {name: axis.sign * self.length(hand[axis.name], name) for name, axis in (("x", right), ("y", up))}
         return pd.DataFrame({**places, "theta": self._theta(hand, right, up)}, index=self.recording.table.index)
-
-    def _degrees_of(self, columns: Sequence[Column]) -> ColumnHints:
-        """The user's description with degrees for all these columns if one of them turns further than a joint can
-        [rad]."""
-        if self.hints.degrees is not None:
-            return self.hints
-        raw = self.recording.table[[c.name for c in columns]].apply(pd.to_numeric, errors="coerce").abs()
-        return replace(self.hints, degrees=True) if float(raw.quantile(0.9).max()) > TURNED else self.hints
 
     def _theta(self, hand: Mapping[str, Column], right: Axis, up: Axis) -> np.ndarray:
         """Direction in which the string leaves the hand [rad]: of a column, or where a quaternion turns x."""

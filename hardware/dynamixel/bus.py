@@ -211,9 +211,7 @@ class DynamixelBus:
         try:
             self.sdk = import_module("dynamixel_sdk")
         except ModuleNotFoundError as error:
-            raise HardwareError(
-                "hardware=dynamixel needs the maker's library: .venv/bin/python -m pip install dynamixel-sdk"
-            ) from error
+            raise HardwareError("hardware=dynamixel needs the maker's library: pip install dynamixel-sdk") from error
         self.handler = self.sdk.PortHandler(self.port)
         # The library waits for 34 ms at least, seven ticks.
         self.handler.setPacketTimeout = lambda length: self.handler.setPacketTimeoutMillis(self.reply * 1e3)

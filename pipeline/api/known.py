@@ -41,11 +41,15 @@ class KnownString:
     def of_run(cls, folder: str | Path) -> KnownString:
         """The string of a run's folder: of its extended.yaml, or else its last estimate. Raises StringcastError."""
         whole = Path(folder)
+        if not whole.exists():
+            raise UserError(f"{whole}: there is no such folder. Name that of casts, an estimation or a diagnosis.")
         estimates = sorted(whole.glob("iterations/*/estimate/parameters.parquet"))
         if (whole / EXTENDED).exists() or not estimates:
             return cls.load(whole)
         settings, table = modern(json_block(whole / "config.json")), read_table(PARAMETERS, estimates[-1])
-        known = dict(zip(table["name"], table["value"].astype(float), strict=True))
+        sure = table["low"].notna() & table["high"].notna()
+        known: dict[str, Any] = dict(zip(table["name"], table["value"].astype(float), strict=True))
+        known |= table[sure].set_index("name")[["value", "low", "high"]].astype(float).to_dict("index")
         return cls({"string": settings["string"], "effects": settings["effects"], "known": known})
 
     def save(self, folder: str | Path) -> Path:

@@ -92,5 +92,5 @@ def extra(package: str, launcher: str) -> ModuleType:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        remedy = f"Install it with .venv/bin/python -m pip install {package}"
+        remedy = f"Install it with pip install {package}"
         raise UserError(f"hydra/launcher={launcher}: the package {package} is missing ({error}). {remedy}.") from error

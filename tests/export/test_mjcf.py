@@ -4,12 +4,14 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
-from conftest import TRUTH, ordinary
+from conftest import TRUTH, ordinary, pipeline
 
 from stringcast.data.schema import DataError
 from stringcast.known import KnownString
 from stringcast.pipeline.commands import command
+from stringcast.pipeline.settings import UserError
 from stringcast.stages.export.mjcf import HEAVY, mjcf
 from stringcast.stages.model.equilibrium import hanging
 from stringcast.stages.model.hand import hand_motion_from_grasp
@@ -98,3 +100,17 @@ def test_the_command_writes_a_chain_and_a_card(tmp_path, capsys):
         with pytest.raises(Exception, match=says):
             export([str(tmp_path), str(tmp_path / words[0]), *words[1:]])
     assert not (tmp_path / "x.xml").exists()
+
+
+def test_a_card_of_casts_has_the_intervals_that_they_found(tmp_path):
+    """Of a search on E there are none, and none are made up."""
+    done = pipeline("+experiment=quick", "estimate=least_squares", "keep=[]", f"hydra.run.dir={tmp_path / 'run'}")
+    assert done.returncode == 0, done.stderr
+    assert command("export").main([str(tmp_path / "run"), str(tmp_path / "string.csv")]) == 0
+    card = pd.read_csv(tmp_path / "string.csv").set_index("name")
+    (found,) = (tmp_path / "run").glob("iterations/01/estimate/parameters.parquet")
+    same = pd.read_parquet(found).set_index("name").loc[card.index, ["value", "low", "high"]]
+    pd.testing.assert_frame_equal(card[["value", "low", "high"]], same, check_dtype=False)
+    assert card["low"].notna().all()
+    with pytest.raises(UserError, match="there is no such folder"):
+        command("export").main([str(tmp_path / "nowhere"), str(tmp_path / "string.csv")])

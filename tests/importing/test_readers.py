@@ -62,6 +62,7 @@ def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
     names = {"q1": "shoulder_pan", "q2": "-shoulder_lift+90", "q3": "elbow_flex"}
     what = gathered(files, ColumnHints(columns=names))
     assert sorted(what.motion["trial"].unique()) == ["t0", "t1"]
+    assert {taken.how for taken in what.taken if taken.role in names} == {"values"}  # nobody said --deg
     one = what.motion[what.motion["trial"] == "t1"]
     np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))  # they turn so far: degrees
     np.testing.assert_allclose(one["t"], np.arange(FRAMES) / 30)

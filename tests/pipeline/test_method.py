@@ -8,7 +8,7 @@ import pytest
 from stringcast.pipeline.console import by_the_other_method, show
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import composed
-from stringcast.pipeline.terminal import Terminal, called_as
+from stringcast.pipeline.terminal import Terminal, as_called, called_as
 
 PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
 
@@ -70,3 +70,10 @@ def test_what_a_run_says_is_not_cut(tmp_path, said):
     assert f"{said.strip()}" in shown
     assert "Nothing is learned from it." in shown
     assert "cast" not in shown.partition(str(tmp_path))[0], "a heading without rows"
+
+
+def test_packages_are_installed_for_the_interpreter_that_lacks_them():
+    """`pip` alone may be another's."""
+    said = as_called("h5py is needed: pip install h5py")
+    assert re.fullmatch(r"h5py is needed: \S*python\S* -m pip install h5py", said)
+    assert as_called(said) == said

@@ -66,6 +66,8 @@ def test_what_nothing_is_like_says_what_there_is():
         refuse_mistakes(["test"])
     with pytest.raises(UserError, match="specimen=7: there is no such option; there are A, B, C, D, long"):
         refuse_mistakes(["specimen=7"])
+    with pytest.raises(UserError, match="arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes one"):
+        refuse_mistakes(["arm=ours"])
 
 
 @pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
