@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -69,6 +70,9 @@ def refusal(error: BaseException) -> str:
         at = re.search(r"at input '([^']*)'", str(error))
         unread = next((word for word in sys.argv[1:] if at and at[1] in word), "The command line")
         return f"{unread}: it cannot be read. Close brackets and quotes, and quote it: 'effects=[tip_mass]'"
+    if several := re.match("Ambiguous value for argument '([^']+)'", said):
+        again = shlex.join(["--multirun", *sys.argv[1:]])
+        return f"{several[1]}: several values are a sweep, a run of each. Try: python -m pipeline {again}"
     if key is None:
         said = "\n".join(line for line in str(error).splitlines() if line.strip() and "provider" not in line)
         return said.removesuffix("Config search path:").strip()

@@ -106,11 +106,11 @@ def test_a_card_of_casts_has_the_intervals_that_they_found(tmp_path):
     """Of a search on E there are none, and none are made up."""
     done = pipeline("+experiment=quick", "estimate=least_squares", "keep=[]", f"hydra.run.dir={tmp_path / 'run'}")
     assert done.returncode == 0, done.stderr
-    assert command("export").main([str(tmp_path / "run"), str(tmp_path / "string.csv")]) == 0
+    assert command("export")([str(tmp_path / "run"), str(tmp_path / "string.csv")]) == 0
     card = pd.read_csv(tmp_path / "string.csv").set_index("name")
     (found,) = (tmp_path / "run").glob("iterations/01/estimate/parameters.parquet")
     same = pd.read_parquet(found).set_index("name").loc[card.index, ["value", "low", "high"]]
     pd.testing.assert_frame_equal(card[["value", "low", "high"]], same, check_dtype=False)
     assert card["low"].notna().all()
     with pytest.raises(UserError, match="there is no such folder"):
-        command("export").main([str(tmp_path / "nowhere"), str(tmp_path / "string.csv")])
+        command("export")([str(tmp_path / "nowhere"), str(tmp_path / "string.csv")])

@@ -66,7 +66,9 @@ def test_what_nothing_is_like_says_what_there_is():
         refuse_mistakes(["test"])
     with pytest.raises(UserError, match="specimen=7: there is no such option; there are A, B, C, D, long"):
         refuse_mistakes(["specimen=7"])
-    with pytest.raises(UserError, match="arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes one"):
+    with pytest.raises(
+        UserError, match=r"arm=ours: .*; there is paper; .*python.* -m pipeline new arm ours writes one"
+    ):
         refuse_mistakes(["arm=ours"])
 
 
@@ -89,3 +91,11 @@ def test_what_pages_show_is_no_mistake(given):
 )
 def test_what_is_right_is_left_alone(word):
     refuse_mistakes([word])
+
+
+def test_several_values_are_answered_by_a_sweep_of_them(called):
+    done = called("method=paper,robust", "seed=1")
+    assert done.returncode == 1
+    assert re.search(
+        r"method=paper,robust: .*Try: \S+ -m \w+ --multirun method=paper,robust seed=1$", done.stderr.strip()
+    )
