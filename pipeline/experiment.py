@@ -25,7 +25,6 @@ from stringcast.stages.model.accuracy import ToleranceError, accurate
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.library import files, named
 from stringcast.stages.model.model import Model
@@ -116,8 +115,9 @@ def prepare(config: Mapping[str, Any], where: Where) -> Experiment:
     target = build(Box, config["target"], "target", where("target"))
     string = _accurate(_string(config["string"], where("string")), arm, config, where("string"))
     camera = build(Camera, config["camera"], "camera", where("camera"))
-    model = Model(string, arm, camera).with_effects(*_effects(config["effects"], "effects", where("effects")))
-    _effects(config.get("own", []), "own", where("own"))  # they need not be at work
+    plain = Model(string, arm, camera)
+    model = with_effects(plain, config["effects"], where("effects"))
+    with_effects(plain, config.get("own", []), where("own"), "own")  # they need not be at work
     known, measured = _known(config["known"], model, where("known"))
     model = replace(model, known=known, measured=measured)
     boxes = config["obstacles"]["boxes"]
@@ -154,12 +154,12 @@ def _check_run(config: Mapping[str, Any], where: Where) -> None:
         raise UserError(f"keep = {config['keep']} ({where('keep')}): it must be a list of {choices}. Change it.")
 
 
-def _effects(names: Any, setting: str, where: str) -> tuple[type[Effect], ...]:
-    """The effects of these names. setting: that gives them. Raises UserError."""
+def with_effects(model: Model, names: Any, where: str, setting: str = "effects") -> Model:
+    """The model with the effects of these names. setting: that gives them. Raises UserError."""
     if not isinstance(names, list):
         raise UserError(f"{setting} = {names!r} ({where}): it must be a list, such as [rest_curvature]. Change it.")
     try:
-        return named([str(name) for name in names])
+        return model.with_effects(*named([str(name) for name in names]))
     except ValueError as error:
         raise UserError(f"{setting} ({where}): {error}") from error
 

@@ -203,4 +203,6 @@ def test_a_wrong_name_in_the_settings_is_answered(arm, camera):
         with_effects(plain, ["tipmass"], "here")
     with pytest.raises(UserError, match="must be a list"):
         with_effects(plain, "tip_mass", "here")
+    with pytest.raises(UserError, match=r"effects \(here\): effect 'wind' is at work already\. Name it once\."):
+        with_effects(plain, ["wind", "wind"], "here")
     assert with_effects(plain, ["resolution", "wind"], "here").string.points == 19
