@@ -128,6 +128,13 @@ def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(chromi
     assert page.faults == []
 
 
+def test_a_list_of_runs_says_on_a_phone_which_ended_how(chromium, pages):
+    page = opened(chromium, pages["index"], width=PHONE, height=740)
+    cells = "[...document.querySelectorAll('tbody tr:first-child td')].slice(0, 2)"
+    assert page.ask(f"{cells}.map(cell => cell.textContent)") == ["hit", "a/b"]
+    assert page.ask(f"{cells}.every(cell => cell.getBoundingClientRect().right < innerWidth)")
+
+
 def test_what_is_pointed_at_in_one_curve_is_shown_in_all(chromium, pages):
     """The string in the film, every curve of the cast and the clock; not those of the other cast."""
     page = opened(chromium, pages["cast"])

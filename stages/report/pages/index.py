@@ -8,10 +8,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.report.page import Card, Details, Page, Part, Section, Table, Text, Tile, Tiles, link, number
+from stringcast.stages.report.page import (
+    Card,
+    Cell,
+    Details,
+    Page,
+    Part,
+    Section,
+    Table,
+    Text,
+    Tile,
+    Tiles,
+    link,
+    number,
+)
 from stringcast.stages.report.words import rate
 
-COLUMNS = ("run", "experiment", "date", "state", "outcome", "casts or trials", "best E", "seconds", "said")
+COLUMNS = ("ended as", "run", "casts or trials", "best E", "time [s]", "said")  # the first two find room on a phone
 
 
 def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> str:
@@ -35,15 +48,8 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
 def _row(row: Mapping[str, Any]) -> list[Any]:
     best = rate(row["best_E"]) if np.isfinite(row["best_E"]) else ""
     numbers = [number(row["iterations"]), number(best), number(f"{row['seconds']:.0f}")]
-    return [
-        _run(row),
-        row["experiment"],
-        row["date"][:16].replace("T", "\u00a0"),
-        row["state"],
-        row["outcome"],
-        *numbers,
-        row["said"],
-    ]
+    ended = row["outcome"] or row["state"]
+    return [ended, Cell(_run(row), "name"), *numbers, row["said"]]
 
 
 def _run(row: Mapping[str, Any]) -> Any:
