@@ -15,12 +15,13 @@ from stringcast.stages.diagnose.varying import varying
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed, tracked_noise
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
+from stringcast.stages.inference.evidence import Data, Finer, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import modes
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.noise import WHITE, told
 from stringcast.stages.inference.search import CONVERGE, refined, screened, searched, with_noise
+from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.accuracy import extrapolated
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
@@ -66,7 +67,11 @@ class Prepared:
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
         data, doubt = self.of(self.raw, fit)
-        return replace(self, data=data, doubt=doubt)
+        return replace(self, data=replace(data, finer=self._finer_at(fit)), doubt=doubt)
+
+    def _finer_at(self, fit: Fit) -> Finer | None:
+        finer = None if self.literal else self.data.finer
+        return finer and finer.about(fit.named)
 
     def heard(self, fit: Fit) -> Prepared:
         """As `at`, with noise as what a fit leaves tells it: what a poorer model lacks may have sounded like noise."""
@@ -79,7 +84,8 @@ class Prepared:
             return self.data
         errors = _numerical_error([replace(t, model=fit.hypothesis.model) for t in self.raw], fit.hypothesis, fit.chi)
         pairs = zip(self.data.trials, self.raw, errors, strict=True)
-        return replace(self.data, trials=tuple(replace(t, points=r.points - error) for t, r, (error, _) in pairs))
+        trials = tuple(replace(t, points=r.points - error) for t, r, (error, _) in pairs)
+        return replace(self.data, trials=trials, finer=self._finer_at(fit))
 
     def of(self, trials: Sequence[Case], fit: Fit) -> tuple[Data, np.ndarray]:
         """Data of any trials without the numerical error of a fit, and what is in doubt of that at each tip [m]."""
@@ -134,9 +140,35 @@ def converged(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
 
 
 def nearer(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
-    """One pass of `converged`: enough where the fit is already one without its own numerical error."""
-    prepared = prepared.at(fit)
-    return prepared, fitted(prepared.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
+    """One pass of `converged`, unless it leads away: numerical error as it is at the fit, and how it changes with the
+    parameters, which a fit follows; then as it is there."""
+    here = prepared.at(fit)
+    stays = evaluated(here.data, fit.hypothesis, fit.chi)
+    if prepared.literal:
+        return here, fitted(here.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
+    finer = _finer(here, stays)
+    chi = fitted(replace(here.data, finer=finer), fit.hypothesis, fit.chi[None], stays.sizes, ROUNDS, MOST).chi
+    there = here.at(replace(stays, chi=chi))
+    there = replace(there, data=replace(there.data, finer=replace(finer, chi=chi)))
+    moved = evaluated(there.data, fit.hypothesis, chi)
+    return (there, moved) if moved.evidence > stays.evidence else (here, stays)
+
+
+def _finer(prepared: Prepared, fit: Fit) -> Finer:
+    """How numerical error changes with the parameters of a fit: by differences, of a mesh half as wide and of this one,
+    extrapolated."""
+    hypothesis, data = fit.hypothesis, prepared.data
+    width = solver.suited(data.of(hypothesis).white(fit.slopes, fit.sizes)[None], np.ones(1))[0]
+    offset = np.where(fit.chi > 0.5, -width, width)
+    chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
+    meshes = [_on(data.trials, hypothesis, times) for times in (1, 2)]
+    told = [Data(tuple(trials), ()).residuals(model, chi) for model, trials in meshes]
+    found = []
+    for own, half in zip(*told, strict=True):
+        lost = ((own == LOST) | (half == LOST)).any(axis=0)
+        change = np.where(lost, 0.0, extrapolated(own, half) - own)
+        found.append((change[1:] - change[0]) / offset[:, None])
+    return Finer(tuple(hypothesis.model.names), fit.chi, tuple(found))
 
 
 def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
@@ -189,7 +221,7 @@ def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
         return prepared
     base, raw = prepared.base, tuple(prepared.raw[k] for k in good)
     names = [trial.name for k, trial in enumerate(prepared.raw) if k not in good]
-    kept = replace(prepared, raw=raw, chaotic=(*prepared.chaotic, *names)).at(base)
+    kept = replace(prepared, raw=raw, data=prepared.data.only(good), chaotic=(*prepared.chaotic, *names)).at(base)
     return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes[good], ROUNDS, MOST))
 
 
@@ -335,15 +367,20 @@ def _numerical_error(
     """
     values, found = values_of(hypothesis.parameters, chi[None]), []
     for times in (1, 2, 4):
-        model = hypothesis.model.divided(times * (hypothesis.model.string.points - 1))
-        model = replace(model, string=replace(model.string, largest_step=model.string.largest_step / times))
-        own = [replace(trial, model=model) for trial in trials]
+        model, own = _on(trials, hypothesis, times)
         found.append([t.at_measured(seen)[0] for t, seen in zip(own, seen_together(model, own, values), strict=True)])
     errors = []
     for here, finer, finest in zip(*found, strict=True):
         limit = extrapolated(finer, finest)
         errors.append((np.nan_to_num(limit - here), np.nan_to_num(limit - extrapolated(here, finer))))
     return errors
+
+
+def _on(trials: Sequence[Case], hypothesis: Hypothesis, times: int) -> tuple[Model, list[Case]]:
+    """A hypothesis' model, and trials, of so many times the segments in steps as much shorter."""
+    model = hypothesis.model.divided(times * (hypothesis.model.string.points - 1))
+    model = replace(model, string=replace(model.string, largest_step=model.string.largest_step / times))
+    return model, [replace(trial, model=model) for trial in trials]
 
 
 def _growth(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:

@@ -31,6 +31,7 @@ WIDTHS = np.array([1e-3, 3e-3, 1e-2, 3e-2])  # [m] by which a cause may well mov
 FEW = 4  # iterations of several starts, before the best alone goes on
 TIP = 1e-3  # [m] points so near to the outermost are the tip
 ABSENT = 1e-9  # of a range: nearer than that is not there
+NEAR = 0.05  # of a range: farther off, slopes do not tell what a finer mesh changes
 
 
 @dataclass(frozen=True)
@@ -78,16 +79,40 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
+class Finer:
+    """What a finer mesh changes in how parameters act, about exponents (P,) at which numerical error was taken off
+    (manifold mapping: Echeverria and Hemker 2005, Comput. Methods Appl. Math. 5, 107). names: (P,) of the parameters.
+    slopes: of each trial's residuals over sigma, (P, 2 n)."""
+
+    names: tuple[str, ...]
+    chi: np.ndarray
+    slopes: tuple[np.ndarray, ...]
+
+    def about(self, known: Mapping[str, float]) -> Finer:
+        """The same where numerical error is taken off at other exponents, known by name."""
+        return replace(self, chi=np.array([known.get(n, own) for n, own in zip(self.names, self.chi, strict=True)]))
+
+    def beside(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
+        """What it changes at exponents (C, P') of these names, (C, 2 n) of each trial: of those it knows, and farther
+        off as much as where slopes end."""
+        pairs = [(own, names.index(name)) for own, name in enumerate(self.names) if name in names]
+        own, there = (list(each) for each in zip(*pairs, strict=True))
+        away = np.clip(chi[:, there] - self.chi[own], -NEAR, NEAR)
+        return [away @ slope[own] for slope in self.slopes]
+
+
+@dataclass(frozen=True)
 class Data:
     """Trials that hypotheses are to explain together, and what each may lack.
 
     varying: of causes, by name, that differ from trial to trial: how they move each trial, over sigma, by what is as
-    likely as one deviation, (2 n, m).
+    likely as one deviation, (2 n, m). finer: which residuals have.
     """
 
     trials: tuple[Case, ...]
     discrepancies: tuple[Discrepancy, ...]
     varying: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    finer: Finer | None = None
 
     def of(self, hypothesis: Hypothesis) -> Data:
         """As a hypothesis has them, some of whose causes may differ from trial to trial."""
@@ -97,7 +122,7 @@ class Data:
         if names not in self._of:
             columns = [np.hstack(each) for each in zip(*(self.varying[name] for name in names), strict=True)]
             told = tuple(d.joined(each) for d, each in zip(self.discrepancies, columns, strict=True))
-            self._of[names] = Data(self.trials, told)
+            self._of[names] = Data(self.trials, told, finer=self.finer)
         return self._of[names]
 
     def differs(self, name: str) -> float:
@@ -117,7 +142,11 @@ class Data:
             seen = seen_together(model, self.trials, values[first : first + CHUNK])
             pairs = zip(self.trials, seen, strict=True)
             parts.append([((t.at_measured(p) - t.points) / t.sigma[:, None]).reshape(len(p), -1) for t, p in pairs])
-        return [np.nan_to_num(np.concatenate(some), nan=LOST) for some in zip(*parts, strict=True)]
+        found = [np.nan_to_num(np.concatenate(some), nan=LOST) for some in zip(*parts, strict=True)]
+        if self.finer is None:
+            return found
+        pairs = zip(found, self.finer.beside(model.names, chi), strict=True)
+        return [np.where(each == LOST, LOST, each + more) for each, more in pairs]
 
     def coefficients(self, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
         """(C, 2 M) of each trial's residuals (C, 2 n)."""
@@ -143,7 +172,8 @@ class Data:
     def only(self, chosen: Sequence[int]) -> Data:
         """Some of the trials."""
         varying = {name: tuple(columns[k] for k in chosen) for name, columns in self.varying.items()}
-        return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen), varying)
+        finer = self.finer and replace(self.finer, slopes=tuple(self.finer.slopes[k] for k in chosen))
+        return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen), varying, finer)
 
     def tip_rms(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
         """Root mean square over each trial of displacements (2 n,) over sigma, at the outermost place [m], (K,)."""
