@@ -77,31 +77,20 @@ def diagnose(
     between look-alikes, which the obstacles must not be in the way of; nothing is moved here. without: effects that are
     no candidates. Raises DataError where no trial can be used.
     """
-    good, faults = usable(model, observations)
-    rejected = {**rejected, **faults}
-    if not good:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
-        raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
-    rest = [i for i, o in enumerate(good) if o.trial in held_out]
-    rest = rest if len(rest) < len(good) else []
-    kept = [i for i in range(len(good)) if i not in rest]
+    given = _given(model, observations, rejected, held_out, criteria, matching)
     log.info("fitting the base model")
-    ready = prepared(model, [good[i] for i in kept], criteria.tolerance, np.random.default_rng(seed), starts, progress)
-    rejected = {**rejected, **dict.fromkeys(ready.chaotic, CHAOTIC)}
-    kept = [i for i in kept if good[i].trial not in ready.chaotic]
+    rng = np.random.default_rng(seed)
+    ready = prepared(model, given.asked, criteria.tolerance, rng, starts, progress)
+    given = given.without(ready.chaotic)
     effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
     found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
-    if rest and not judgement.causes and _shown(found, [good[i] for i in rest], criteria):
+    if given.rest and not judgement.causes and _shown(found, given.aside, criteria):
         log.info("the trials set aside show what the others do not: they are looked at as well")
         again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
-        return again(model, good, rejected, (), obstacles, without=without, progress=progress)
-    if len(kept) == 1 and judgement.verdict == "unknown":
-        judgement = replace(judgement, verdict="insufficient", sentence=ALONE)
-    given = Given(model, good, rejected, kept, rest, criteria, matching)
+        return again(model, given.observations, given.rejected, (), obstacles, without=without, progress=progress)
     gained = _gained(given, found, judgement.base)
-    if judgement.causes != (RESOLUTION,) and len(kept) > 1 and not gained.better:
-        judgement = judgement.unsupported
+    judgement = _checked(judgement, gained, len(given.kept))
     log.info("verdict: %s", judgement.verdict)
     proposal = _proposal(found, judgement, criteria, obstacles, design, seed)
     made = written(given, found, judgement, gained, proposal, seed)
@@ -122,9 +111,53 @@ class Given:
     matching: Matching
 
     @property
+    def asked(self) -> list[Observation]:
+        """The trials in which causes are sought."""
+        return [self.observations[i] for i in self.kept]
+
+    @property
+    def aside(self) -> list[Observation]:
+        """The rest."""
+        return [self.observations[i] for i in self.rest]
+
+    @property
     def reach(self) -> float:
         """Half width of an interval, in standard deviations."""
         return float(norm.ppf(0.5 + self.criteria.coverage / 2))
+
+    def without(self, chaotic: Sequence[str]) -> Given:
+        """Causes are not sought in these trials."""
+        kept = [i for i in self.kept if self.observations[i].trial not in chaotic]
+        return replace(self, kept=kept, rejected={**self.rejected, **dict.fromkeys(chaotic, CHAOTIC)})
+
+
+def _given(
+    model: Model,
+    observations: Sequence[Observation],
+    rejected: Mapping[str, str],
+    held_out: Sequence[str],
+    criteria: Criteria,
+    matching: Matching,
+) -> Given:
+    """The trials that can be used; all but those held out are asked, unless that is none. Raises DataError where none
+    can be used."""
+    good, faults = usable(model, observations)
+    rejected = {**rejected, **faults}
+    if not good:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
+        raise DataError(f"there is no trial that can be used ({reasons}). Look at the files it names.")
+    rest = [i for i, o in enumerate(good) if o.trial in held_out]
+    rest = rest if len(rest) < len(good) else []
+    kept = [i for i in range(len(good)) if i not in rest]
+    return Given(model, good, rejected, kept, rest, criteria, matching)
+
+
+def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:
+    """As far as it can be checked: what is found in one trial not at all, in several by those left out."""
+    if trials == 1:
+        alone = replace(judgement, verdict="insufficient", sentence=ALONE)
+        return alone if judgement.verdict == "unknown" else judgement
+    return judgement if gained.better or judgement.causes == (RESOLUTION,) else judgement.unsupported
 
 
 def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
@@ -220,7 +253,7 @@ def _gained(given: Given, found: Found, base: Fit) -> Gained:
     """What the causes gain on trials left out: nothing where there is one trial."""
     if len(given.observations) == 1:
         return Gained(HELD_OUT.empty(), False)
-    seen = [given.observations[i] for i in given.rest or given.kept]
+    seen = given.aside or given.asked
     data = found.prepared.others(seen, found.fit) if given.rest else found.prepared.data
     more = predicted(data, found.fit, unseen=True) if given.rest else found.predictions
     plain = more if base is found.fit else predicted(data, base, unseen=bool(given.rest))
