@@ -298,6 +298,13 @@ def test_effects_speak_and_draw(effect):
     assert axes.get_xlabel()
 
 
+@pytest.mark.parametrize(("stiffness", "said"), [(140.0, "sinks 70 mm into it"), (1e5, "turned 0 degrees")])
+def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
+    """m g = k d."""
+    known = {"stiffness": stiffness, "height": -0.2, "tilt": 0.0}
+    assert LIBRARY["contact"].describe(known).endswith(said)
+
+
 @pytest.mark.parametrize("effect", ADDED, ids=lambda e: e.name)
 def test_parameters_have_bounds_around_their_absence(effect):
     for p in effect.parameters:

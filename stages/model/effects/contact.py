@@ -30,7 +30,9 @@ class Contact(StringEffect):
     @staticmethod
     def describe(values: Values) -> str:
         turned = np.degrees(values["tilt"])
-        return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees"
+        sinks = 1e3 * 9.81 / max(values["stiffness"], 1e-3)  # [mm] of a string that lies on it as on a floor
+        soft = f", so soft that a string at rest sinks {sinks:.0f} mm into it" if round(sinks) >= 1 else ""
+        return f"the string touches a plane {values['height']:.3f} m from the origin, turned {turned:.0f} degrees{soft}"
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
