@@ -105,7 +105,7 @@ def unreadable(folder: Path, reason: str) -> dict[str, Any]:
     ends = [at.start() for at in re.finditer(r"\. (?=[A-Z])", rest)]
     end = next((at for at in ends if rest[:at].count("(") == rest[:at].count(")")), len(rest))
     said, remedy = rest[:end].removesuffix("."), rest[end + 2 :].removesuffix(".")
-    field = re.match(r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'", said)
+    field = re.match(r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)", said)
     named = next(filter(None, field.groups()), "") if field else ""
     finding: dict[str, Any] = {"severity": "error", "file": file, "field": named, "said": said, "remedy": remedy}
     found = [{**finding, "trials": []}]

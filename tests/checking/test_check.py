@@ -640,8 +640,13 @@ def own_names(folder):
     (folder / "points.csv").rename(folder / "tracker.csv")
 
 
+def half_a_line(folder):
+    (folder / "dataset.yaml").write_text("format: 1\nstring: {length: 0.3\n")
+
+
 UNREAD = {  # file, field, and what the remedy says
     number_with_a_unit: ("dataset.yaml", "string.length", "Correct it"),
+    half_a_line: ("dataset.yaml", "line 3", "Correct it"),
     other_column: ("arm.csv", "q1", "Add the column or rename yours"),
     own_names: ("", "", r"import .*robot.csv .*tracker.csv --to"),
 }
