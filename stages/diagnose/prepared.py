@@ -155,8 +155,9 @@ def nearer(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
 
 
 def _finer(prepared: Prepared, fit: Fit) -> Finer:
-    """How numerical error changes with the parameters of a fit: by differences, of a mesh half as wide and of this one,
-    extrapolated."""
+    """How numerical error changes with the parameters of a fit: by differences, of this mesh and of half of it,
+    extrapolated. Not in trials where extrapolation is in doubt by more than the noise: slopes of that would be worse.
+    """
     hypothesis, data = fit.hypothesis, prepared.data
     width = solver.suited(data.of(hypothesis).white(fit.slopes, fit.sizes)[None], np.ones(1))[0]
     offset = np.where(fit.chi > 0.5, -width, width)
@@ -164,8 +165,8 @@ def _finer(prepared: Prepared, fit: Fit) -> Finer:
     meshes = [_on(data.trials, hypothesis, times) for times in (1, 2)]
     told = [Data(tuple(trials), ()).residuals(model, chi) for model, trials in meshes]
     found = []
-    for own, half in zip(*told, strict=True):
-        lost = ((own == LOST) | (half == LOST)).any(axis=0)
+    for trial, doubt, own, half in zip(data.trials, prepared.doubt, *told, strict=True):
+        lost = ((own == LOST) | (half == LOST)).any(axis=0) | bool(doubt > np.median(trial.sigma))
         change = np.where(lost, 0.0, extrapolated(own, half) - own)
         found.append((change[1:] - change[0]) / offset[:, None])
     return Finer(tuple(hypothesis.model.names), fit.chi, tuple(found))
