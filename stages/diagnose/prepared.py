@@ -36,6 +36,7 @@ PASSES = 2  # of numerical error and fit: it is a hundredth of a millimetre off 
 AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that side; in turns
 ASTRAY = 0.05  # of the length at the tip: a base model that leaves more in a trial may have been taken along by it
 FEWEST = 2  # trials: what is found in one could not be checked on another
+FIRST_ORDER = 0.25  # of what is extrapolated, in doubt: |4 / 2^p - 1| / 4 where halving the mesh is of order p
 MESH = 5.0  # of the log evidence: a mesh that much nearer is the model's own (strong, by Jeffreys' scale)
 ROUNDS, MOST = 6, 20  # of a fit that is to stand: it mostly takes three of five
 LEAST_GROWTH = 0.1  # of the largest: early frames are not exact either
@@ -156,20 +157,18 @@ def nearer(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
 
 def _finer(prepared: Prepared, fit: Fit) -> Finer:
     """How numerical error changes with the parameters of a fit: by differences, of this mesh and of half of it,
-    extrapolated. Not in trials where extrapolation is in doubt by more than the noise: slopes of that would be worse.
-    """
+    extrapolated. Not in trials that are not seen to be of first order at least: slopes of chaos lead astray."""
     hypothesis, data = fit.hypothesis, prepared.data
     width = solver.suited(data.of(hypothesis).white(fit.slopes, fit.sizes)[None], np.ones(1))[0]
     offset = np.where(fit.chi > 0.5, -width, width)
     chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
     meshes = [_on(data.trials, hypothesis, times) for times in (1, 2)]
     told = [Data(tuple(trials), ()).residuals(model, chi) for model, trials in meshes]
-    found = []
-    for trial, doubt, own, half in zip(data.trials, prepared.doubt, *told, strict=True):
-        lost = ((own == LOST) | (half == LOST)).any(axis=0) | bool(doubt > np.median(trial.sigma))
-        change = np.where(lost, 0.0, extrapolated(own, half) - own)
-        found.append((change[1:] - change[0]) / offset[:, None])
-    return Finer(tuple(hypothesis.model.names), fit.chi, tuple(found))
+    lost = [((own == LOST) | (half == LOST)).any(axis=0) for own, half in zip(*told, strict=True)]
+    error = [np.where(gone, 0.0, extrapolated(*pair) - pair[0]) for gone, *pair in zip(lost, *told, strict=True)]
+    known = prepared.doubt <= FIRST_ORDER * data.tip_rms([each[0] for each in error])
+    slopes = [(each[1:] - each[0]) / offset[:, None] * own for each, own in zip(error, known, strict=True)]
+    return Finer(tuple(hypothesis.model.names), fit.chi, tuple(slopes))
 
 
 def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
