@@ -65,6 +65,12 @@ class Diagnosed:
         return self.made.causes
 
     @property
+    def budget(self) -> pd.DataFrame:
+        """How far each source moves the tip, root mean square [m]: the causes, numerical error, noise, what is
+        unexplained; as `budget` in diagnosis.json. Empty where there is no verdict on causes."""
+        return pd.DataFrame(self.document.get("budget", []))
+
+    @property
     def gain(self) -> pd.DataFrame:
         """Base and extended model on each trial, fitted without it: residuals [m] and log-likelihood."""
         return self.made.held_out

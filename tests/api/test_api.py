@@ -1,5 +1,6 @@
 """`import stringcast`: the same answers as from the command line, without folders and words of Hydra."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -96,6 +97,11 @@ def test_a_diagnosis_shows_what_it_says(tmp_path):
     assert made.sentence in repr(made)
     assert made.verdict == made.document["verdict"]
     assert made.causes["effect"].iloc[0] in made._repr_html_()
+    assert made.budget.empty
+    budget = [{"source": "wind", "tip_rms_m": 2e-3, "log_evidence": 9.0}, {"source": "noise", "tip_rms_m": 1e-3}]
+    made.made.finding["diagnosis"] = json.dumps(made.document | {"budget": budget})
+    assert made.budget["source"].tolist() == ["wind", "noise"]
+    assert made.budget["tip_rms_m"].tolist() == [2e-3, 1e-3]
     assert len(made.plot().axes[0].lines) == 3
     page = made.report(tmp_path / "page.html").read_text()
     assert page.startswith("<!DOCTYPE html>") or "<html" in page[:200]
