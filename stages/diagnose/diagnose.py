@@ -71,16 +71,14 @@ def diagnose(
 ) -> Diagnosis:
     """What the model gets wrong in these trials, and why.
 
-    rejected: trials that cannot be used, with the reason. held_out: names of trials that are kept for measuring the
-    gain; where there are none, each trial is left out in turn. starts: of the search for the base model's parameters.
-    criteria: what decides. matching: how the matching rate E is counted. design: of the motion that would decide
-    between look-alikes, which the obstacles must not be in the way of; nothing is moved here. without: effects that are
-    no candidates. Raises DataError where no trial can be used.
+    rejected: trials that cannot be used, with the reason. held_out: names of trials kept for measuring the gain; where
+    there are none, each is left out in turn. starts: of the base model's search. matching: how E is counted. design: of
+    the motion that would decide between look-alikes, clear of the obstacles; nothing is moved here. without: effects
+    that are no candidates. Raises DataError where no trial can be used.
     """
     given = _given(model, observations, rejected, held_out, criteria, matching)
     log.info("fitting the base model")
-    rng = np.random.default_rng(seed)
-    ready = prepared(model, given.asked, criteria.tolerance, rng, starts, progress)
+    ready = prepared(model, given.asked, criteria.tolerance, np.random.default_rng(seed), starts, progress)
     given = given.without(ready.chaotic)
     effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
     found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))

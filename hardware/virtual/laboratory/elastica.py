@@ -180,11 +180,8 @@ def _verlet(
     begin: float,
     rod: Rod,
 ) -> np.ndarray:
-    """Position Verlet steps, as PyElastica's, of places and directors.
-
-    A rod of PyElastica keeps its volume, so that its stiffness falls as it is stretched; that of a string is taken to
-    stay: N = axial e, M = bending k for stretch and turn per unstretched length.
-    """
+    """PyElastica's position Verlet steps of places and directors. Its rods keep their volume, and are less stiff when
+    stretched; a string's stiffness is taken to stay: N = axial e, M = bending k per unstretched length."""
     x, v, directors, omega = forces[0], torques[1], forces[9], torques[12]
     steps, nodes = (len(hand) - 1) // 2, x.shape[1]
     kept, outer = np.empty((steps // keep + 1, nodes, 2)), np.empty((2, nodes))
