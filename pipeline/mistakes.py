@@ -78,7 +78,7 @@ def refuse_mistakes(words: Sequence[str]) -> None:
         return  # settings that lie elsewhere are not known here
     answers = [*_answers(words)]
     faults = [answer.fault for answer in answers if answer.fault]
-    better = [word for answer in answers for word in answer.meant]
+    better = [*dict.fromkeys(word for answer in answers for word in answer.meant)]
     experiment = next((word.removeprefix("+experiment=") for word in better if word.startswith("+experiment=")), "")
     if experiment in FROM_TRIALS and not any(word.startswith("trials=") for word in better):
         faults.append(f"+experiment={experiment} looks at stored trials, and none are named.")
@@ -156,6 +156,16 @@ def _unknown_choice(word: Word) -> Iterator[Answer]:
     yield Answer(f"{word.text}: there is no such option{known}.", [f"{word.name}={near or word.value}"])
 
 
+def _choice_as_setting(word: Word) -> Iterator[Answer]:
+    """An option as if it were a setting, source.video=film.mp4: meant is what the option leaves to be given."""
+    group, _, option = word.setting.partition(".")
+    if option in _options(group):
+        file = (CONF / group / option).with_suffix(".yaml")
+        if left := re.search(r"^(\w+): null\b", file.read_text(encoding="utf-8"), re.M):
+            meant = [f"{group}={option}", f"{group}.{left[1]}={word.value}"]
+            yield Answer(f"{word.text}: {option} is an option of {group}.", meant)
+
+
 def _not_in_metres(word: Word) -> Iterator[Answer]:
     found = IN_METRES.match(word.text)
     if found and (found[3] or abs(float(found[2])) >= FARTHEST):
@@ -188,7 +198,7 @@ def _name_and_value_apart(word: Word) -> Iterator[Answer]:
     name, colon = word.text.rstrip(":"), word.text.endswith(":")
     if _is_setting(name) and word.following and (colon or word.next == "="):
         value = word.next if colon else "".join(word.following[1:2])
-        yield Answer(f"{word.text}: name and value belong together.", [_given(name, value)])
+        yield Answer(f"{name}: name and value belong together.", [_given(name, value)])
 
 
 def _folder(word: Word) -> Iterator[Answer]:
@@ -232,6 +242,7 @@ OF_SETTINGS = (
     _former_name,
     _place_as_pair,
     _unknown_choice,
+    _choice_as_setting,
     _not_in_metres,
     _names_without_brackets,
     _known_not_added,

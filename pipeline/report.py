@@ -63,7 +63,8 @@ def following(ahead: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
 
 def after_casts(result: Result, config: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The commands to offer after casts, or after estimation alone."""
-    ahead = [("What does the simulation get wrong in these trials, and why?", f"+experiment=diagnose trials={HERE}")]
+    wrong = ("What does the simulation get wrong in these trials, and why?", f"+experiment=diagnose trials={HERE}")
+    ahead = [wrong] if not all(i.refused for i in result.iterations) else []
     if result.estimate is not None and result.estimate.parameters["low"].isna().all():
         words = f"+experiment=estimate estimate=least_squares trials={HERE}"
         ahead.append(("Estimate the string from the same trials, with intervals", words))

@@ -23,6 +23,7 @@ from stringcast.pipeline.layout import ENDED, FAILED
 from stringcast.pipeline.older import modern
 from stringcast.pipeline.provenance import reasons_of, software
 from stringcast.pipeline.settings import UserError
+from stringcast.pipeline.targets import DRY_RUNS
 from stringcast.pipeline.terminal import Terminal
 
 RUNS = Table(
@@ -33,7 +34,7 @@ RUNS = Table(
         Column("experiment", "", "its name", "text"),
         Column("date", "", "when its first step began, UTC; empty before any", "text"),
         Column("state", "", "ended, failed or incomplete", "text"),
-        Column("outcome", "", "hit or missed, the verdict of a diagnosis, or estimated; empty before the end", "text"),
+        Column("outcome", "", "hit, missed, dry run, a diagnosis' verdict or estimated; empty before the end", "text"),
         Column("iterations", "1", "casts, or trials looked at", "int"),
         Column("best_E", "1", "best matching rate E of its estimates; NaN if there is none"),
         Column("seconds", "s", "spent in its steps"),
@@ -129,12 +130,17 @@ def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
     failed = run / FAILED
     if ended:
         diagnosis = run / "diagnosis.json"
-        cast = "hit" if ended["hit"] else "missed"
-        estimated = cast if any("hit" in i for i in ended["iterations"]) else "estimated"
+        estimated = _cast(run, ended) if any("hit" in i for i in ended["iterations"]) else "estimated"
         outcome = _json(diagnosis)["verdict"] if diagnosis.is_file() else estimated
         return {"state": "ended", "outcome": outcome, "said": ended["sentence"]}
     said = failed.read_text(encoding="utf-8").strip() if failed.is_file() else ""
     return {"state": "failed" if said else "incomplete", "outcome": "", "said": said}
+
+
+def _cast(run: Path, ended: dict[str, Any]) -> str:
+    """How a run of casts ended. One without the arm, or with a slow one, was not thrown at the target at all."""
+    by = modern(json_block(run / "config.json"))["execute"]["_target_"]
+    return "dry run" if by in DRY_RUNS else "hit" if ended["hit"] else "missed"
 
 
 def _steps(run: Path) -> dict[str, Any]:

@@ -58,6 +58,11 @@ class Cast:
         return self.trial.frames["t"].to_numpy()
 
     @property
+    def valid(self) -> bool:
+        """Whether its trial can be trusted; that of a dry run cannot."""
+        return bool(self.trial.link["valid"].iloc[0])
+
+    @property
     def nearest(self) -> int:
         """The frame of the closest approach, the middle one where no tip was read."""
         return self.frame(self.verdict.t) if np.isfinite(self.verdict.t) else len(self.t) // 2

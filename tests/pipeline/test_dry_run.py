@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from stringcast.data.dataset import read
+from stringcast.pipeline.commands.index import row
 from stringcast.stages.execute.interfaces import HardwareError
 from tests.faults.toy import CALLS, toy_experiment, toy_run
 
@@ -31,6 +32,10 @@ def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
     assert {path.name for path in (folder / "iterations/01").iterdir()} == {"motion", "trial", "points"}
     assert (folder / "report.html").exists()
     assert yaml.safe_load((folder / "dataset.yaml").read_text())["trials"] == {"t01": {"invalid": REASON}}
+    assert row(folder)["outcome"] == "dry run"
+    shown = (folder / "report.html").read_text(encoding="utf-8")
+    assert '<span class="badge">not valid</span>' in shown
+    assert not re.search("✗|✓|experiment=diagnose", shown)  # it was not thrown at the target, and teaches nothing
     data = read(folder)
     assert data.trials == {}
     assert data.rejected == {"t01": REASON}

@@ -38,6 +38,9 @@ MEANT = {
     "string.length=30cm": "string.length=0.3",
     "seed = 3": "seed=3",
     "seed: 3": "seed=3",
+    "source.video=film.mp4 +experiment=calibrate": "source=video source.path=film.mp4 +experiment=calibrate",
+    "source=video source.video=film.mp4": "source=video source.path=film.mp4",
+    "source.images=tilted": "source=images source.folder=tilted",
     "--seed 3": "seed=3",
     "--seed=3 stringB": "seed=3 +experiment=stringB",
     "memory=all": "trials_used=all",
@@ -53,6 +56,11 @@ def test_a_mistake_is_answered_by_what_was_meant(typed, meant):
     with pytest.raises(UserError, match=f"Try: \\S*python\\S* -m pipeline {re.escape(meant)}$") as refused:
         refuse_mistakes(typed.split())
     assert "\n" not in str(refused.value)
+
+
+def test_a_colon_is_not_said_twice():
+    with pytest.raises(UserError, match=r"^seed: name and value belong together\."):
+        refuse_mistakes(["seed:", "3"])
 
 
 def test_what_nothing_is_like_says_what_there_is():

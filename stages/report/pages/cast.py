@@ -63,6 +63,7 @@ def cast_page(record: Record) -> str:
         part, far = whole_view(record) if record.casts else None, furthest(record)
         sections += [casting(record, n, cast, part, far) for n, cast in enumerate(record.casts, start=1) if part]
     many = enumerate(record.casts, start=1) if len(record.casts) > 1 else ()
+    judged = any(cast.valid for cast in record.casts)
     return str(
         Page(
             title=f"{record.name}: {record.sentence}",
@@ -72,9 +73,9 @@ def cast_page(record: Record) -> str:
             sections=sections,
             origin=record.made_by,
             settings=record.config,
-            tone=("good" if record.hit else "bad") if record.casts else "",
-            marked=bool(record.casts),
-            nav=[(f"cast-{n}", joined([f"Cast {n}", badge(cast.verdict.hit)])) for n, cast in many],
+            tone=("good" if record.hit else "bad") if judged else "",
+            marked=judged,
+            nav=[(f"cast-{n}", joined([f"Cast {n}", ended(cast)])) for n, cast in many],
             following=record.following,
             explored=True,
         )
@@ -125,6 +126,11 @@ def _tiles(record: Record) -> Tiles:
     )
 
 
+def ended(cast: Cast) -> Markup:
+    """Hit or missed; neither where the trial is not valid."""
+    return badge(cast.verdict.hit) if cast.valid else Markup('<span class="badge">not valid</span>')
+
+
 def _row(n: int, cast: Cast) -> list[Any]:
     """A cast in the table of all."""
     fit = None if cast.estimate is None else cast.estimate.fit.iloc[0]
@@ -134,7 +140,7 @@ def _row(n: int, cast: Cast) -> list[Any]:
     frames = len(cast.points.readings)
     unread = sum(row["count"] for row in words.unread(cast.points.readings))
     closest = [number(mm(cast.verdict.distance)), number(ms(cast.verdict.t))]
-    return [link(f"#cast-{n}", n), badge(cast.verdict.hit), *closest, *fitted, number(f"{frames - unread} of {frames}")]
+    return [link(f"#cast-{n}", n), ended(cast), *closest, *fitted, number(f"{frames - unread} of {frames}")]
 
 
 def together(record: Record) -> Section | None:
@@ -246,10 +252,10 @@ def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Secti
         Text(_told(cast)),
         None if own is None else Text(sentence(own["sentence"])),  # that of the last stands above all casts
         *(Text(undrawn.format(name), "missing") for name in unstable),
-        Explore([Grid(seen), Grid(_over_time(record, cast))], layers),
-        Grid([paths, Column([_attempts(cast), _link_and_frames(cast)])]),
+        Explore([Grid(seen), Grid(_agreement(record, cast)), Grid([paths, _joints(cast)])], layers),
+        Grid([_attempts(cast), _link_and_frames(cast)]),
     ]
-    return Section(f"Cast {n}", parts, f"cast-{n}", badge(cast.verdict.hit), "cast")
+    return Section(f"Cast {n}", parts, f"cast-{n}", ended(cast), "cast")
 
 
 def _told(cast: Cast) -> Markup:
@@ -292,13 +298,17 @@ def _animated(record: Record, cast: Cast, part: View) -> Card:
     return Card("Animation", [Film(film, f"Animation of {span} with the measured and simulated strings")])
 
 
-def _over_time(record: Record, cast: Cast) -> list[Part]:
-    """Curves, one beside the other, with the film's clock."""
+def _agreement(record: Record, cast: Cast) -> list[Part]:
+    """How well simulation and film agree over time, one curve beside the other."""
     unmatched = "no masks were compared in this estimation" if cast.estimate else "nothing was estimated from this cast"
     rates = matching(cast.estimate, cast)
-    charts = [either("Matching rate over time", rates, f"There is no matching rate: {unmatched}.")]
-    charts += [either("Distance over time", residual_curves(record, cast), UNREAD)]
-    return [*charts, *joints(cast)] if len(cast.trial.arm) else [*charts, either("Joint angles", None, SILENT)]
+    matched = either("Matching rate over time", rates, f"There is no matching rate: {unmatched}.")
+    return [matched, either("Distance over time", residual_curves(record, cast), UNREAD)]
+
+
+def _joints(cast: Cast) -> Part:
+    """The joints over time, which together are as high as the hand's path beside them."""
+    return Column(joints(cast)) if len(cast.trial.arm) else either("Joint angles", None, SILENT)
 
 
 def _attempts(cast: Cast) -> Card:
