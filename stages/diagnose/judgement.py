@@ -76,20 +76,21 @@ def settled(
     found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
 ) -> tuple[Found, Judgement]:
     """Where each cause is the likeliest in its place, every effect a little wrong, and what is said there: look-alikes
-    may have entered for one another. Each is fitted to the end first, as its rivals are. too_few_points: the configured
-    mesh alone puts the tip elsewhere."""
+    may have entered for one another. Each is fitted to the end first, as its rivals are; after so many changes as there
+    are causes, the last is not asked anew. too_few_points: the configured mesh alone puts the tip elsewhere."""
     if len(found.fit.hypothesis.causes) > 1:  # one alone has entered so
         found = _to_the_end(found, found.fit)
     for changes in range(len(found.fit.hypothesis.causes), -1, -1):
-        small, slots = responses(found.prepared.data, found.fit, effects), list[Slot]()
+        small, slots, other = responses(found.prepared.data, found.fit, effects), list[Slot](), None
         for slot in _slots(found, effects, small, criteria, seed):
             slots.append(slot)
-            other = _likelier(found, slot)
+            other = other or _likelier(found, slot)
             if changes and other is not None:
-                found = _to_the_end(found, other)
                 break
-        else:
-            break
+        if other is None:
+            return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
+        found = _to_the_end(found, other)
+    small = responses(found.prepared.data, found.fit, effects)
     return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
 
 

@@ -72,13 +72,26 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
         "two": [Slot({"x": 0.2, "": 0.8}, {}, fits["three"]), None],
         "three": [Slot({"b": 0.9, "": 0.1}, {}, None)],
     }
+    found, judged = settled_among(monkeypatch, slots, fits["one"])
+    assert (found.fit, found.prepared.data) == (fits["three"], " one two three")
+    assert judged == ("three", "small at three", slots["three"])
+
+
+def test_what_is_named_is_in_the_extended_model_where_look_alikes_follow_each_other(monkeypatch):
+    """Each is likelier in the place of the other."""
+    fits = {n: SimpleNamespace(hypothesis=SimpleNamespace(names=(n,), causes=(n,)), name=n) for n in "ab"}
+    slots = {own: [Slot({own: 0.1, other: 0.9}, {other: fits[other]}, None)] for own, other in ("ab", "ba")}
+    found, (name, small, (slot,)) = settled_among(monkeypatch, slots, fits["a"])
+    assert (name, small) == (found.fit.name, f"small at {found.fit.name}")
+    assert slot.credible(0.8) == (found.fit.name,)
+
+
+def settled_among(monkeypatch, slots, fit):
     monkeypatch.setattr(judgement, "polished", lambda prepared, fit: (prepared.at(fit), fit))
     monkeypatch.setattr(judgement, "responses", lambda data, fit, effects: f"small at {fit.name}")
     monkeypatch.setattr(judgement, "_slots", lambda found, *rest: slots[found.fit.name])
     monkeypatch.setattr(judgement, "judged", lambda found, small, slots, *rest: (found.fit.name, small, slots))
-    found, judged = judgement.settled(Found(Told(""), fits["one"]), (), None, False, 0)
-    assert (found.fit, found.prepared.data) == (fits["three"], " one two three")
-    assert judged == ("three", "small at three", slots["three"])
+    return judgement.settled(Found(Told(""), fit), (), None, False, 0)
 
 
 class Told(SimpleNamespace):
