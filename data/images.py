@@ -65,7 +65,8 @@ class ImageFiles(Images):
             raise DataError(
                 f"{path}: it has {_size(path)} pixels, the first frame of its trial has {self._first}. Store all alike."
             )
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        packed = np.frombuffer(path.read_bytes(), np.uint8)  # imread opens no name beyond ASCII on Windows
+        image = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise DataError(f"{path}: the frame is missing or damaged. Restore it or leave its trial out.")
         return image

@@ -68,7 +68,7 @@ def page() -> str:
 def _group(group: str, chosen: str, block: Mapping[str, Any]) -> Iterator[str]:
     """A group: its options, then the settings of the chosen one, then what only others have."""
     yield _options(group, chosen)
-    others = sorted((CONF / group).glob("*.yaml"), key=lambda file: ("defaults:" in file.read_text(), file.stem))
+    others = sorted((CONF / group).glob("*.yaml"), key=lambda file: (b"defaults:" in file.read_bytes(), file.stem))
     listed = [CONF / group / f"{chosen}.yaml", *others]  # those that begin from others, last
     known: set[str] = set()
     rows = []

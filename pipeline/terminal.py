@@ -66,6 +66,8 @@ def refusal(error: BaseException) -> str:
     """Hydra's message, with the nearest setting there is."""
     said = str(error).strip().splitlines()[0]
     key = re.match(r"Could not override '([^']+)'", said)
+    if beyond := re.match(r"LexerNoViableAltException: (.+=.*)", said):
+        return _quoted(beyond[1])
     if re.match("no viable|mismatched|missing|extraneous|token recognition", said):
         at = re.search(r"at input '([^']*)'", str(error))
         unread = next((word for word in sys.argv[1:] if at and at[1] in word), "The command line")
@@ -83,6 +85,13 @@ def refusal(error: BaseException) -> str:
     remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
     remedy = f"It is one of {' and '.join(there)}." if (there := _options_with(key[1])) else remedy
     return f"{key[1]} (command line): there is no such setting. {remedy}"
+
+
+def _quoted(unread: str) -> str:
+    """The answer to a setting that Hydra cannot read for letters such as those of Jörg."""
+    name, _, value = unread.partition("=")
+    again = shlex.join(f'{name}="{value}"' if word == unread else word for word in sys.argv[1:])
+    return f"{unread}: letters beyond ASCII are read between quotes only. Try: python -m pipeline {again}"
 
 
 def _options_with(name: str) -> list[str]:

@@ -65,7 +65,11 @@ class Wire(Protocol):
 
 def clear(wire: Wire) -> None:
     """Have a person look at the arm, and then undo its emergency stop; exits with the reason where that fails."""
-    if input("Is the arm safe to move, and nobody within its reach? Type yes: ").strip() != "yes":
+    try:
+        said = input("Is the arm safe to move, and nobody within its reach? Type yes: ")
+    except EOFError:  # nobody is there to look
+        said = ""
+    if said.strip() != "yes":
         sys.exit("It stays latched.")
     try:
         wire.clear()

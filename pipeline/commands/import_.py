@@ -22,7 +22,7 @@ from stringcast.data.importers.reader import Taken
 from stringcast.data.schema import DataError
 from stringcast.data.store import whole
 from stringcast.pipeline.commands import check
-from stringcast.pipeline.commands.import_options import bench_hints, column_hints, command, parser
+from stringcast.pipeline.commands.import_options import bench_hints, column_hints, command, expanded, parser
 from stringcast.pipeline.importing import Imported, imported, written
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.terminal import Terminal, called_as
@@ -36,6 +36,7 @@ TRIES = 6  # as many things can be unclear one after another: units of points an
 def main(arguments: Sequence[str]) -> int:
     """Read, show, write; 0 where a folder that can be used was written."""
     asked = parser(__doc__).parse_args(arguments)
+    asked.files = expanded(asked.files)
     folder: Path = asked.to
     if folder.exists():
         raise UserError(f"--to {folder}: it is there already. Name another folder, or remove it: rm -r {folder}")

@@ -57,6 +57,12 @@ def parser(description: str | None = None) -> argparse.ArgumentParser:
     return made
 
 
+def expanded(files: Sequence[Path]) -> list[Path]:
+    """The files, those of a pattern such as robot_*.csv in its place: shells of Windows hand it on as it is. What is
+    there by that very name, or not at all, stays as it was said."""
+    return [one for file in files for one in ([] if file.exists() else sorted(file.parent.glob(file.name))) or [file]]
+
+
 def metres(text: str) -> float:
     """A length such as 0.3, 300mm or 30cm [m]."""
     match = re.fullmatch(r"(-?[\d.]+(?:e-?\d+)?)\s*([a-z]*)", text.strip().lower())

@@ -29,7 +29,7 @@ def loaded(text: str) -> ModuleType:
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = path.with_suffix(f".{os.getpid()}.tmp")
-        aside.write_text(text)
+        aside.write_text(text, encoding="utf-8")
         os.replace(aside, path)
     specification = importlib.util.spec_from_file_location(path.stem, path)
     assert specification is not None

@@ -16,7 +16,7 @@ from stringcast.data.importers.files import recordings
 from stringcast.data.importers.gathered import gathered
 from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
-from stringcast.pipeline.commands.import_options import parser
+from stringcast.pipeline.commands.import_options import expanded, parser
 from stringcast.pipeline.importing import BenchHints, imported, written
 from stringcast.pipeline.settings import UserError
 
@@ -152,6 +152,15 @@ def test_on_a_terminal_it_asks_and_a_no_writes_nothing(sample, called, tmp_path,
     done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
     assert (done.returncode, "Nothing was written" in done.stderr) == (2, True)
     assert not (tmp_path / "mine").exists()
+
+
+def test_patterns_that_a_shell_has_left_are_files_and_names_with_brackets_too(tmp_path):
+    names = ("robot_2.csv", "robot_1.csv", "other.csv", "film[1].csv")
+    for name in names:
+        (tmp_path / name).touch()
+    given = [tmp_path / name for name in ("film[1].csv", "robot_*.csv", "none_*.csv")]
+    want = ["film[1].csv", "robot_1.csv", "robot_2.csv", "none_*.csv"]
+    assert [file.name for file in expanded(given)] == want
 
 
 def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp_path):

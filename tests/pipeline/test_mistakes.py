@@ -101,6 +101,12 @@ def test_what_is_right_is_left_alone(word):
     refuse_mistakes([word])
 
 
+def test_letters_beyond_ascii_are_answered_by_the_word_in_quotes(called):
+    done = called("+experiment=quick", "name=Jörg")
+    assert done.returncode == 1
+    assert re.search(r"""^Error: name=Jörg: .*Try: \S+ -m \w+ \+experiment=quick 'name="Jörg"'$""", done.stderr.strip())
+
+
 def test_several_values_are_answered_by_a_sweep_of_them(called):
     done = called("method=paper,robust", "seed=1")
     assert done.returncode == 1

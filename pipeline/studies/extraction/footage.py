@@ -92,7 +92,7 @@ def _agreement(found: Points, table: pd.DataFrame) -> dict[str, float]:
 
 def photograph_row(folder: Path, name: str, length: float) -> dict[str, object]:
     """The row of a single photograph of a dark cable before a bright arm."""
-    known = {one["name"]: one for one in json.loads((folder / "frames.json").read_text())}[name]
+    known = {one["name"]: one for one in json.loads((folder / "frames.json").read_text(encoding="utf-8"))}[name]
     hand = np.array(known["P"]) @ np.array(known["O_T_EE"])[:, 3]
     scale = known["K_cam"][0][0] / hand[2]
     camera = Camera(1920, 1080, scale, tuple(hand[:2] / hand[2]), 30.0)
