@@ -160,11 +160,15 @@ def _contested(prepared: Prepared, step: Step, criteria: Criteria, at_its_end: F
     near = parent.evidence + criteria.least_share * (step.best.evidence - parent.evidence)
     count = sum(fit.evidence > near for fit in step.tried[:RIVALS])
     rivals = [(prepared, fit) if fit is at_its_end else polished(prepared, fit) for fit in step.tried[:count]]
-    allowed = np.maximum(prepared.doubt, criteria.tolerance)
-    enough = min(FEWEST, len(allowed))
-    told = [fit for made, fit in rivals if (made.doubt <= allowed).sum() >= enough]
+    enough = min(FEWEST, len(prepared.doubt))
+    told = [fit for made, fit in rivals if _told(made, prepared, criteria) >= enough]
     step = replace(step, tried=_ranked([*told, *step.tried[count:]]))
     return replace(step, entered=step.best is not None and enters(prepared.data, step, criteria))
+
+
+def _told(made: Prepared, before: Prepared, criteria: Criteria) -> int:
+    """How many trials simulation tells to the tolerance, or as well as before."""
+    return int((made.doubt <= np.maximum(before.doubt, criteria.tolerance)).sum())
 
 
 def enters(data: Data, step: Step, criteria: Criteria) -> bool:
@@ -252,11 +256,14 @@ def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
 
 
 def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generator, starts: int) -> Found:
-    """With one more cause, numerical error as it is there, and without causes that are not needed any more."""
+    """With one more cause, numerical error as it is there, and without causes that are not needed any more. Other
+    strings are no better whose trials cannot be simulated as well: what is in doubt of these may explain anything."""
     prepared = found.prepared.heard(best)
     fit = refitted(prepared.data, best, best.hypothesis)
     if unexplained(prepared.data, fit).max() > criteria.least_size:
-        prepared, fit = polished(prepared, searched_again(prepared.data, fit, rng, starts))
+        again = polished(prepared, searched_again(prepared.data, fit, rng, starts))
+        if _told(again[0], prepared, criteria) >= _told(prepared, prepared, criteria):
+            prepared, fit = again
     for cause in best.hypothesis.causes:  # the new one, too: where it led, the others may do without it
         less = refitted(prepared.data, fit, fit.hypothesis.without(cause))
         if less.evidence > fit.evidence - criteria.enough:
