@@ -25,7 +25,7 @@ from stringcast.stages.diagnose.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
 from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, settled
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
-from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, prepared, usable
+from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, prepared, usable
 from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria, Found, searched, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered, tempered
@@ -33,6 +33,7 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trimmed_at_contact
 from stringcast.stages.inference.evidence import Data, Fit, fitted
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import existing, library
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import Call
@@ -77,11 +78,7 @@ def diagnose(
     that are no candidates. Raises DataError where no trial can be used.
     """
     given = _given(model, observations, rejected, held_out, criteria, matching)
-    log.info("fitting the base model")
-    ready = prepared(model, given.asked, criteria.tolerance, np.random.default_rng(seed), starts, progress)
-    given = given.without(ready.chaotic)
-    effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
-    found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
+    given, ready, effects, found = _searched(given, without, seed, starts, progress)
     found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
     if given.rest and not judgement.causes and _shown(found, given.aside, criteria):
         log.info("the trials set aside show what the others do not: they are looked at as well")
@@ -148,6 +145,33 @@ def _given(
     rest = rest if len(rest) < len(good) else []
     kept = [i for i in range(len(good)) if i not in rest]
     return Given(model, good, rejected, kept, rest, criteria, matching)
+
+
+def _searched(
+    given: Given, without: Sequence[str], seed: int, starts: int, progress: Progress
+) -> tuple[Given, Prepared, list[type[Effect]], Found]:
+    """Base model, candidates and causes. Trials that no simulation with the causes tells are set aside, as those that
+    none without them does, and the others are asked anew."""
+    criteria = given.criteria
+    while True:
+        log.info("fitting the base model")
+        rng = np.random.default_rng(seed)
+        ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress)
+        given = given.without(ready.chaotic)
+        effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
+        found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
+        chaotic = _chaotic(found, criteria)
+        if not chaotic:
+            return given, ready, effects, found
+        log.info("chaotic with the causes found: %s", ", ".join(chaotic))
+        given = given.without(chaotic)
+
+
+def _chaotic(found: Found, criteria: Criteria) -> list[str]:
+    """Trials whose simulation with causes is in doubt by more than the tolerance, where that leaves others to check."""
+    told = zip(found.prepared.raw, found.prepared.doubt, strict=True)
+    names = [trial.name for trial, doubt in told if doubt > criteria.tolerance]
+    return names if found.fit.hypothesis.causes and len(found.prepared.raw) - len(names) >= FEWEST else []
 
 
 def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:

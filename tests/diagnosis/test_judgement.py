@@ -136,3 +136,14 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch, p
     assert said.finding["verdict"].iloc[0] == verdict
     assert list(said.causes["effect"].unique()) == (["joint_gain"] if predicts else [])
     assert ("joint_gain" in said.finding["extended"].iloc[0]) == predicts
+
+
+@pytest.mark.parametrize(
+    ("causes", "doubts", "chaotic"),
+    [(("a",), (0.1, 15.0, 0.1), ["t1"]), ((), (0.1, 15.0, 0.1), []), (("a",), (0.1, 15.0), [])],
+)
+def test_a_trial_that_is_chaotic_with_the_causes_found_is_set_aside_while_two_others_are_left(causes, doubts, chaotic):
+    raw = [SimpleNamespace(name=f"t{k}") for k in range(len(doubts))]
+    prepared = SimpleNamespace(raw=raw, doubt=np.array(doubts) / 1e3)
+    found = Found(prepared, SimpleNamespace(hypothesis=SimpleNamespace(causes=causes)))
+    assert stringcast.stages.diagnose.diagnose._chaotic(found, CRITERIA) == chaotic
