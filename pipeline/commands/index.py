@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -93,8 +93,9 @@ def page(runs: pd.DataFrame, to: Path, folder: Path) -> str:
 def row(run: Path) -> dict[str, Any]:
     """One run. What is damaged does not stop the list: it says so."""
     try:
-        settings, ended = json_block(run / "config.json"), _json(run / ENDED)
-        return {"experiment": str(settings["name"]), **_ending(run, ended), **_steps(run)}
+        written, ended = json_block(run / "config.json"), _json(run / ENDED)
+        settings = modern(written)
+        return {"experiment": str(written["name"]), **_ending(run, ended, settings), **_steps(run, settings)}
     except (DataError, *OTHERWISE) as error:
         nothing: dict[str, Any] = {"experiment": "", "outcome": "", "date": "", "iterations": 0, "best_E": float("nan")}
         return nothing | {"seconds": 0.0, "state": "damaged", "stale": "", "said": str(error)}
@@ -125,32 +126,30 @@ def _json(path: Path) -> dict[str, Any]:
     return json_block(path) if path.is_file() else {}
 
 
-def _ending(run: Path, ended: dict[str, Any]) -> dict[str, str]:
-    """State, outcome and words."""
+def _ending(run: Path, ended: dict[str, Any], settings: Mapping[str, Any]) -> dict[str, str]:
+    """State, outcome and words. settings: the run's."""
     failed = run / FAILED
     if ended:
         diagnosis = run / "diagnosis.json"
-        estimated = _cast(run, ended) if any("hit" in i for i in ended["iterations"]) else "estimated"
+        estimated = _cast(ended, settings) if any("hit" in i for i in ended["iterations"]) else "estimated"
         outcome = _json(diagnosis)["verdict"] if diagnosis.is_file() else estimated
         return {"state": "ended", "outcome": outcome, "said": ended["sentence"]}
     said = failed.read_text(encoding="utf-8").strip() if failed.is_file() else ""
     return {"state": "failed" if said else "incomplete", "outcome": "", "said": said}
 
 
-def _cast(run: Path, ended: dict[str, Any]) -> str:
+def _cast(ended: dict[str, Any], settings: Mapping[str, Any]) -> str:
     """How a run of casts ended. One without the arm, or with a slow one, was not thrown at the target at all."""
-    by = modern(json_block(run / "config.json"))["execute"]["_target_"]
-    return "dry run" if by in DRY_RUNS else "hit" if ended["hit"] else "missed"
+    return "dry run" if settings["execute"]["_target_"] in DRY_RUNS else "hit" if ended["hit"] else "missed"
 
 
-def _steps(run: Path) -> dict[str, Any]:
+def _steps(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
     """The row's columns from a run's steps: when, how long, how good, and whether they are fresh."""
     steps = sorted({file.parent for file in run.glob("iterations/*/*/*.parquet")})
     made = [store.origin_of(step).get("made", {}) for step in steps]
     rates = [
         float(store.read_table(FIT, fit)["after"].iloc[0]) for fit in run.glob("iterations/*/estimate/fit.parquet")
     ]
-    settings = modern(json_block(run / "config.json"))
     reasons = ((step.relative_to(run).as_posix(), reasons_of(run, step, settings)) for step in steps)
     return {
         "date": min((one["at"] for one in made if one), default=""),
