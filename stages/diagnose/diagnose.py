@@ -25,7 +25,7 @@ from stringcast.stages.diagnose.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
 from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, settled
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
-from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, prepared, usable
+from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, prepared, too_chaotic, usable
 from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria, Found, searched, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered, tempered
@@ -168,10 +168,8 @@ def _searched(
 
 
 def _chaotic(found: Found, criteria: Criteria) -> list[str]:
-    """Trials whose simulation with causes is in doubt by more than the tolerance, where that leaves others to check."""
-    told = zip(found.prepared.raw, found.prepared.doubt, strict=True)
-    names = [trial.name for trial, doubt in told if doubt > criteria.tolerance]
-    return names if found.fit.hypothesis.causes and len(found.prepared.raw) - len(names) >= FEWEST else []
+    """Trials that are chaotic with the causes; those that are without any were set aside before."""
+    return too_chaotic(found.prepared, criteria.tolerance) if found.fit.hypothesis.causes else []
 
 
 def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:

@@ -88,9 +88,10 @@ def settled(
             if changes and other is not None:
                 break
         if other is None:
-            return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
+            break
         found = _to_the_end(found, other)
-    small = responses(found.prepared.data, found.fit, effects)
+    else:
+        small = responses(found.prepared.data, found.fit, effects)
     return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
 
 

@@ -19,6 +19,7 @@ from stringcast.stages.inference.evidence import Data, Finer, Fit, Hypothesis, e
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import modes
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh import on_mesh
 from stringcast.stages.inference.noise import WHITE, told
 from stringcast.stages.inference.search import CONVERGE, refined, screened, searched, with_noise
 from stringcast.stages.inference.solver import LOST
@@ -83,7 +84,7 @@ class Prepared:
         cost of `at` whether a fit is worth more."""
         if self.literal:
             return self.data
-        errors = _numerical_error([replace(t, model=fit.hypothesis.model) for t in self.raw], fit.hypothesis, fit.chi)
+        errors = _numerical_error(self.raw, fit.hypothesis, fit.chi)
         pairs = zip(self.data.trials, self.raw, errors, strict=True)
         trials = tuple(replace(t, points=r.points - error) for t, r, (error, _) in pairs)
         return replace(self.data, trials=trials, finer=self._finer_at(fit))
@@ -144,9 +145,9 @@ def nearer(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
     """One pass of `converged`, unless it leads away: numerical error as it is at the fit, and how it changes with the
     parameters, which a fit follows; then as it is there."""
     here = prepared.at(fit)
-    stays = evaluated(here.data, fit.hypothesis, fit.chi)
     if prepared.literal:
         return here, fitted(here.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
+    stays = evaluated(here.data, fit.hypothesis, fit.chi)
     finer = _finer(here, stays)
     chi = fitted(replace(here.data, finer=finer), fit.hypothesis, fit.chi[None], stays.sizes, ROUNDS, MOST).chi
     there = here.at(replace(stays, chi=chi))
@@ -162,8 +163,8 @@ def _finer(prepared: Prepared, fit: Fit) -> Finer:
     width = solver.suited(data.of(hypothesis).white(fit.slopes, fit.sizes)[None], np.ones(1))[0]
     offset = np.where(fit.chi > 0.5, -width, width)
     chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
-    meshes = [_on(data.trials, hypothesis, times) for times in (1, 2)]
-    told = [Data(tuple(trials), ()).residuals(model, chi) for model, trials in meshes]
+    meshes = [on_mesh(hypothesis.model, data.trials, times) for times in (1, 2)]
+    told = [Data(trials, ()).residuals(model, chi) for model, trials in meshes]
     lost = [((own == LOST) | (half == LOST)).any(axis=0) for own, half in zip(*told, strict=True)]
     error = [np.where(gone, 0.0, extrapolated(*pair) - pair[0]) for gone, *pair in zip(lost, *told, strict=True)]
     known = prepared.doubt <= FIRST_ORDER * data.tip_rms([each[0] for each in error])
@@ -216,13 +217,20 @@ def _not_taken_along(prepared: Prepared, tolerance: float, rng: np.random.Genera
 def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
     """Without trials so sensitive that what is in doubt of their numerical error is more than the tolerance: whatever
     they leave says nothing of causes. All of them where two or more others are not left."""
-    good = [k for k, doubt in enumerate(prepared.doubt) if doubt < tolerance]
-    if len(good) == len(prepared.raw) or len(good) < FEWEST:
+    names = too_chaotic(prepared, tolerance)
+    if not names:
         return prepared
+    good = [k for k, trial in enumerate(prepared.raw) if trial.name not in names]
     base, raw = prepared.base, tuple(prepared.raw[k] for k in good)
-    names = [trial.name for k, trial in enumerate(prepared.raw) if k not in good]
     kept = replace(prepared, raw=raw, data=prepared.data.only(good), chaotic=(*prepared.chaotic, *names)).at(base)
     return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes[good], ROUNDS, MOST))
+
+
+def too_chaotic(prepared: Prepared, tolerance: float) -> list[str]:
+    """Names of the trials whose numerical error is in doubt by as much as the tolerance [m], where two or more others
+    are left."""
+    names = [trial.name for trial, doubt in zip(prepared.raw, prepared.doubt, strict=True) if not doubt < tolerance]
+    return names if len(prepared.raw) - len(names) >= FEWEST else []
 
 
 def _with_nearer_mesh(prepared: Prepared, model: Model, tolerance: float) -> Prepared:
@@ -367,20 +375,13 @@ def _numerical_error(
     """
     values, found = values_of(hypothesis.parameters, chi[None]), []
     for times in (1, 2, 4):
-        model, own = _on(trials, hypothesis, times)
+        model, own = on_mesh(hypothesis.model, trials, times)
         found.append([t.at_measured(seen)[0] for t, seen in zip(own, seen_together(model, own, values), strict=True)])
     errors = []
     for here, finer, finest in zip(*found, strict=True):
         limit = extrapolated(finer, finest)
         errors.append((np.nan_to_num(limit - here), np.nan_to_num(limit - extrapolated(here, finer))))
     return errors
-
-
-def _on(trials: Sequence[Case], hypothesis: Hypothesis, times: int) -> tuple[Model, list[Case]]:
-    """A hypothesis' model, and trials, of so many times the segments in steps as much shorter."""
-    model = hypothesis.model.divided(times * (hypothesis.model.string.points - 1))
-    model = replace(model, string=replace(model.string, largest_step=model.string.largest_step / times))
-    return model, [replace(trial, model=model) for trial in trials]
 
 
 def _growth(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:

@@ -262,7 +262,7 @@ def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generato
     fit = refitted(prepared.data, best, best.hypothesis)
     if unexplained(prepared.data, fit).max() > criteria.least_size:
         again = polished(prepared, searched_again(prepared.data, fit, rng, starts))
-        if _told(again[0], prepared, criteria) >= _told(prepared, prepared, criteria):
+        if _told(again[0], prepared, criteria) == len(prepared.doubt):
             prepared, fit = again
     for cause in best.hypothesis.causes:  # the new one, too: where it led, the others may do without it
         less = refitted(prepared.data, fit, fit.hypothesis.without(cause))

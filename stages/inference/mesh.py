@@ -7,11 +7,13 @@ every rung.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
@@ -42,10 +44,14 @@ def _measured(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
     return np.concatenate([t.at_measured(points)[0] for t, points in zip(likelihood.trials, seen, strict=True)])
 
 
-def _on(likelihood: Likelihood, times: float) -> Likelihood:
-    """The same trials of a string in so many times the segments, in steps as much shorter."""
-    string = likelihood.model.string
+def on_mesh(model: Model, trials: Sequence[Case], times: float) -> tuple[Model, tuple[Case, ...]]:
+    """A model, and trials, of a string in so many times the segments, in steps as much shorter."""
+    string = model.string
     segments = round(times * (string.points - 1) + 1e-9)
-    finer = replace(string, points=segments + 1, largest_step=string.largest_step / times)
-    model: Model = replace(likelihood.model, string=finer)
-    return replace(likelihood, model=model, trials=tuple(replace(t, model=model) for t in likelihood.trials))
+    finer = replace(model, string=replace(string, points=segments + 1, largest_step=string.largest_step / times))
+    return finer, tuple(replace(trial, model=finer) for trial in trials)
+
+
+def _on(likelihood: Likelihood, times: float) -> Likelihood:
+    model, trials = on_mesh(likelihood.model, likelihood.trials, times)
+    return replace(likelihood, model=model, trials=trials)
