@@ -26,8 +26,16 @@ MODES: Mapping[tuple[str, ...], Mapping[str, Any]] = {  # what `steps` was, befo
 }
 
 
-# What decided in diagnoses that had no settings for it: they went by other rules, and are made again by those of today.
-CRITERIA = {"causes": 3, "coverage": 0.95, "alpha": 0.01, "tolerance": 2e-3, "least_size": 5e-4, "least_share": 0.5}
+# What decides in diagnoses of which this was no setting yet: they are made again by the rules of today.
+CRITERIA = {
+    "causes": 3,
+    "coverage": 0.95,
+    "alpha": 0.01,
+    "tolerance": 2e-3,
+    "least_size": 5e-4,
+    "least_share": 0.5,
+    "explained": 0.9,
+}
 FLOAT64 = {"_target_": "stages.model.precision.Double"}  # which is all there is now
 RENAMED: Mapping[str, Mapping[str, str]] = {  # by the block that the settings are in; elsewhere as in ""
     "": {"memory": "trials_used", "leave": "keep"},
@@ -64,7 +72,7 @@ def modern(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a run by their names of today: `mode` instead of `steps`, nothing of float64, `diagnose.criteria`."""
     now, steps, string = _renamed(settings, ""), settings.get("steps"), settings.get("string")
     if isinstance(settings.get("diagnose"), Mapping):
-        now["diagnose"] = {"criteria": CRITERIA} | now["diagnose"]
+        now["diagnose"] = now["diagnose"] | {"criteria": CRITERIA | now["diagnose"].get("criteria", {})}
     if isinstance(string, Mapping) and string.get("precision") == FLOAT64:
         now["string"] = {name: value for name, value in string.items() if name != "precision"}
     mode = next((dict(mode) for names, mode in MODES.items() if [*names] == steps), None)

@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
 CHAOTIC = "it is so sensitive that no simulation tells it to the tolerance; it was set aside"
 ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
-WORSE = "# There is no extended model: the causes do not predict trials left out better. This is the base model.\n"
+PLAIN = "# There is no extended model, for no effect is named. This is the base model.\n"
 
 
 def run(call: Call, trials: TrialSet) -> Diagnosis:
@@ -174,10 +174,11 @@ def _chaotic(found: Found, criteria: Criteria) -> list[str]:
 
 def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:
     """As far as it can be checked: what is found in one trial not at all, in several by those left out."""
+    if judgement.verdict in ("none", "insufficient") or judgement.causes == (RESOLUTION,):
+        return judgement
     if trials == 1:
-        alone = replace(judgement, verdict="insufficient", sentence=ALONE)
-        return alone if judgement.verdict == "unknown" else judgement
-    return judgement if gained.better or judgement.causes == (RESOLUTION,) else judgement.unsupported
+        return replace(judgement, verdict="insufficient", causes=(), groups=(), sentence=ALONE)
+    return judgement if gained.better else judgement.unsupported
 
 
 def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
@@ -222,19 +223,20 @@ class Gained:
 def written(
     given: Given, found: Found, judgement: Judgement, gained: Gained, proposal: Proposal, seed: int
 ) -> Diagnosis:
-    """The artifact."""
-    data = found.prepared.data
-    budget = budgeted(found, judgement.base, np.random.default_rng([seed, len(data.trials)]))
-    named = tables.causes(found, judgement, library(), _tempered(found, judgement), given.reach)
+    """The artifact: of the base model alone, beside all hypotheses, where none of the causes found is named."""
+    data, named = found.prepared.data, set(judgement.causes) & set(found.fit.hypothesis.names)
+    shown = found if named else replace(found, fit=judgement.base)
+    budget = budgeted(shown, judgement.base, np.random.default_rng([seed, len(data.trials)]))
+    causes = tables.causes(shown, judgement, library(), _tempered(shown, judgement), given.reach)
     return Diagnosis(
-        _finding(given, found, judgement, gained, proposal, budget, named),
-        named,
+        _finding(given, shown, judgement, gained, proposal, budget, causes),
+        causes,
         gained.held_out,
-        tables.residuals(found.prepared, judgement.base, found.fit),
+        tables.residuals(found.prepared, judgement.base, shown.fit),
         tables.theories(found, budget.by_cause, judgement, given.criteria.tolerance),
         tables.screening(found),
         tables.likeness(found),
-        tables.missing(data, found.fit, given.criteria),
+        tables.missing(data, shown.fit, given.criteria),
         proposal.commands,
         proposal.control_points,
         proposal.foretold,
@@ -254,12 +256,13 @@ def _finding(
     data, base, z = found.prepared.data, judgement.base, given.reach
     left = left_over(data, found.fit, base, judgement, budget, given.criteria)
     plain = tempered(data, base, judgement.small)
-    sure = {"base": tables.certainty(base, plain, z), "extended": tables.certainty(found.fit, judgement.tempered, z)}
+    more = tempered(data, found.fit, judgement.small)
+    sure = {"base": tables.certainty(base, plain, z), "extended": tables.certainty(found.fit, more, z)}
     evidence = (budget, named, gained.held_out, given.rejected, left, proposal.next_experiment, sure)
     text = document(found.prepared, base, judgement, *evidence)
     said = " ".join(filter(None, (sentence(judgement, named), str(left["sentence"]))))
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
-    row |= {"extended": _extended(given, found, base, sure["extended"]["intervals"], gained.better)}
+    row |= {"extended": _extended(given, found.fit, sure["extended"]["intervals"])}
     return FINDING.check(pd.DataFrame([row]))
 
 
@@ -280,11 +283,9 @@ def _gained(given: Given, found: Found, base: Fit) -> Gained:
     return Gained(held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more))
 
 
-def _extended(given: Given, found: Found, base: Fit, ends: Mapping[str, Sequence[float]], predicts: bool) -> str:
-    """extended.yaml: the model with its causes if it predicts better, else the base model, which it says. ends: of the
-    intervals of all its parameters."""
-    if not (found.fit.hypothesis.causes and predicts):
-        plain = yaml.safe_dump(settings(given.model, base, {}), sort_keys=False)
-        return WORSE * bool(found.fit.hypothesis.causes) + plain
-    own = [cause.qualified(p) for cause in found.fit.hypothesis.causes for p in cause.parameters]
-    return yaml.safe_dump(settings(given.model, found.fit, {name: ends[name] for name in own}), sort_keys=False)
+def _extended(given: Given, fit: Fit, ends: Mapping[str, Sequence[float]]) -> str:
+    """extended.yaml: the model with its causes, else the base model, which it says. ends: of the intervals of all
+    parameters."""
+    own = [cause.qualified(p) for cause in fit.hypothesis.causes for p in cause.parameters]
+    text = yaml.safe_dump(settings(given.model, fit, {name: ends[name] for name in own}), sort_keys=False)
+    return text if own else PLAIN + text

@@ -121,7 +121,8 @@ def left_over(
     fraction = float(np.clip(square.sum() / max(before.sum(), np.finfo(float).tiny), 0, 1))
     rms = {"value": value, "low": low, "high": high}
     where = _where(data, fit) if judgement.unknown > 0.5 else ""
-    said = judgement.sentence or (f"What is left is {MM * value:.1f} mm at the tip; {where}." if where else "")
+    rest = f"What is left is {MM * value:.1f} mm at the tip; {where}." if where else ""
+    said = " ".join(filter(None, (judgement.sentence, rest)))
     found = {"fraction": fraction if judgement.verdict != "none" else 0.0, "tip_rms_m": rms}
     return found | {"tolerance_m": criteria.tolerance, "where": where, "sentence": said}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -20,7 +19,7 @@ from stringcast.stages.diagnose.single_effects import (
     removed,
     unexplained,
 )
-from stringcast.stages.diagnose.small_effects import Tempered, responses, tempered
+from stringcast.stages.diagnose.small_effects import responses, tempered
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, tip_draws
 from stringcast.stages.model.effect import Effect
 
@@ -50,7 +49,7 @@ class Judgement:
     """verdict: as in diagnosis.json. causes: named, as they entered, and those that cannot be told from them. groups:
     of effects that cannot be told apart. inclusion: probability that each effect is at work. unknown: probability that
     more is left at the tip than is tolerated. base: the base model's fit to the same data. small: what other effects
-    do, as of `responses`. tempered: of the final fit."""
+    do, as of `responses`. sentence: what else there is to say."""
 
     verdict: str
     causes: tuple[str, ...]
@@ -60,7 +59,6 @@ class Judgement:
     slots: tuple[Slot, ...]
     base: Fit
     small: Sequence[np.ndarray]
-    tempered: Tempered
     sentence: str = ""
 
     @property
@@ -117,22 +115,30 @@ def judged(
 ) -> Judgement:
     """The verdict on the causes that entered, one for each slot. small: as of `responses`."""
     data, fit = found.prepared.data, found.fit
-    inclusion, end = _inclusion(slots), tempered(data, fit, small)
     unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
     base = refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base)) if fit.hypothesis.causes else fit
-    verdict = "unknown" if unknown > 0.5 else "none"
-    unnamed = Judgement(verdict, (), (), inclusion, unknown, tuple(slots), base, small, end)
+    verdict, inclusion = "unknown" if unknown > 0.5 else "none", _inclusion(slots)
+    unnamed = Judgement(verdict, (), (), inclusion, unknown, tuple(slots), base, small)
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
-    lack = partial(unexplained, data)
-    if not fit.hypothesis.causes or removed(lack(base), lack(fit), criteria.tolerance) < criteria.least_share:
-        if unnamed.verdict == "none" and too_few_points:
+    share = removed(unexplained(data, base), unexplained(data, fit), criteria.tolerance)
+    if not fit.hypothesis.causes or share < (criteria.explained if verdict == "unknown" else criteria.least_share):
+        if verdict == "none" and too_few_points:
             return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion={**inclusion, RESOLUTION: 1.0})
-        return unnamed
+        return replace(unnamed, sentence=_nearest(fit, share) if verdict == "unknown" else "")
     groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
     causes = tuple(dict.fromkeys(name for slot in slots for name in _group(slot, criteria)))
     return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
+
+
+def _nearest(fit: Fit, share: float) -> str:
+    """What comes nearest to an explanation, if anything does. share: of what is lacking without it, that it removes."""
+    if not fit.hypothesis.causes or share < 0:
+        return ""
+    return (
+        f"What comes nearest, {' with '.join(fit.hypothesis.names)}, removes {100 * share:.0f} % of it in mean square."
+    )
 
 
 def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:

@@ -38,9 +38,10 @@ Length = Annotated[float, Field(gt=0, lt=0.1)]
 
 @dataclass(frozen=True)
 class Criteria:
-    """The six numbers that decide. causes: at most. coverage: of credible sets and intervals. alpha: an effect enters
+    """The seven numbers that decide. causes: at most. coverage: of credible sets and intervals. alpha: an effect enters
     with a Bayes factor of more than one over it. tolerance: [m] at the tip that may be left unexplained. least_size:
-    [m] by which a cause must move the tip. least_share: of what is unexplained that the causes must remove."""
+    [m] by which a cause must move the tip. least_share: of what is unexplained that the causes must remove. explained:
+    the same where they leave more than is tolerated."""
 
     causes: Annotated[int, Field(ge=1, le=8)]
     coverage: Share
@@ -48,6 +49,7 @@ class Criteria:
     tolerance: Length
     least_size: Length
     least_share: Share
+    explained: Share
 
     @property
     def enough(self) -> float:

@@ -63,7 +63,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
     lacking = unexplained(data, base)
     tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
     tried |= {joined_names(fit): fit for slot in judgement.slots for fit in slot.fits.values()}
-    tried |= {joined_names(fit): fit for fit in by_cause}
+    tried |= {joined_names(fit): fit for fit in (found.fit, *by_cause)}
     chance = {joined_names(slot.fits[n]): slot.chances.get(n, 0.0) for slot in judgement.slots for n in slot.fits}
     rows = [
         {

@@ -12,7 +12,9 @@ from stringcast.stages.generate.curves import Curves
 from stringcast.stages.model.hand import joint_motion
 
 SIGMA = 7e-4
-CRITERIA = Criteria(causes=3, coverage=0.95, alpha=0.01, tolerance=2e-3, least_size=5e-4, least_share=0.5)
+CRITERIA = Criteria(
+    causes=3, coverage=0.95, alpha=0.01, tolerance=2e-3, least_size=5e-4, least_share=0.5, explained=0.9
+)
 
 
 def swings(arm, count, seconds=0.5):

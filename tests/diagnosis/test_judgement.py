@@ -147,3 +147,28 @@ def test_a_trial_that_is_chaotic_with_the_causes_found_is_set_aside_while_two_ot
     prepared = SimpleNamespace(raw=raw, doubt=np.array(doubts) / 1e3)
     found = Found(prepared, SimpleNamespace(hypothesis=SimpleNamespace(causes=causes)))
     assert stringcast.stages.diagnose.diagnose._chaotic(found, CRITERIA) == chaotic
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "verdict"),
+    [
+        ((10.0, 12.0), (1.0, 1.5), "effect"),
+        ((40.0, 50.0), (4.0, 5.0), "effect"),  # more than tolerated is left, and nearly all explained
+        ((10.0, 12.0), (4.0, 5.0), "unknown"),  # five sixths are explained: as a look-alike would
+        ((3.0, 2.5), (1.9, 1.9), "effect"),  # no more than tolerated
+    ],
+)
+def test_what_leaves_more_than_is_tolerated_is_named_only_if_it_explains_nearly_all(
+    before, after, verdict, monkeypatch
+):
+    plain, full = (
+        SimpleNamespace(hypothesis=SimpleNamespace(causes=c, names=c, base=None), lost=False) for c in ((), ("a",))
+    )
+    lack = {id(plain): np.array(before) / 1e3, id(full): np.array(after) / 1e3}
+    monkeypatch.setattr(judgement, "unexplained", lambda data, fit: lack[id(fit)])
+    monkeypatch.setattr(judgement, "tip_draws", lambda data, fit, count, rng: lack[id(fit)][:, None])
+    monkeypatch.setattr(judgement, "refitted", lambda data, fit, hypothesis: plain)
+    found = Found(SimpleNamespace(data=None, base=plain), full)
+    made = judgement.judged(found, [], [Slot({"a": 1.0}, {"a": full}, plain)], CRITERIA, False, 0)
+    assert (made.verdict, made.causes) == (verdict, ("a",) if verdict == "effect" else ())
+    assert made.sentence == ("" if verdict == "effect" else "What comes nearest, a, removes 83 % of it in mean square.")
