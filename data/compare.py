@@ -32,7 +32,13 @@ def differences(a: Path, b: Path) -> list[str]:
         return _of_tables(a, b)
     if a.read_bytes() == b.read_bytes():
         return []
-    return _of_images(a, b) if a.suffix == ".png" else ["it has another content"]
+    if a.suffix != ".png":
+        return ["it has another content"]
+    one, other = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (a, b))
+    if one is None or other is None or one.shape != other.shape:
+        return ["the image has another size or cannot be read"]
+    apart = np.abs(one.astype(int) - other.astype(int))  # the same picture may be packed otherwise
+    return [f"{np.count_nonzero(apart)} pixels differ, at most by {apart.max()} grey levels"] if apart.any() else []
 
 
 def _of_tables(a: Path, b: Path) -> list[str]:
@@ -73,12 +79,3 @@ def _of_columns(a: pa.ChunkedArray, b: pa.ChunkedArray) -> str:
 def _short(value: object) -> str:
     said = repr(float(value)) if isinstance(value, np.floating) else repr(value)
     return said if len(said) <= LONGEST else said[: LONGEST - 3] + "..."
-
-
-def _of_images(a: Path, b: Path) -> list[str]:
-    """How two pictures differ; the same picture may be packed otherwise."""
-    one, other = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (a, b))
-    if one is None or other is None or one.shape != other.shape:
-        return ["the image has another size or cannot be read"]
-    apart = np.abs(one.astype(int) - other.astype(int))
-    return [f"{np.count_nonzero(apart)} pixels differ, at most by {apart.max()} grey levels"] if apart.any() else []

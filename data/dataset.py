@@ -9,7 +9,7 @@ and `masks`, so that estimation from disk sees exactly what it saw in the run.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -113,57 +113,69 @@ def read(folder: Path) -> Dataset:
     known = metadata(folder)
     rows: dict[str, Rows] = {}
     shots = _shots(folder, known, rows)
-    motion_table = ARM if _find(folder, "arm") else GRASP
-    motion = _read(motion_table, folder, rows)
-    points, readings, masks = _seen(folder, known, rows, need_points=not shots)
+    hand, frames = _tables(folder, known, rows, filmed=bool(shots))
+    parts = [_by_trial(frame) for frame in frames]
     trials: dict[str, Observation] = {}
     films: dict[str, Film] = {}
     unusable: dict[str, Unusable] = {}
-    names = sorted({*motion["trial"], *shots, *points["trial"]})
-    moving = _moving(known, names)
-    clocks = _clocks(motion)
-    parts = [_by_trial(frame) for frame in (motion, points, readings, masks)]
-    for name in names:
-        begin = clocks.get(name, 0.0)
-        own = (part.get(name, empty) for part, empty in parts)
-        moved, *seen = (frame.assign(t=frame["t"] - begin) if begin else frame for frame in own)
-        hand = {motion_table.name: moved}
-        trial = replace(Observation(name, *seen, **hand), moving=name in moving)
-        film = Film(shots[name][0] - begin, shots[name][1], **hand) if name in shots else None
-        fault = _invalid(known, name) or _unusable(moved["t"].to_numpy(), motion_table.name, trial, film, begin)
-        if fault:
+    clocks: dict[str, float] = {}
+    for name in sorted({*frames[0]["trial"], *frames[1]["trial"], *shots}):
+        about = known.get("trials", {}).get(name, {})
+        begins = about.get("initial", known.get("initial", "rest"))
+        own = [part.get(name, empty) for part, empty in parts]
+        trial, film, begin = _trial(name, hand, own, shots.get(name), moving=begins == "moving")
+        if fault := _unusable(trial, film, hand, about, begin):
             unusable[name] = fault
         else:
             trials[name] = trial
             films |= {name: film} if film else {}
-    return Dataset(folder, trials, films, unusable, known, _hashes(folder, shots), rows, clocks)
+        clocks |= {name: begin} if begin else {}
+    # the content of all that was read, by which a run knows whether the data have changed since
+    sources = {path.relative_to(folder).as_posix(): content_hash(path) for path in _sources(folder, shots)}
+    return Dataset(folder, trials, films, unusable, known, sources, rows, clocks)
 
 
-def _clocks(motion: pd.DataFrame) -> dict[str, float]:
-    """A whole second at which the hand's motion begins [s], of trials whose clock began long before them."""
-    first = motion.groupby("trial")["t"].min()
-    return {str(name): float(np.floor(t)) for name, t in first.items() if abs(t) > LATE}
+def _sources(folder: Path, shots: Mapping[str, Shots]) -> list[Path]:
+    """What a dataset is made of: tables, folders of frames, videos."""
+    tables = (ARM, GRASP, POINTS, READINGS, MASKS, FRAMES)
+    found = {path for table in tables if (path := _find(folder, table.name))} | set(videos(folder))
+    stills = (images.files for _, images in shots.values() if isinstance(images, ImageFiles))
+    return sorted(found | {(folder / file).parent for files in stills for file in files})
 
 
-def _seen(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows], need_points: bool) -> list[pd.DataFrame]:
-    """Points, readings and masks of all trials; empty what is not there, but for points that are needed."""
-    points, readings, masks = (
-        _read(table, folder, rows)
-        if _find(folder, table.name) or (table is POINTS and need_points)
-        else with_trial(table).empty()
-        for table in (POINTS, READINGS, MASKS)
-    )
+def _tables(
+    folder: Path, known: Mapping[str, Any], rows: dict[str, Rows], filmed: bool
+) -> tuple[Table, list[pd.DataFrame]]:
+    """Which table the hand's motion is in, and of all trials motion, points, readings and masks.
+
+    filmed: there are frames of which points can be made, so that no table of points is needed.
+    """
+    hand = ARM if _find(folder, ARM.name) else GRASP
+    frames = [_read(hand, folder, rows)]
+    for table in (POINTS, READINGS, MASKS):
+        needed = table is POINTS and not filmed
+        there = needed or _find(folder, table.name) is not None
+        frames.append(_read(table, folder, rows) if there else with_trial(table).empty())
     sigma = (known.get("noise") or {}).get("point_sigma")  # of all points, where they have none of their own
-    if sigma is not None and "sigma" not in points:
-        points = points.assign(sigma=float(sigma))
-    return [points, readings, masks]
+    if sigma is not None and "sigma" not in frames[1]:
+        frames[1] = frames[1].assign(sigma=float(sigma))
+    return hand, frames
 
 
-def _moving(known: Mapping[str, Any], names: Iterable[str]) -> set[str]:
-    """Which trials begin with the string in motion: as dataset.yaml says of one, or else of all."""
-    own = known.get("trials", {})
-    said = {name: own.get(name, {}).get("initial", known.get("initial", "rest")) for name in names}
-    return {name for name, begins in said.items() if begins == "moving"}
+def _trial(
+    name: str, hand: Table, own: Sequence[pd.DataFrame], shots: Shots | None, moving: bool
+) -> tuple[Observation, Film | None, float]:
+    """A trial, its frames where there are any, and what was taken from all of its times [s].
+
+    hand: the table that the first of `own` is of; the others are its points, readings and masks. moving: see
+    `Observation`.
+    """
+    first = own[0]["t"].min()
+    begin = float(np.floor(first)) if abs(first) > LATE else 0.0
+    moved, *seen = (frame.assign(t=frame["t"] - begin) if begin else frame for frame in own)
+    motion = {hand.name: moved}
+    trial = replace(Observation(name, *seen, **motion), moving=moving)
+    return trial, Film(shots[0] - begin, shots[1], **motion) if shots else None, begin
 
 
 def _shots(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows]) -> dict[str, Shots]:
@@ -182,15 +194,6 @@ def _shots(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows]) -> dic
     return filmed(folder, float(camera["fps"])) if found and "fps" in camera else {}
 
 
-def _hashes(folder: Path, shots: Mapping[str, Shots]) -> dict[str, str]:
-    """SHA-256 of the content of what a dataset is made of, by path in its folder: tables, folders of frames, videos."""
-    tables = (ARM, GRASP, POINTS, READINGS, MASKS, FRAMES)
-    found = {path for table in tables if (path := _find(folder, table.name))} | set(videos(folder))
-    stills = (images.files for _, images in shots.values() if isinstance(images, ImageFiles))
-    found |= {(folder / file).parent for files in stills for file in files}
-    return {path.relative_to(folder).as_posix(): content_hash(path) for path in sorted(found)}
-
-
 def _find(folder: Path, name: str) -> Path | None:
     """The file of a table, if there is one; raises DataError where it lies elsewhere."""
     found = (folder / f"{name}{end}" for end in (".parquet", ".csv"))
@@ -205,11 +208,23 @@ def _read(table: Table, folder: Path, rows: dict[str, Rows]) -> pd.DataFrame:
         raise DataError(f"{folder}: neither {table.name}.parquet nor {table.name}.csv{instead}. {_instead_of(folder)}")
     whole = with_trial(table)
     frame = from_csv(whole, path) if path.suffix == ".csv" else read_table(whole, path)
-    _check_names(frame["trial"].unique(), path)
+    names = frame["trial"].unique()
+    if len(names) > MOST_TRIALS:
+        raise DataError(f"{path}: it holds {len(names)} trials, at most {MOST_TRIALS} are read. Split it.")
+    for name in names:  # one that cannot be printed would steer a terminal
+        if not str(name).isprintable():
+            raise DataError(f"{path}: the trial {str(name)!r} has a name that cannot be printed. Give it another.")
     if table in (READINGS, MASKS):  # of these NaN is a value
         return frame.sort_values(["trial", "t"], kind="stable").reset_index(drop=True)
-    if table is FRAMES:
-        frame = frame.assign(file=_in_the_folder(frame["file"], folder, path))
+    if table is FRAMES:  # a file that is not there is one frame lost, one outside the folder is another's to show
+        there = frame["file"].map(lambda file: inside(folder, str(file))).astype(bool)
+        outside = next((str(file) for file in frame["file"][~there].dropna() if leaves(folder, str(file))), None)
+        if outside is not None:
+            raise DataError(
+                f"{path}: the frame '{printable(outside)}' (column file) lies outside the folder {folder}. "
+                "Copy it there, and name it by its path in the folder."
+            )
+        frame = frame.assign(file=frame["file"].where(there))
     kept, rows[path.name] = cleaned(whole, frame)
     return kept.reset_index(drop=True)
 
@@ -226,27 +241,6 @@ def _instead_of(folder: Path) -> str:
         return "Add it, with column 'trial'."
     files = " ".join(map(shlex.quote, named[:4])) + " ..." * (len(named) > 4)
     return f"If other files hold it: python -m pipeline import {files} --to {shlex.quote(f'{folder}-imported')}"
-
-
-def _check_names(names: Sequence[Any], path: Path) -> None:
-    """Refuse names of trials that are too many, or that would steer a terminal."""
-    if len(names) > MOST_TRIALS:
-        raise DataError(f"{path}: it holds {len(names)} trials, at most {MOST_TRIALS} are read. Split it.")
-    for name in names:
-        if not str(name).isprintable():
-            raise DataError(f"{path}: the trial {str(name)!r} has a name that cannot be printed. Give it another.")
-
-
-def _in_the_folder(files: pd.Series, folder: Path, path: Path) -> pd.Series:
-    """Names of frames, none where there is no such file; raises DataError for one outside the folder."""
-    there = files.map(lambda file: inside(folder, str(file))).astype(bool)
-    outside = next((str(file) for file in files[~there].dropna() if leaves(folder, str(file))), None)
-    if outside is not None:
-        raise DataError(
-            f"{path}: the frame '{printable(outside)}' (column file) lies outside the folder {folder}. "
-            "Copy it there, and name it by its path in the folder."
-        )
-    return files.where(there)
 
 
 def _by_trial(frame: pd.DataFrame) -> tuple[dict[str, pd.DataFrame], pd.DataFrame]:
@@ -270,24 +264,30 @@ def fits(data: Dataset, length: float) -> Dataset:
     return replace(data, trials=kept, unusable={**data.unusable, **faults})
 
 
-def _invalid(known: Mapping[str, Any], name: str) -> Unusable | None:
-    """Why dataset.yaml says that a trial is not to be used, if it does."""
-    reason = known.get("trials", {}).get(name, {}).get("invalid")
-    remedy = f"Take 'invalid' out of {NAME} if it should count"
-    return Unusable(str(reason), remedy, NAME, f"trials.{name}.invalid") if reason else None
+def _unusable(
+    trial: Observation, film: Film | None, hand: Table, about: Mapping[str, Any], begin: float
+) -> Unusable | None:
+    """Why a trial cannot be used; None if it can.
 
-
-def _unusable(moved: np.ndarray, table: str, trial: Observation, film: Film | None, begin: float) -> Unusable | None:
-    """Why a trial cannot be used, whose hand was seen at these times [s] by a table; None if it can. begin: what was
-    taken from all of its times [s]."""
+    hand: the table of its motion. about: what dataset.yaml says of it. begin: what was taken from all of its times [s].
+    """
+    moved = getattr(trial, hand.name)["t"].to_numpy()
+    if about.get("invalid"):
+        remedy = f"Take 'invalid' out of {NAME} if it should count"
+        return Unusable(str(about["invalid"]), remedy, NAME, f"trials.{trial.trial}.invalid")
     if not len(moved):
         named = "Add its rows to the arm's or the grasp's table, or see that its name is the same in both"
-        return Unusable("no motion of the hand", named, table, TRIAL.name)
+        return Unusable("no motion of the hand", named, hand.name, TRIAL.name)
     seen, where = np.unique(trial.read["t"]), POINTS.name
-    if not len(seen):
-        if film is None:
-            return _pointless(trial)
+    if not len(seen) and film is not None:
         seen, where = film.t, FRAMES.name
+    elif not len(seen):
+        named = "Add its rows to points or frames, or see that its name is the same in both"
+        nothing = Unusable("no measured point and no frame", named, where, TRIAL.name)
+        blank = Unusable(
+            "no measured point is valid", "Look at 'valid' in its points: a blank is false", where, "valid"
+        )
+        return nothing if trial.points.empty else blank
     if len(seen) < FRAMES_NEEDED:
         reason = f"the string was seen in {len(seen)} frame(s) only"
         return Unusable(reason, "A motion takes more frames: record it again", where, "t")
@@ -308,13 +308,3 @@ def _two_clocks(moved: np.ndarray, seen: np.ndarray) -> str:
         for t in (moved, seen)
     ]
     return f": the arm's clock {said[0]}, the camera's {said[1]}"
-
-
-def _pointless(trial: Observation) -> Unusable:
-    """The reason why a trial without a valid point and without frames is unusable."""
-    if trial.points.empty:
-        named = "Add its rows to points or frames, or see that its name is the same in both"
-        return Unusable("no measured point and no frame", named, POINTS.name, TRIAL.name)
-    return Unusable(
-        "no measured point is valid", "Look at 'valid' in its points: a blank is false", POINTS.name, "valid"
-    )

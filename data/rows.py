@@ -105,17 +105,12 @@ def cleaned(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, Rows]:
     unordered = int((kept.frame.groupby(series)["t"].diff() < 0).sum())
     kept.frame = kept.frame.sort_values(["trial", "t"], kind="stable")
     if table.name in MOTIONS:
-        kept.drop("the hand jumps away and back within two samples", _jumps(kept.frame, numbers))
+        jumps = pd.Series(False, index=kept.frame.index)
+        for _, rows in kept.frame.groupby("trial", sort=False):
+            values = np.unwrap(rows[[name for name in numbers if name != "t"]].to_numpy(), axis=0)
+            jumps[rows.index] = outliers(rows["t"].to_numpy(), values)
+        kept.drop("the hand jumps away and back within two samples", jumps)
     return kept.frame, Rows(len(frame), kept.dropped, unordered)
-
-
-def _jumps(motion: pd.DataFrame, numbers: list[str]) -> pd.Series:
-    """Which rows of a hand's motion, in order, are outliers in their trial."""
-    values = [name for name in numbers if name != "t"]
-    found = pd.Series(False, index=motion.index)
-    for _, rows in motion.groupby("trial", sort=False):
-        found[rows.index] = outliers(rows["t"].to_numpy(), np.unwrap(rows[values].to_numpy(), axis=0))
-    return found
 
 
 def outliers(t: np.ndarray, values: np.ndarray) -> np.ndarray:

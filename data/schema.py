@@ -79,8 +79,10 @@ class Table:
 
     def _typed(self, series: pd.Series, column: Column, source: str) -> pd.Series:
         try:
-            if column.kind == "bool":
-                return self._truth(series)
+            if column.kind == "bool" and series.dtype != bool:
+                if any(isinstance(value, str) for value in series):
+                    raise ValueError("give true or false")  # else any text counts as true
+                series = series.where(series.notna(), False)  # what is missing is false
             return series.astype(PANDAS_TYPES[column.kind])
         except (ValueError, TypeError) as error:
             no_number = pd.to_numeric(series, errors="coerce").isna() & series.notna()
@@ -89,12 +91,3 @@ class Table:
                 f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
                 f"found {bad!r} ({error}). Correct the value or remove the row."
             ) from error
-
-    @staticmethod
-    def _truth(series: pd.Series) -> pd.Series:
-        """True and false; what is missing is false."""
-        if series.dtype == bool:
-            return series
-        if any(isinstance(value, str) for value in series):
-            raise ValueError("give true or false")  # else any text counts as true
-        return series.where(series.notna(), False).astype("bool")

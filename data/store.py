@@ -133,30 +133,19 @@ def content_hash(path: Path) -> str:
     digest = hashlib.sha256()
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
     for file in files:
-        head, size = _columns(file) if file.suffix == ".parquet" else (b"", file.stat().st_size)
-        digest.update(f"{file.relative_to(path).as_posix()}\0{len(head) + size}\0".encode() + head)
-        for piece in _pieces(file, size):
-            digest.update(piece)
+        with file.open("rb") as content:
+            head, size = b"", file.stat().st_size
+            if file.suffix == ".parquet":
+                # it ends with the footer, the footer's length (4 bytes) and "PAR1"; all before is the columns' pages
+                head = pq.read_schema(file).remove_metadata().serialize().to_pybytes()
+                end = content.seek(-8, os.SEEK_END)
+                size = end - int.from_bytes(content.read(4), "little")
+                content.seek(0)
+            digest.update(f"{file.relative_to(path).as_posix()}\0{len(head) + size}\0".encode() + head)
+            while size > 0 and (piece := content.read(min(PIECE, size))):  # a film may be larger than the memory
+                size -= len(piece)
+                digest.update(piece)
     return digest.hexdigest()
-
-
-def _columns(path: Path) -> tuple[bytes, int]:
-    """The serialised schema of a Parquet file without metadata, and the size of the pages before its footer [bytes].
-
-    The file ends with the footer, the footer's length (4 bytes) and "PAR1"; all before it is the columns' pages.
-    """
-    schema = pq.read_schema(path).remove_metadata().serialize().to_pybytes()
-    with path.open("rb") as file:
-        end = file.seek(-8, os.SEEK_END)
-        return schema, end - int.from_bytes(file.read(4), "little")
-
-
-def _pieces(path: Path, size: int) -> Iterator[bytes]:
-    """The first `size` bytes of a file, some at a time: a film may be larger than the memory."""
-    with path.open("rb") as file:
-        while size > 0 and (piece := file.read(min(PIECE, size))):
-            size -= len(piece)
-            yield piece
 
 
 def _write_parquet(table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]) -> None:

@@ -83,7 +83,10 @@ def words_of(column: str) -> list[str]:
 def meaning(column: str) -> Meaning:
     """The meaning of a column, as far as its name tells."""
     words = words_of(column)
-    if not words or NO_POSITION & {*words} or _is_a_rate(column, words):
+    # a unit that is one per second, as in `deg/s` and `mm_s`, is a rate's
+    over = re.search(r"(/|_per_|\*\*-|\^-)\s*s", column.lower())
+    is_rate = over or (len(words) > 2 and words[-1] == "s" and words[-2] in {*LENGTHS, *ANGLES})
+    if not words or NO_POSITION & {*words} or is_rate:
         return OTHER
     unit = _unit(words)
     plain = [word for word in words if word != unit or words.index(word) == 0]
@@ -97,12 +100,6 @@ def meaning(column: str) -> Meaning:
     if plain[0] in ARC and len(plain) <= 2 and not {"x", "y"} & {*plain}:
         return Meaning("arc", "", "", unit if unit in LENGTHS else "")
     return _placed(plain, unit)
-
-
-def _is_a_rate(column: str, words: Sequence[str]) -> bool:
-    """Whether a unit is one per second, as in `deg/s` and `mm_s`."""
-    over = re.search(r"(/|_per_|\*\*-|\^-)\s*s", column.lower())
-    return bool(over) or (len(words) > 2 and words[-1] == "s" and words[-2] in {*LENGTHS, *ANGLES})
 
 
 def _unit(words: Sequence[str]) -> str:
@@ -126,21 +123,13 @@ def _placed(plain: Sequence[str], unit: str) -> Meaning:
     if quality := [QUALITY[word] for word in plain if word in QUALITY]:
         return Meaning("point", _named(plain, QUALITY), quality[0], unit)
     if axes := [word for names in ("xyz", "uv") for word in plain if word in names]:
-        return _coordinate(plain, axes[0], unit, of_hand)
-    return _angle(plain, unit if unit in ANGLES else "", of_hand)
-
-
-def _coordinate(plain: Sequence[str], axis: str, unit: str, of_hand: bool) -> Meaning:
-    """x, y or z of the hand or of a point; u and v are x and y in pixels."""
-    in_pixels = axis in "uv" or unit in PIXELS
-    unit = "px" if in_pixels else unit if unit in LENGTHS else ""
-    axis = {"u": "x", "v": "y"}.get(axis, axis)
-    return Meaning("hand" if of_hand else "point", _named(plain, ("x", "y", "z", "u", "v")), axis, unit)
-
-
-def _angle(plain: Sequence[str], unit: str, of_hand: bool) -> Meaning:
-    """The hand's direction, or the angle of a numbered joint."""
+        in_pixels = axes[0] in "uv" or unit in PIXELS  # u and v are x and y in pixels
+        unit = "px" if in_pixels else unit if unit in LENGTHS else ""
+        axis = {"u": "x", "v": "y"}.get(axes[0], axes[0])
+        return Meaning("hand" if of_hand else "point", _named(plain, ("x", "y", "z", "u", "v")), axis, unit)
+    # no coordinate: the hand's direction, or the angle of a numbered joint
     numbers = [word for word in plain if word.isdigit()]
+    unit = unit if unit in ANGLES else ""
     if {*ANGLE} & {*plain} and (of_hand or (len(plain) == 1 and not numbers)):
         return Meaning("hand", "", "angle", unit)
     return Meaning("joint", numbers[-1], "", unit) if {*JOINT} & {*plain} and numbers else OTHER

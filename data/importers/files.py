@@ -14,18 +14,18 @@ READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)  # the f
 
 def recordings(paths: Sequence[Path]) -> list[Recording]:
     """All that these files hold. Raises DataError naming the file and the remedy."""
-    return [recording for path in paths for recording in _read(path)]
-
-
-def _read(path: Path) -> list[Recording]:
-    if not path.exists():
-        raise DataError(f"{path}: there is no such file. Look at its name.")
-    if path.suffix.lower() in VIDEOS:
-        return [Recording(path, tables.NOTHING, film=path)]
-    for reader in READERS:
-        if reader.reads(path):
-            return reader.read(path)
-    if path.is_dir():
-        raise DataError(f"{path}: this is a folder, and no dataset of LeRobot. Name its files: {path}/*.csv")
-    known = ", ".join((*tables.ENDINGS, ".h5", ".mcap", *VIDEOS))
-    raise DataError(f"{path}: no such file is read. Export it as one of {known}.")
+    found: list[Recording] = []
+    for path in paths:
+        if not path.exists():
+            raise DataError(f"{path}: there is no such file. Look at its name.")
+        reader = next((one for one in READERS if one.reads(path)), None)
+        if path.suffix.lower() in VIDEOS:
+            found.append(Recording(path, tables.NOTHING, film=path))
+        elif reader is not None:
+            found += reader.read(path)
+        elif path.is_dir():
+            raise DataError(f"{path}: this is a folder, and no dataset of LeRobot. Name its files: {path}/*.csv")
+        else:
+            known = ", ".join((*tables.ENDINGS, ".h5", ".mcap", *VIDEOS))
+            raise DataError(f"{path}: no such file is read. Export it as one of {known}.")
+    return found

@@ -102,11 +102,15 @@ def _found(text: str, recording: Recording) -> tuple[str, float, float] | None:
 def _columns(recording: Recording, hints: ColumnHints) -> list[Column]:
     """The columns of a recording that mean something, those first that a person named."""
     asked: dict[str, Column] = {}
+    kinds_of = {"t": "time", "trial": "trial", "s": "arc", "x": "hand", "y": "hand", "theta": "hand"}
     for role, text in hints.columns.items():
-        found = _found(text, recording)
-        if found:
+        if found := _found(text, recording):
             name, sign, shift = found
-            asked[name] = Column(name, _as_said(role, name), "--map", sign, shift)
+            point, _, axis = role.rpartition(".")
+            kind = "point" if point else kinds_of.get(role, "joint")
+            axis = "angle" if role == "theta" else "" if kind == "joint" else axis
+            said = Meaning(kind, point or role.lstrip("q"), axis, unit_in(name, kind))
+            asked[name] = Column(name, said, "--map", sign, shift)
     kinds = {(column.meaning.kind, column.meaning.axis) for column in asked.values()}
     own = [Column(str(name), meaning(str(name))) for name in recording.table if str(name) not in asked]
     if any(kind in ("joint", "hand") for kind, _ in kinds):  # who names one joint names all
@@ -115,27 +119,12 @@ def _columns(recording: Recording, hints: ColumnHints) -> list[Column]:
         own = [column for column in own if column.meaning.kind != "point" or column.meaning.axis not in ("x", "y", "z")]
     own = [column for column in own if (column.meaning.kind, "") not in kinds]
     columns = [column for column in (*asked.values(), *own) if column.meaning.kind != "other"]
-    return _hand_by_its_angle(columns)
-
-
-def _as_said(role: str, column: str) -> Meaning:
-    """The meaning of a column whose role the user gave; its unit is the one that its name gives."""
-    point, _, axis = role.rpartition(".")
-    kinds = {"t": "time", "trial": "trial", "s": "arc", "x": "hand", "y": "hand", "theta": "hand"}
-    kind = "point" if point else kinds.get(role, "joint")
-    axis = "angle" if role == "theta" else "" if kind == "joint" else axis
-    return Meaning(kind, point or role.lstrip("q"), axis, unit_in(column, kind))
-
-
-def _hand_by_its_angle(columns: Sequence[Column]) -> list[Column]:
-    """Nameless x and y beside an angle, without arc lengths, are the hand's."""
-    kinds = {column.meaning.kind for column in columns}
-    angle = any(column.meaning.kind == "hand" and column.meaning.axis == "angle" for column in columns)
-    placed = any(column.meaning.kind == "hand" and column.meaning.axis == "x" for column in columns)
-    if not angle or placed or "arc" in kinds:
-        return list(columns)
-    nameless = [c for c in columns if c.meaning.kind == "point" and not c.meaning.name]
-    return [replace(c, meaning=replace(c.meaning, kind="hand")) if c in nameless else c for c in columns]
+    # nameless x and y beside an angle, without arc lengths, are the hand's
+    there = {(column.meaning.kind, column.meaning.axis) for column in columns}
+    if ("hand", "angle") in there and ("hand", "x") not in there and not any(kind == "arc" for kind, _ in there):
+        nameless = [c for c in columns if c.meaning.kind == "point" and not c.meaning.name]
+        columns = [replace(c, meaning=replace(c.meaning, kind="hand")) if c in nameless else c for c in columns]
+    return columns
 
 
 def _parts(

@@ -47,15 +47,11 @@ def read(path: Path) -> list[Recording]:
         frame = pd.read_csv(path, header=None, skiprows=last + 1, encoding="utf-8-sig", names=range(len(head[last])))
     except (ValueError, OSError) as error:
         raise DataError(f"{path}: cannot be read as Motive's CSV ({error}). Export it again.") from error
-    columns = zip(kinds, names, places, head[last], strict=False)
-    kept = {n: _column(*column, unit) for n, column in enumerate(columns) if n > 1 and column[0] in KINDS}
-    kept = {0: "frame", 1: "time [s]"} | {n: name for n, name in kept.items() if name}
+    kept = {0: "frame", 1: "time [s]"}  # and names that say what a column is: `marker 1 x [m]`, `hand qx`
+    for n, (kind, name, place, axis) in enumerate(zip(kinds, names, places, head[last], strict=False)):
+        short = name.rpartition(":")[2] or name
+        if n > 1 and kind in KINDS and place.startswith("Position"):
+            kept[n] = f"{'hand ' if kind == BODY else ''}{short} {axis.lower()} [{unit}]"
+        elif n > 1 and kind == BODY and place.startswith("Rotation"):
+            kept[n] = f"hand {short} q{axis.lower()}"
     return [Recording(path, frame[list(kept)].rename(columns=kept))]
-
-
-def _column(kind: str, name: str, place: str, axis: str, unit: str) -> str:
-    """A name that says what the column is: `marker 1 x [m]`, `hand qx`; empty for one that is neither."""
-    short = name.rpartition(":")[2] or name
-    if place.startswith("Position"):
-        return f"{'hand ' if kind == BODY else ''}{short} {axis.lower()} [{unit}]"
-    return f"hand {short} q{axis.lower()}" if place.startswith("Rotation") and kind == BODY else ""

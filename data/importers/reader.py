@@ -123,18 +123,15 @@ class Reader:
         """A column of times [s]: numbers in the unit that its name says or its steps tell, or dates."""
         raw = self.recording.table[column.name]
         numbers = pd.to_numeric(raw, errors="coerce")
-        if numbers.notna().sum() == 0:
-            return self._dates(column, raw)
-        unit, how = column.meaning.unit, column.how
-        if not unit:
-            steps = np.diff(np.unique(numbers.dropna()))
-            usual = float(np.median(steps)) if len(steps) else 0.0
-            unit = next((u for u in ("s", "ms", "us", "ns") if usual * TIMES[u] < STEP), "s")
-            how = "values" if unit != "s" else column.how
-        return self.numbers(column, "t", unit, TIMES[unit], how)
-
-    def _dates(self, column: Column, raw: pd.Series) -> np.ndarray:
-        """A column of dates, as seconds since 1970."""
+        if numbers.notna().any():
+            unit, how = column.meaning.unit, column.how
+            if not unit:
+                steps = np.diff(np.unique(numbers.dropna()))
+                usual = float(np.median(steps)) if len(steps) else 0.0
+                unit = next((u for u in ("s", "ms", "us", "ns") if usual * TIMES[u] < STEP), "s")
+                how = "values" if unit != "s" else column.how
+            return self.numbers(column, "t", unit, TIMES[unit], how)
+        # no number: dates, as seconds since 1970
         try:
             dates = pd.to_datetime(raw, errors="coerce", utc=True, format="ISO8601")
         except (ValueError, TypeError, OverflowError):
@@ -170,13 +167,10 @@ class Reader:
         if not unit and self.hints.degrees is not None:
             unit, how = ("deg", "--deg") if self.hints.degrees else ("rad", "--rad")
         if not unit:
-            unit, how = ("deg", "values") if self._turn_far(beside or [column]) else ("rad", how)
+            numbers = self.recording.table[[c.name for c in beside or [column]]].apply(pd.to_numeric, errors="coerce")
+            turned = float(numbers.abs().quantile(0.9).max())  # of the one that turns furthest
+            unit, how = ("deg", "values") if turned > TURNED else ("rad", how)
         return self.numbers(column, role, unit, ANGLES[unit], how)
-
-    def _turn_far(self, columns: Sequence[Column]) -> bool:
-        """Whether one of them turns further than a joint can [rad]."""
-        raw = self.recording.table[[c.name for c in columns]].apply(pd.to_numeric, errors="coerce").abs()
-        return bool(float(raw.quantile(0.9).max()) > TURNED)
 
     def motion(self, columns: Sequence[Column]) -> pd.DataFrame | None:
         """Joint angles or poses of the hand, if it holds them."""
@@ -241,7 +235,13 @@ class Reader:
         role = f"{name}." if name else ""
         xy = {axis: way.sign * self.length(axes[way.name], f"{role}{axis}") for axis, way in (("x", right), ("y", up))}
         if self.unit(axes[right.name]) == "px":
-            xy = self._on_the_plane(xy)
+            scale, origin = self.hints.px_per_m, self.hints.origin_px
+            if scale is None or origin is None:
+                raise DataError(
+                    f"{self.recording.file}: places are in pixels. Say how many are a metre and where the world's "
+                    "origin lies in the picture: --px-per-m 340 --origin-px 251.5,387.5."
+                )
+            xy = {"x": (xy["x"] - origin[0]) / scale, "y": (origin[1] - xy["y"]) / scale}  # y is counted from the top
         frame = pd.DataFrame({"point": name, **xy}, index=pd.RangeIndex(len(self.recording.table)))
         if arc is not None:
             frame["s"] = self.length(arc, "s")
@@ -252,16 +252,6 @@ class Reader:
         elif "valid" in axes:
             frame["valid"] = self.numbers(axes["valid"], f"{role}valid", "", 1.0, "name") > 0
         return frame
-
-    def _on_the_plane(self, xy: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Pixels, counted down from the top, as metres."""
-        scale, origin = self.hints.px_per_m, self.hints.origin_px
-        if scale is None or origin is None:
-            raise DataError(
-                f"{self.recording.file}: places are in pixels. Say how many are a metre and where the world's origin "
-                "lies in the picture: --px-per-m 340 --origin-px 251.5,387.5."
-            )
-        return {"x": (xy["x"] - origin[0]) / scale, "y": (origin[1] - xy["y"]) / scale}
 
 
 @dataclass(frozen=True)
