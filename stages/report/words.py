@@ -66,20 +66,16 @@ def unit(text: str) -> Markup:
 
 
 def unread(readings: pd.DataFrame) -> list[dict[str, Any]]:
-    """Frames that could not be read: how many for each reason, and when."""
+    """Frames that could not be read: how many for each reason, and when [ms]."""
     bad = readings[~readings["valid"].astype(bool)]
-    return [
-        {"reason": reason, "count": len(rows), "when": ", ".join(_spans(rows["frame"], rows["t"]))}
-        for reason, rows in bad.groupby("reason", sort=False)
-    ]
-
-
-def _spans(frames: pd.Series, times: pd.Series) -> Iterator[str]:
-    """Stretches of consecutive frames, by their times [ms]."""
-    numbers, t = frames.to_numpy(), times.to_numpy()
-    ends = [0, *(np.flatnonzero(np.diff(numbers) != 1) + 1), len(numbers)]
-    for first, end in pairwise(ends):
-        yield f"{t[first] * 1e3:.0f}" if end - first == 1 else f"{t[first] * 1e3:.0f} to {t[end - 1] * 1e3:.0f}"
+    said = []
+    for reason, rows in bad.groupby("reason", sort=False):
+        t = [f"{at * 1e3:.0f}" for at in rows["t"]]
+        breaks = np.flatnonzero(np.diff(rows["frame"]) != 1) + 1  # between stretches of consecutive frames
+        stretches = pairwise([0, *breaks, len(rows)])
+        when = [t[first] if end - first == 1 else f"{t[first]} to {t[end - 1]}" for first, end in stretches]
+        said.append({"reason": reason, "count": len(rows), "when": ", ".join(when)})
+    return said
 
 
 def settings(block: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, str]]:

@@ -124,8 +124,16 @@ def reach(jobs: pd.DataFrame, most: int) -> Picture:
     median = needed.groupby([jobs[name] for name in PLACE]).agg(_lower_median)
     figure = Figure(figsize=(4.4, 4.2))
     axes = figure.subplots()
-    for (x, y), casts in median.items():
-        _mark(axes, x * MM, y * MM, casts, most)
+    for place, casts in median.items():
+        x, y = np.array(place) * MM
+        if np.isnan(casts):
+            axes.plot(x, y, "x", color=LIGHT["wall"], ms=7)
+        elif np.isinf(casts):
+            axes.plot(x, y, "s", mfc="none", mec=LIGHT["before"], ms=17)
+        else:
+            shade = 1 - (1 - FAINTEST) * (casts - 1) / max(most - 1, 1)
+            axes.plot(x, y, "s", color=LIGHT["after"], alpha=shade, mew=0, ms=18)
+            axes.annotate(f"{casts:.0f}", (x, y), ha="center", va="center", fontsize=8, color=LIGHT["ink"])
     axes.set(xlabel="x of the target [mm]", ylabel="y of the target [mm]", aspect="equal", adjustable="datalim")
     axes.margins(0.12)
     hit, never, first = (int(some.sum()) for some in (np.isfinite(median), np.isinf(median), median == 1))
@@ -140,14 +148,3 @@ def _lower_median(needed: pd.Series) -> float:
     """NaN where no seed's job ran to its end; infinite where more than half never hit."""
     known = np.sort(needed.dropna().to_numpy(float))
     return float(known[(len(known) - 1) // 2]) if len(known) else np.nan
-
-
-def _mark(axes: Axes, x: float, y: float, casts: float, most: int) -> None:
-    if np.isnan(casts):
-        axes.plot(x, y, "x", color=LIGHT["wall"], ms=7)
-    elif np.isinf(casts):
-        axes.plot(x, y, "s", mfc="none", mec=LIGHT["before"], ms=17)
-    else:
-        shade = 1 - (1 - FAINTEST) * (casts - 1) / max(most - 1, 1)
-        axes.plot(x, y, "s", color=LIGHT["after"], alpha=shade, mew=0, ms=18)
-        axes.annotate(f"{casts:.0f}", (x, y), ha="center", va="center", fontsize=8, color=LIGHT["ink"])

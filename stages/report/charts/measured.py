@@ -67,7 +67,10 @@ def _in_the_plane(axes: Axes, seen: Seen) -> None:
     for number, at in enumerate(np.linspace(low, max(high, low), POSES)):
         strength, labels = (FAINT, (None, None)) if number else (1.0, ("arm", "string, as measured"))
         now = seen.points[seen.points["t"] == seen.frame_t[np.argmin(np.abs(seen.frame_t - at))]]
-        hand = _at(seen, at)
+        if seen.joints is None:  # the hand's pose alone was measured
+            hand = np.array([[np.interp(at, seen.hand_t, seen.pose[:, axis]) for axis in (0, 1)]])
+        else:
+            hand = seen.arm.joints(np.array([np.interp(at, seen.hand_t, angle) for angle in seen.joints.T]))
         line = np.vstack([hand[-1], now[["x", "y"]].to_numpy()]) * MM
         axes.plot(*(hand * MM).T, "o-", color=LIGHT["axis"], ms=3, lw=2.4, alpha=strength, label=labels[0])
         axes.plot(*line.T, ".-", color=LIGHT["after"], ms=4, lw=1.2, alpha=strength, label=labels[1])
@@ -78,13 +81,6 @@ def _in_the_plane(axes: Axes, seen: Seen) -> None:
 def _legend(axes: Axes, columns: int) -> None:
     """A legend above the axes, where it hides nothing."""
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
-
-
-def _at(seen: Seen, at: float) -> np.ndarray:
-    """Joints and hand, (J, 2) [m], or the hand alone where its pose was measured."""
-    if seen.joints is None:
-        return np.array([[np.interp(at, seen.hand_t, seen.pose[:, axis]) for axis in (0, 1)]])
-    return seen.arm.joints(np.array([np.interp(at, seen.hand_t, angle) for angle in seen.joints.T]))
 
 
 def _over_time(axes: Axes, seen: Seen) -> None:

@@ -71,27 +71,24 @@ BARS = 14  # effects drawn at most, the most promising
 def screenings(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
     """Promised gains at each step of the search: beside nothing, and beside each part of the causes chosen."""
     chosen = set(record.extension.get("effects", ()))
-    tables = record.diagnosis.screening.groupby("context", sort=False)
-    return [
-        (plain(context), _bars(record, rows))
-        for context, rows in tables
-        if set(filter(None, context.split(" + "))) < chosen or not context
-    ]
-
-
-def _bars(record: DiagnosisRecord, rows: pd.DataFrame) -> Picture:
-    best = rows.sort_values("predicted_gain", ascending=False, kind="stable").head(BARS)
-    named = best["effect"].isin(record.diagnosis.causes["effect"]).to_numpy()
-    names, values = [plain(name) for name in best["effect"]], best["predicted_gain"].to_numpy()
-    figure = Figure(figsize=(5.4, 0.7 + 0.23 * len(best)))
-    axes = figure.subplots()
-    bars = axes.barh(names, values, height=0.7, color=np.where(named, LIGHT["after"], LIGHT["axis"]).tolist())
-    axes.bar_label(bars, [gain(value) for value in values], padding=4, fontsize=8, color=LIGHT["soft"])
-    axes.set(xlabel="predicted gain of the log-likelihood", xlim=(0, 1.15 * max(values.max(), 1.0)))
-    axes.grid(visible=False, axis="y")
-    axes.invert_yaxis()
-    promised = ", ".join(f"{name} {gain(value)}" for name, value in zip(names[:3], values[:3], strict=False))
-    return vector(figure, f"Predicted gains of effects, the largest first: {promised}.")
+    drawn = []
+    for context, rows in record.diagnosis.screening.groupby("context", sort=False):
+        if context and not set(filter(None, context.split(" + "))) < chosen:
+            continue  # beside causes that were given up again
+        best = rows.sort_values("predicted_gain", ascending=False, kind="stable").head(BARS)
+        named = best["effect"].isin(record.diagnosis.causes["effect"]).to_numpy()
+        names, values = [plain(name) for name in best["effect"]], best["predicted_gain"].to_numpy()
+        figure = Figure(figsize=(5.4, 0.7 + 0.23 * len(best)))
+        axes = figure.subplots()
+        bars = axes.barh(names, values, height=0.7, color=np.where(named, LIGHT["after"], LIGHT["axis"]).tolist())
+        axes.bar_label(bars, [gain(value) for value in values], padding=4, fontsize=8, color=LIGHT["soft"])
+        axes.set(xlabel="predicted gain of the log-likelihood", xlim=(0, 1.15 * max(values.max(), 1.0)))
+        axes.grid(visible=False, axis="y")
+        axes.invert_yaxis()
+        promised = ", ".join(f"{name} {gain(value)}" for name, value in zip(names[:3], values[:3], strict=False))
+        words = f"Predicted gains of effects, the largest first: {promised}."
+        drawn.append((plain(context), vector(figure, words)))
+    return drawn
 
 
 def likeness(record: DiagnosisRecord) -> Picture | None:
@@ -129,24 +126,20 @@ def table_4(record: PaperRecord, conditions: Sequence[str]) -> Drawn | None:
     if found.empty:
         return None
     figure = Figure(figsize=(5.4, 4.4))
+    printed, said = record.tables["numbers"], []
     for axes, symbol in zip(figure.subplots(2, 2).ravel(), SYMBOLS, strict=True):
-        _panel(axes, found[found["symbol"] == symbol], record.tables["numbers"], conditions)
+        ours, theirs = found[found["symbol"] == symbol], printed[printed["of"] == symbol].set_index("what")["value"]
+        _panel(axes, ours, printed, conditions)
         axes.set_title(f"${symbol.replace('_', '_{')}}}$", fontsize=10)
+        medians = []
+        for name, some in ours.groupby("condition"):
+            paper = significant(theirs[f"string {name[-1]}"])
+            medians.append(f"{name[-1]} {significant(some['value'].median())} (the paper {paper})")
+        ends = np.isclose(ours["value"], ours["minimum"]) | np.isclose(ours["value"], ours["maximum"])
+        said += [f"{symbol}: {', '.join(medians)}; at an end of its range in {ends.sum()} of {len(ours)} runs."]
     axes = figure.axes[0]
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=3)
-    return Drawn(figure, " ".join(_medians(found[found["symbol"] == symbol], record) for symbol in SYMBOLS))
-
-
-def _medians(found: pd.DataFrame, record: PaperRecord) -> str:
-    """Medians of one parameter, string by string, and how often it lies at an end of its range."""
-    symbol, printed = found["symbol"].iloc[0], record.tables["numbers"]
-    theirs = printed[printed["of"] == symbol].set_index("what")["value"]
-    said = [
-        f"{name[-1]} {significant(some['value'].median())} (the paper {significant(theirs[f'string {name[-1]}'])})"
-        for name, some in found.groupby("condition")
-    ]
-    ends = np.isclose(found["value"], found["minimum"]) | np.isclose(found["value"], found["maximum"])
-    return f"{symbol}: {', '.join(said)}; at an end of its range in {ends.sum()} of {len(found)} runs."
+    return Drawn(figure, " ".join(said))
 
 
 def _panel(axes: Axes, found: pd.DataFrame, printed: pd.DataFrame, conditions: Sequence[str]) -> None:

@@ -39,13 +39,29 @@ def furthest(record: Record) -> float:
 
 
 def residual_map(record: Record, cast: Cast, furthest: float) -> Picture | None:
-    """The residual after estimation over arc length and time. furthest: end of the colour scale [m]."""
+    """The residual after estimation over arc length and time: mean distances in cells of the string and of a frame, or
+    several; frames not read stay empty. furthest: end of the colour scale [m]."""
     if not cast.measured:
         return None
+    table = residuals(record, cast, cast.after)
+    half = np.median(np.diff(cast.t)) / 2 if len(cast.t) > 1 else cast.motion.duration
+    moments = np.append(cast.t - half, cast.t[-1] + half)
+    if len(cast.t) > COLUMNS:
+        moments = np.linspace(moments[0], moments[-1], COLUMNS + 1)
+    edges = np.linspace(0, max(record.model.string.length, table["s"].max()), CELLS + 1)
+    places = (table["s"], cast.t[table["frame"]])
+    total, count = (np.histogram2d(*places, (edges, moments), weights=w)[0] for w in (table["away"], None))
+    with np.errstate(invalid="ignore"):
+        cells = total / count
+
     figure = framed(5.4, 2.6)
     axes = figure.subplots()
-    table = residuals(record, cast, cast.after)
-    _cells(axes, record, cast, table, furthest)
+    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap=STEPS, vmin=0, vmax=furthest * MM)
+    axes.grid(visible=False)
+    axes.set_ylabel("arc length [mm]")
+    bar = figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
+    assert bar.solids is not None
+    bar.solids.set_rasterized(True)  # each step would be a path
     mark_movement(axes, cast)
     axes.set_xlabel("time [ms]")
     whole = mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1)
@@ -56,9 +72,12 @@ def residual_curves(record: Record, cast: Cast) -> Chart | None:
     """Root mean square distance over the whole string, frame by frame, before and after estimation [mm]."""
     if not cast.measured:
         return None
-    tables = {"before": residuals(record, cast, cast.before), "after": residuals(record, cast, cast.after)}
-    lines = [Line(f"{name} estimation", _rms(table, cast) * MM, name) for name, table in tables.items()]
-    whole = [mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1) for table in tables.values()]
+    lines, whole = [], []
+    for name, simulated in (("before", cast.before), ("after", cast.after)):
+        table = residuals(record, cast, simulated)
+        squares = (table["away"] ** 2).groupby(table["frame"]).mean().reindex(range(len(cast.t)))
+        lines.append(Line(f"{name} estimation", np.sqrt(squares.to_numpy()) * MM, name))
+        whole.append(mm(float(np.sqrt(np.mean(table["away"] ** 2))), 1))
     words = f"Distance of the simulated from the measured string: RMS {whole[0]} before, {whole[1]} after."
     caption = "Root mean square over the whole string. Gaps are frames that could not be read."
     return Chart("Distance over time", cast.t, lines, "RMS [mm]", words, caption, moving(cast), cast.verdict.t)
@@ -74,32 +93,6 @@ def residuals(record: Record, cast: Cast, simulated: np.ndarray) -> pd.DataFrame
     share = (place - first)[:, None]
     there = (1 - share) * simulated[frame, first] + share * simulated[frame, first + 1]
     return pd.DataFrame({"frame": frame, "s": s, "away": np.hypot(*(there - np.stack([x, y], axis=-1)).T)})
-
-
-def _cells(axes: Axes, record: Record, cast: Cast, table: pd.DataFrame, furthest: float) -> None:
-    """Mean distance in cells of arc length and of a frame, or several; frames not read stay empty."""
-    half = np.median(np.diff(cast.t)) / 2 if len(cast.t) > 1 else cast.motion.duration
-    moments = np.append(cast.t - half, cast.t[-1] + half)
-    if len(cast.t) > COLUMNS:
-        moments = np.linspace(moments[0], moments[-1], COLUMNS + 1)
-    edges = np.linspace(0, max(record.model.string.length, table["s"].max()), CELLS + 1)
-    places = (table["s"], cast.t[table["frame"]])
-    total, count = (np.histogram2d(*places, (edges, moments), weights=w)[0] for w in (table["away"], None))
-    with np.errstate(invalid="ignore"):
-        cells = total / count
-    drawn = axes.pcolorfast(moments * MM, edges * MM, cells * MM, cmap=STEPS, vmin=0, vmax=furthest * MM)
-    axes.grid(visible=False)
-    axes.set_ylabel("arc length [mm]")
-    assert axes.figure is not None
-    bar = axes.figure.colorbar(drawn, ax=axes, aspect=20, label="distance [mm]", pad=0.02)
-    assert bar.solids is not None
-    bar.solids.set_rasterized(True)  # each step would be a path
-
-
-def _rms(table: pd.DataFrame, cast: Cast) -> np.ndarray:
-    """(F,) root mean square over the string, NaN where the frame was not read."""
-    squares = (table["away"] ** 2).groupby(table["frame"]).mean()
-    return np.sqrt(squares.reindex(range(len(cast.t))).to_numpy())
 
 
 # --- a diagnosis
@@ -160,26 +153,25 @@ def parts(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
 
 def _map(axes: Axes, table: pd.DataFrame, values: np.ndarray, scale: AsinhNorm) -> ScalarMappable:
     """Means in cells of arc length and time."""
-    times = np.unique(table["t"].to_numpy())
-    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
-    width = max(frame, float(np.ptp(times)) / MOMENTS)  # [s] of even cells: gaps between frames stay empty
-    edges = _along(table["s"].to_numpy()), np.arange(times[0] - width / 2, times[-1] + width, width)
-    total, count = (np.histogram2d(table["s"], table["t"], edges, weights=w)[0] for w in (values, None))
-    cells = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-    axes.grid(visible=False)
-    colours = DIVERGING.with_extremes(bad=NOTHING)
-    return axes.pcolorfast(edges[1] * MM, edges[0] * MM, cells, cmap=colours, norm=scale)
-
-
-def _along(s: np.ndarray) -> np.ndarray:
-    """Edges of cells around the places measured, or even ones where there are many [m]."""
+    # cells around the places measured, or even ones where there are many [m]
+    s = table["s"].to_numpy()
     places = np.unique(np.round(s, 4))
-    if len(places) > PLACES:
-        return np.linspace(0, s.max() * (1 + 1e-9), PLACES + 1)
     middle = (places[1:] + places[:-1]) / 2
     half = middle[0] - places[0] if len(middle) else max(places[0] / 4, 1e-3)
     last = places[-1] - middle[-1] if len(middle) else half
-    return np.concatenate([[max(places[0] - half, 0)], middle, [places[-1] + last]])
+    along = np.concatenate([[max(places[0] - half, 0)], middle, [places[-1] + last]])
+    if len(places) > PLACES:
+        along = np.linspace(0, s.max() * (1 + 1e-9), PLACES + 1)
+
+    times = np.unique(table["t"].to_numpy())
+    frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
+    width = max(frame, float(np.ptp(times)) / MOMENTS)  # [s] of even cells: gaps between frames stay empty
+    moments = np.arange(times[0] - width / 2, times[-1] + width, width)
+    total, count = (np.histogram2d(s, table["t"], (along, moments), weights=w)[0] for w in (values, None))
+    cells = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    axes.grid(visible=False)
+    colours = DIVERGING.with_extremes(bad=NOTHING)
+    return axes.pcolorfast(moments * MM, along * MM, cells, cmap=colours, norm=scale)
 
 
 def curves(record: DiagnosisRecord, trial: str) -> Chart:

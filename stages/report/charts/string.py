@@ -149,41 +149,30 @@ def proposed(record: DiagnosisRecord) -> Picture | None:
     if table.empty:
         return None
     hypotheses = {str(name): rows.reset_index(drop=True) for name, rows in table.groupby("theory", sort=False)}
-    apart = {name: _apart(rows, hypotheses) for name, rows in list(hypotheses.items())[1:]}
+    likeliest, first = next(iter(hypotheses.items()))
+    apart = {}  # the largest distance from the likeliest anywhere on the string [m], by time
+    for name, rows in list(hypotheses.items())[1:]:
+        distance = pd.Series(np.hypot(rows["x"] - first["x"], rows["y"] - first["y"]))
+        apart[name] = distance.groupby(first["t"].to_numpy()).max()
     closest = min(apart, key=lambda name: float(apart[name].max()))
     t = float(apart[closest].idxmax())
+
     figure = Figure(figsize=(7.2, 3.2))
     left, right = figure.subplots(1, 2)
-    _strings(left, hypotheses, t)
-    _distances_apart(right, record, apart)
+    for (name, rows), colour, style in zip(hypotheses.items(), COLOURS_OF_HYPOTHESES, DASHES, strict=False):
+        now = rows[rows["t"] == t].sort_values("s")
+        left.plot(now["x"] * MM, now["y"] * MM, style, marker=".", ms=4, color=LIGHT[colour], label=plain(name))
+    left.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {ms(t)}", aspect="equal", adjustable="datalim")
+    for way, colour, style in zip(apart.values(), COLOURS_OF_HYPOTHESES[1:], DASHES[1:], strict=False):
+        right.plot(way.index * MM, way * MM, style, lw=1.2, color=LIGHT[colour])
+    floor = float(record.diagnosis.residuals["sigma"].median() * MM)
+    right.axhspan(0, floor, color=LIGHT["grid"], lw=0)
+    right.annotate("noise floor", (1, floor), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8)
+    right.set(xlabel="time [ms]", ylabel="apart, at most [mm]", ylim=(0, None))
     right.axvline(t * MM, color=LIGHT["axis"], lw=1)
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=4)
     most = ", ".join(f"{plain(name)} {mm(float(way.max()), 1)}" for name, way in apart.items())
-    return vector(figure, f"The proposed motion at {ms(t)}; away from {plain(next(iter(hypotheses)))} at most: {most}.")
-
-
-def _apart(rows: pd.DataFrame, hypotheses: dict[str, pd.DataFrame]) -> pd.Series:
-    """Largest distance from the likeliest hypothesis anywhere on the string [m], by time."""
-    first = next(iter(hypotheses.values()))
-    return pd.Series(np.hypot(rows["x"] - first["x"], rows["y"] - first["y"])).groupby(first["t"].to_numpy()).max()
-
-
-def _strings(axes: Axes, hypotheses: dict[str, pd.DataFrame], t: float) -> None:
-    """Each hypothesis' string at a moment."""
-    for (name, rows), colour, style in zip(hypotheses.items(), COLOURS_OF_HYPOTHESES, DASHES, strict=False):
-        now = rows[rows["t"] == t].sort_values("s")
-        axes.plot(now["x"] * MM, now["y"] * MM, style, marker=".", ms=4, color=LIGHT[colour], label=plain(name))
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", title=f"at {ms(t)}", aspect="equal", adjustable="datalim")
-
-
-def _distances_apart(axes: Axes, record: DiagnosisRecord, apart: dict[str, pd.Series]) -> None:
-    """How far each hypothesis is from the likeliest, over time, against the noise floor."""
-    for (_, way), colour, style in zip(apart.items(), COLOURS_OF_HYPOTHESES[1:], DASHES[1:], strict=False):
-        axes.plot(way.index * MM, way * MM, style, lw=1.2, color=LIGHT[colour])
-    floor = float(record.diagnosis.residuals["sigma"].median() * MM)
-    axes.axhspan(0, floor, color=LIGHT["grid"], lw=0)
-    axes.annotate("noise floor", (1, floor), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8)
-    axes.set(xlabel="time [ms]", ylabel="apart, at most [mm]", ylim=(0, None))
+    return vector(figure, f"The proposed motion at {ms(t)}; away from {plain(likeliest)} at most: {most}.")
 
 
 # --- the paper's experiments
@@ -202,7 +191,16 @@ def shapes(record: PaperRecord, casts: Sequence[tuple[str, int]]) -> Drawn | Non
     figure = Figure(figsize=(2.75 * max(len(casts), 2), 3.5))
     panels = np.atleast_1d(figure.subplots(1, len(casts), sharex=True, sharey=True))
     for axes, (condition, number) in zip(panels, casts, strict=True):
-        _cast_panel(axes, record, condition, number)
+        lines = record.cast("lines", condition, number)
+        last = lines["moment"].max()
+        for (moment, kind), line in lines.groupby(["moment", "kind"]):  # fainter the earlier
+            share = 0.25 + 0.75 * (moment / last) ** 2
+            faint = share if kind != "arm" else 0.5 * share
+            label = CALLED[kind] if moment == last else None
+            axes.plot(line["x"] * MM, line["y"] * MM, alpha=faint, label=label, **LOOK[kind])
+        boxes(axes, record.of("boxes", condition))
+        axes.set(xlabel="x [mm]", aspect="equal")
+        axes.locator_params(nbins=5)
         axes.set_title(_title(record, condition, number), fontsize=8.5)
     panels[0].set_ylabel("y [mm]")
     handles = dict(zip(*reversed(panels[0].get_legend_handles_labels()), strict=True))
@@ -219,20 +217,6 @@ def boxes(axes: Axes, of: pd.DataFrame) -> None:
         look: dict[str, Any] = {"fc": LIGHT["wall"], "alpha": 0.5}
         look = {"fill": False, "ec": LIGHT["target"], "lw": 1.6} if target else look
         axes.add_patch(_box(Box(box.x, box.y, box.w, box.h), zorder=3, **look))
-
-
-def _cast_panel(axes: Axes, record: PaperRecord, condition: str, number: int) -> None:
-    """Fainter the earlier."""
-    lines = record.cast("lines", condition, number)
-    last = lines["moment"].max()
-    for (moment, kind), line in lines.groupby(["moment", "kind"]):
-        share = 0.25 + 0.75 * (moment / last) ** 2
-        faint = share if kind != "arm" else 0.5 * share
-        label = CALLED[kind] if moment == last else None
-        axes.plot(line["x"] * MM, line["y"] * MM, alpha=faint, label=label, **LOOK[kind])
-    boxes(axes, record.of("boxes", condition))
-    axes.set(xlabel="x [mm]", aspect="equal")
-    axes.locator_params(nbins=5)
 
 
 def _title(record: PaperRecord, condition: str, number: int) -> str:

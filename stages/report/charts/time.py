@@ -85,35 +85,28 @@ def progress(record: Record) -> Picture | None:
         return None
     figure = framed(5.4, 4.9)
     top, bottom = figure.subplots(2, 1, sharex=True)
-    _distances(top, record)
-    _rates(bottom, record)
+    distances = np.array([cast.verdict.distance for cast in record.casts]) * MM
+    number = np.arange(1, len(distances) + 1)
+    hits = np.array([cast.verdict.hit for cast in record.casts])
+    top.plot(number, distances, color=LIGHT["target"])
+    for these, words, fill in ((~hits, "missed", "none"), (hits, "hit", LIGHT["target"])):
+        if these.any():
+            top.plot(number[these], distances[these], "o", color=LIGHT["target"], label=words, mfc=fill)
+    top.set(ylabel="closest to centre [mm]", ylim=(0, None))
+
+    for at, cast in enumerate(record.casts, start=1):
+        if cast.estimate is not None:
+            rates = cast.estimate.fit.iloc[0][["before", "after"]].astype(float)
+            bottom.plot([at, at], rates, color=LIGHT["axis"], lw=1.2, zorder=1)
+            for name in ("before", "after"):
+                label = f"{name} estimation" if at == 1 else ""
+                bottom.plot(at, rates[name], "o", color=LIGHT[name], label=label)
+    bottom.set(xlabel="cast", ylabel="matching rate E [1]", ylim=(0, 1.02))
     bottom.set_xticks(range(1, len(record.casts) + 1))
     bottom.set_xlim(0.6, len(record.casts) + 0.4)
     figure.legend(loc="upper left", ncols=4)
     closest = ", ".join(mm(cast.verdict.distance) for cast in record.casts)
     return vector(figure, f"Closest approach of the tip to the target's centre, cast by cast: {closest}.")
-
-
-def _distances(axes: Axes, record: Record) -> None:
-    distances = np.array([cast.verdict.distance for cast in record.casts]) * MM
-    number = np.arange(1, len(distances) + 1)
-    hits = np.array([cast.verdict.hit for cast in record.casts])
-    axes.plot(number, distances, color=LIGHT["target"])
-    for these, words, fill in ((~hits, "missed", "none"), (hits, "hit", LIGHT["target"])):
-        if these.any():
-            axes.plot(number[these], distances[these], "o", color=LIGHT["target"], label=words, mfc=fill)
-    axes.set(ylabel="closest to centre [mm]", ylim=(0, None))
-
-
-def _rates(axes: Axes, record: Record) -> None:
-    for number, cast in enumerate(record.casts, start=1):
-        if cast.estimate is not None:
-            rates = cast.estimate.fit.iloc[0][["before", "after"]].astype(float)
-            axes.plot([number, number], rates, color=LIGHT["axis"], lw=1.2, zorder=1)
-            for name in ("before", "after"):
-                label = f"{name} estimation" if number == 1 else ""
-                axes.plot(number, rates[name], "o", color=LIGHT[name], label=label)
-    axes.set(xlabel="cast", ylabel="matching rate E [1]", ylim=(0, 1.02))
 
 
 # --- a diagnosis
@@ -169,7 +162,8 @@ def fig_14(record: PaperRecord, condition: str) -> Drawn | None:
     figure = Figure(figsize=(5.4, 3.0))
     axes = figure.subplots()
     near: dict[int, float] = {}
-    for number, colour in zip(dict.fromkeys([made[0], compared(made)]), ("before", "after"), strict=False):
+    beside = max(number for number in made if number <= LATER)  # the fourth, or the last before it
+    for number, colour in zip(dict.fromkeys([made[0], beside]), ("before", "after"), strict=False):
         table = record.cast("matching", condition, number).sort_values("t")
         t, rates = table["t"].to_numpy(), table["before"].to_numpy()
         axes.plot(t * MM, broken(t, rates), color=LIGHT[colour], label=f"manipulation {number}")
@@ -182,8 +176,3 @@ def fig_14(record: PaperRecord, condition: str) -> Drawn | None:
     first, last = next(iter(near.values())), list(near.values())[-1]
     grew = "" if len(near) < 2 else ": higher, as in the paper" if last > first else ": not higher, unlike in the paper"
     return Drawn(figure, f"Around the closest approach, 50 ms each side, E is {said}{grew}.")
-
-
-def compared(made: list[int]) -> int:
-    """The manipulation that stands beside the first: the fourth, or the last before it."""
-    return max(number for number in made if number <= LATER)

@@ -43,12 +43,19 @@ def calibration_page(facts: Facts) -> str:
     times = magnified(tilted, outcome["width"])
     with style.context(STYLE):
         sections = [tiles(outcome), camera(made, tilted, times), views(made, times)]
+
+    used = int((made.views["reason"] == "").sum()) - 1  # one is that in the plane
+    pictures = f"{used} of {len(made.views) - 1} pictures of the tilted board were used, "
+    pictures += f"{outcome['width']} × {outcome['height']} px."
+    kept = "<code>camera.yaml</code> beside this page holds the camera; other experiments take it by "
+    kept += "<code>calibrated=</code> and this folder."
+    where = Markup(kept if outcome["valid"] else "No <code>camera.yaml</code> was written.")
     return str(
         Page(
             title=f"{facts.name}: {facts.sentence}",
             kicker=f"stringcast calibration · {facts.name}",
             heading=facts.sentence,
-            lead=_lead(made),
+            lead=joined([pictures, where]),
             sections=sections,
             origin=facts.origin,
             settings=facts.settings,
@@ -56,16 +63,6 @@ def calibration_page(facts: Facts) -> str:
             marked=True,
         )
     )
-
-
-def _lead(made: Calibration) -> Markup:
-    """The number of pictures, and where the camera is."""
-    outcome, used = made.outcome.iloc[0], int((made.views["reason"] == "").sum()) - 1
-    pictures = f"{used} of {len(made.views) - 1} pictures of the tilted board were used, "
-    pictures += f"{outcome['width']} × {outcome['height']} px."
-    kept = "<code>camera.yaml</code> beside this page holds the camera; other experiments take it by "
-    kept += "<code>calibrated=</code> and this folder."
-    return joined([pictures, Markup(kept if outcome["valid"] else "No <code>camera.yaml</code> was written.")])
 
 
 def tiles(outcome: Any) -> Tiles:

@@ -102,7 +102,18 @@ def summary(record: Record) -> list[Part]:
         return []
     columns = ["cast", "tip in the box", "closest to centre", "at", "E before", "E after"]
     columns += ["residual before", "residual after", "frames read"]
-    rows = [_row(n, cast) for n, cast in enumerate(record.casts, start=1)]
+    rows = []
+    for n, cast in enumerate(record.casts, start=1):
+        closest = [number(mm(cast.verdict.distance)), number(ms(cast.verdict.t))]
+        fitted: list[Cell | str] = [Cell("not estimated", "missing"), *[""] * 3]
+        if cast.estimate is not None:
+            fit = cast.estimate.fit.iloc[0]
+            rates = [rate(fit["before"]), rate(fit["after"])]
+            fitted = [number(one) for one in (*rates, mm(fit["rms_before"], 1), mm(fit["rms_after"], 1))]
+        frames = len(cast.points.readings)
+        unread = sum(row["count"] for row in words.unread(cast.points.readings))
+        read = number(f"{frames - unread} of {frames}")
+        rows.append([link(f"#cast-{n}", n), ended(cast), *closest, *fitted, read])
     return [_tiles(record), Card("", [Table(columns, rows)])]
 
 
@@ -131,18 +142,6 @@ def ended(cast: Cast) -> Markup:
     return badge(cast.verdict.hit) if cast.valid else Markup('<span class="badge">not valid</span>')
 
 
-def _row(n: int, cast: Cast) -> list[Any]:
-    """A cast in the table of all."""
-    fit = None if cast.estimate is None else cast.estimate.fit.iloc[0]
-    missing = [Cell("not estimated", "missing"), *[""] * 3]
-    rms = [] if fit is None else [mm(fit[name], 1) for name in ("rms_before", "rms_after")]
-    fitted = missing if fit is None else [number(x) for x in (rate(fit["before"]), rate(fit["after"]), *rms)]
-    frames = len(cast.points.readings)
-    unread = sum(row["count"] for row in words.unread(cast.points.readings))
-    closest = [number(mm(cast.verdict.distance)), number(ms(cast.verdict.t))]
-    return [link(f"#cast-{n}", n), ended(cast), *closest, *fitted, number(f"{frames - unread} of {frames}")]
-
-
 def together(record: Record) -> Section | None:
     """Charts over the casts."""
     way = paths(record)
@@ -161,17 +160,29 @@ def together(record: Record) -> Section | None:
 def learnt(record: Record) -> Section:
     """Each parameter of the last estimate with its history; E over time where no cast shows it."""
     title = "What was learnt of the string"
-    known = _parameters(record)
+    known: Known = []
+    if record.estimates:
+        rows = record.estimates[-1].parameters.set_index("name", drop=False)
+        known = [(p, rows.loc[p.name]) for p in record.model.parameters if p.name in rows.index]
     if not known:
         return Section(title, [Text("Nothing was estimated in this run.", "missing")])
-    lead = Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))
+
+    # what is determined first; the rest is folded away
     certain = [one for one in known if one[1]["determined"]]
     rest = [one for one in known if not one[1]["determined"]]
-    shown = [Card("", [*_histories(record, certain), _learnt_table(certain)])] if certain else []
     what = "which this data does not determine, or of which this method cannot say how sure they are"
     hidden = f"{len(rest)} {'other ' * bool(certain)}parameter{'s' * (len(rest) != 1)}, {what}"
-    folded = [Details(hidden, [*_histories(record, rest), _learnt_table(rest)])] if rest else []
-    return Section(title, [lead, *shown, *folded, _alone(record)])
+    parts: list[Part] = [Text(sentence(record.estimates[-1].fit["sentence"].iloc[0]))]
+    parts += [Card("", [*_histories(record, certain), _learnt_table(certain)])] if certain else []
+    parts += [Details(hidden, [*_histories(record, rest), _learnt_table(rest)])] if rest else []
+
+    # with casts, each shows the matching rate of its own estimation
+    if not record.casts:
+        none = "This estimation compared no masks, so there is no matching rate."
+        titles = [f"Matching rate over time, estimation {n}" for n in range(1, len(record.estimates) + 1)]
+        given = zip(titles, record.estimates, strict=True)
+        parts.append(Explore([Grid([either(title, matching(one, title=title), none) for title, one in given])]))
+    return Section(title, parts)
 
 
 HISTORY = (  # what is drawn of a parameter, and how
@@ -217,45 +228,57 @@ def _learnt_table(known: Known) -> Table:
     return Table(columns, rows)
 
 
-def _alone(record: Record) -> Part | None:
-    """E over time where no cast shows it."""
-    if record.casts:
-        return None
-    none = "This estimation compared no masks, so there is no matching rate."
-    titles = [f"Matching rate over time, estimation {n}" for n in range(1, len(record.estimates) + 1)]
-    given = zip(titles, record.estimates, strict=True)
-    return Explore([Grid([either(title, matching(one, title=title), none) for title, one in given])])
-
-
-def _parameters(record: Record) -> list[tuple[Parameter, Any]]:
-    """The model's parameters that were estimated, each with its row of the last estimate."""
-    if not record.estimates:
-        return []
-    last = record.estimates[-1].parameters.set_index("name", drop=False)
-    return [(p, last.loc[p.name]) for p in record.model.parameters if p.name in last.index]
-
-
 # --- one cast -----------------------------------------------------------------------------------
 def casting(record: Record, n: int, cast: Cast, part: View, far: float) -> Section:
     """Everything of one cast. far: end of the colour scale of all casts [m]."""
     unstable = [name for name, line in (("before", cast.before), ("after", cast.after)) if not np.isfinite(line).all()]
     undrawn = "The simulation with the parameters {} estimation did not stay finite; it is not drawn."
     layers = [Layer(name, ON_FRAMES[name], shown=name != "measured") for name in ("before", "after", "measured")]
-    where = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
-    where += "mean the same in all casts."
-    away = Figure("Distance of simulated and measured string", residual_map(record, cast, far), where, UNREAD)
-    seen = [Column([_closest(record, cast), away]), _animated(record, cast, part)]
     own = None if cast.estimate is None or cast.estimate is record.estimates[-1] else cast.estimate.fit.iloc[0]
-    about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
-    paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
+
+    # how many motions were tried is known from the record of the search alone
+    tried: Part = Text("It was not recorded how many motions were tried.", "missing")
+    if not cast.motion.attempts.empty:
+        ranked = cast.motion.attempts.sort_values("count", ascending=False)
+        rows = [(row["outcome"], number(row["count"])) for row in ranked.to_dict("records")]
+        tried = Table(("what became of them", "motions"), rows)
+
     parts = [
         Text(_told(cast)),
         None if own is None else Text(sentence(own["sentence"])),  # that of the last stands above all casts
         *(Text(undrawn.format(name), "missing") for name in unstable),
-        Explore([Grid(seen), Grid(_agreement(record, cast)), Grid([paths, _joints(cast)])], layers),
-        Grid([_attempts(cast), _link_and_frames(cast)]),
+        Explore(_compared(record, cast, part, far), layers),
+        Grid([Card("Motions tried until one was chosen", [tried]), _link_and_frames(cast)]),
     ]
     return Section(f"Cast {n}", parts, f"cast-{n}", ended(cast), "cast")
+
+
+def _compared(record: Record, cast: Cast, part: View, far: float) -> list[Part]:
+    """Simulation and film side by side: where they were closest to the target, moving, over time, and their paths."""
+    near: Part = Card("At the closest approach", [NOT_FILMED])
+    if drawn := overlay(record, cast):
+        caption = "The camera frame nearest in time. Dashed: the tip's way 30 ms before and after, ring: its closest "
+        caption += "approach."
+        key = Key([(words, ON_FRAMES[name]) for name, words in COLOURS.items()])
+        near = Figure("At the closest approach", drawn, caption, beside=key)
+    moving: Part = NOT_FILMED
+    if film := animation(record, cast, part):
+        span = f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
+        moving = Film(film, f"Animation of {span} with the measured and simulated strings")
+    where = "Where along the string and when, after estimation; gaps are frames that could not be read. The colours "
+    where += "mean the same in all casts."
+    away = Figure("Distance of simulated and measured string", residual_map(record, cast, far), where, UNREAD)
+
+    unmatched = "no masks were compared in this estimation" if cast.estimate else "nothing was estimated from this cast"
+    none = f"There is no matching rate: {unmatched}."
+    agreed = [either("Matching rate over time", matching(cast.estimate, cast), none)]
+    agreed += [either("Distance over time", residual_curves(record, cast), UNREAD)]
+
+    # the joints together are as high as the hand's path beside them
+    about = "As measured during the movement. Grey: the arm at the start (faint) and at the closest approach."
+    paths = Figure("Paths of hand and tip", path(record, cast), about, SILENT)
+    angles = Column(joints(cast)) if len(cast.trial.arm) else either("Joint angles", None, SILENT)
+    return [Grid([Column([near, away]), Card("Animation", [moving])]), Grid(agreed), Grid([paths, angles])]
 
 
 def _told(cast: Cast) -> Markup:
@@ -280,69 +303,16 @@ def _told(cast: Cast) -> Markup:
     return joined(said)
 
 
-def _closest(record: Record, cast: Cast) -> Part:
-    title, drawn = "At the closest approach", overlay(record, cast)
-    if drawn is None:
-        return Card(title, [NOT_FILMED])
-    caption = (
-        "The camera frame nearest in time. Dashed: the tip's way 30 ms before and after, ring: its closest approach."
-    )
-    return Figure(title, drawn, caption, beside=Key([(words, ON_FRAMES[name]) for name, words in COLOURS.items()]))
-
-
-def _animated(record: Record, cast: Cast, part: View) -> Card:
-    film = animation(record, cast, part)
-    if film is None:
-        return Card("Animation", [NOT_FILMED])
-    span = f"{len(film['t'])} camera frames from {film['t'][0]} to {film['t'][-1]} ms"
-    return Card("Animation", [Film(film, f"Animation of {span} with the measured and simulated strings")])
-
-
-def _agreement(record: Record, cast: Cast) -> list[Part]:
-    """How well simulation and film agree over time, one curve beside the other."""
-    unmatched = "no masks were compared in this estimation" if cast.estimate else "nothing was estimated from this cast"
-    rates = matching(cast.estimate, cast)
-    matched = either("Matching rate over time", rates, f"There is no matching rate: {unmatched}.")
-    return [matched, either("Distance over time", residual_curves(record, cast), UNREAD)]
-
-
-def _joints(cast: Cast) -> Part:
-    """The joints over time, which together are as high as the hand's path beside them."""
-    return Column(joints(cast)) if len(cast.trial.arm) else either("Joint angles", None, SILENT)
-
-
-def _attempts(cast: Cast) -> Card:
-    title, tried = "Motions tried until one was chosen", cast.motion.attempts
-    if tried.empty:
-        return Card(title, [Text("It was not recorded how many motions were tried.", "missing")])
-    ranked = tried.sort_values("count", ascending=False)
-    rows = [(row["outcome"], number(row["count"])) for row in ranked.to_dict("records")]
-    return Card(title, [Table(("what became of them", "motions"), rows)])
-
-
 def _link_and_frames(cast: Cast) -> Card:
-    """Whether arm and camera kept their budgets, and what could not be read."""
+    """Whether arm and camera kept their budgets: how many commands and frames, how late, and what was not read."""
     how, unread = cast.trial.link.iloc[0], words.unread(cast.points.readings)
-    kept = "Arm and camera kept their budgets."
     invalid = Markup('<b class="bad">This trial is not valid:</b> {}.').format(how["reason"])
-    parts: list[Part] = [
-        Text(kept if how["valid"] else invalid, ""),
-        Table((), _budgets(cast, how, unread), named=True),
-    ]
-    if how.get("remarks"):
-        parts.append(Text(f"Not made sure of: {how['remarks']}.", ""))
-    if unread:
-        rows = [(row["reason"], number(row["count"]), row["when"]) for row in unread]
-        parts.append(Table(("why not", "frames", "when [ms]"), rows))
-    return Card("Link and frames", parts)
+    kept = Text("Arm and camera kept their budgets." if how["valid"] else invalid, "")
 
-
-def _budgets(cast: Cast, how: Any, unread: list[dict[str, Any]]) -> list[tuple[str, Cell]]:
-    """Commands and frames: how many, how late."""
     late = ", ".join(ms(how[name], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max"))
     rows = {"commands sent": how["ticks"], "late or lost": how["missed"], "lateness: median, 99 %, largest": late}
     rows["frames filmed"] = len(cast.points.readings)
-    if "frames_due" in how:
+    if "frames_due" in how:  # cameras alone that tell when each frame was due
         frames_late = ", ".join(ms(how[f"frame_{name}"], 2) for name in ("jitter_p50", "jitter_p99", "jitter_max"))
         rows |= {
             "frames due, and of those dropped": f"{how['frames_due']}, {how['frames_dropped']}",
@@ -351,4 +321,11 @@ def _budgets(cast: Cast, how: Any, unread: list[dict[str, Any]]) -> list[tuple[s
             "lateness of frames: median, 99 %, largest": frames_late,
         }
     rows["frames not read"] = sum(row["count"] for row in unread)
-    return [(name, number(value)) for name, value in rows.items()]
+    parts: list[Part] = [kept, Table((), [(name, number(value)) for name, value in rows.items()], named=True)]
+
+    if how.get("remarks"):
+        parts.append(Text(f"Not made sure of: {how['remarks']}.", ""))
+    if unread:
+        reasons = [(row["reason"], number(row["count"]), row["when"]) for row in unread]
+        parts.append(Table(("why not", "frames", "when [ms]"), reasons))
+    return Card("Link and frames", parts)

@@ -70,19 +70,14 @@ def check_page(
 
 def drawn(trials: Sequence[Seen]) -> list[Part]:
     """Trials as they were measured, each in the plane and over time."""
+    clocks = "Each on its own clock; dotted: when it begins to move."
+    grids: list[Part] = []
     with style.context(STYLE):
-        return [Grid([in_plane(seen), over_time(seen)]) for seen in trials]
-
-
-def in_plane(seen: Seen) -> Figure:
-    """Arm and string."""
-    return Figure(f"Trial {seen.name}", vector(plane_figure(seen), trial_words(seen)), trial_words(seen))
-
-
-def over_time(seen: Seen) -> Figure:
-    """Hand and tip, and their clocks."""
-    title = f"Trial {seen.name}: hand and tip over time"
-    return Figure(title, vector(time_figure(seen), title), "Each on its own clock; dotted: when it begins to move.")
+        for seen in trials:
+            said, title = trial_words(seen), f"Trial {seen.name}: hand and tip over time"
+            plane = Figure(f"Trial {seen.name}", vector(plane_figure(seen), said), said)
+            grids.append(Grid([plane, Figure(title, vector(time_figure(seen), title), clocks)]))
+    return grids
 
 
 def findings(found: Sequence[Mapping[str, Any]]) -> Part:

@@ -32,10 +32,12 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
     empty. folder: that was listed."""
     newest = runs.sort_values("date", ascending=False, kind="stable")
     kinds = [Tile(str(count), str(kind)) for kind, count in runs["state"].value_counts().items()]
-    sections: list[Part] = [
-        Tiles(kinds),
-        Section("Newest first", [Card("", [Table(COLUMNS, [_row(row) for row in newest.to_dict("records")])])]),
-    ]
+    rows = []
+    for row in newest.to_dict("records"):
+        best = rate(row["best_E"]) if np.isfinite(row["best_E"]) else ""
+        numbers = [number(row["iterations"]), number(best), number(f"{row['seconds']:.0f}")]
+        rows.append([row["outcome"] or row["state"], Cell(_run(row), "name"), *numbers, row["said"]])
+    sections: list[Part] = [Tiles(kinds), Section("Newest first", [Card("", [Table(COLUMNS, rows)])])]
     stale = newest[newest["stale"] != ""]
     if len(stale):
         lead = "A step of these would be made otherwise by the code and settings as they are now."
@@ -43,13 +45,6 @@ def index_page(runs: pd.DataFrame, folder: str, origin: Mapping[str, Any]) -> st
         sections.append(Section("Stale", [Text(lead), Details(f"{len(stale)} of {len(runs)}", [why])]))
     title = f"{len(runs)} run{'s' * (len(runs) != 1)} in {folder}"
     return str(Page(title, "stringcast runs", title, "Each links to its own page.", sections, origin, {}))
-
-
-def _row(row: Mapping[str, Any]) -> list[Any]:
-    best = rate(row["best_E"]) if np.isfinite(row["best_E"]) else ""
-    numbers = [number(row["iterations"]), number(best), number(f"{row['seconds']:.0f}")]
-    ended = row["outcome"] or row["state"]
-    return [ended, Cell(_run(row), "name"), *numbers, row["said"]]
 
 
 def _run(row: Mapping[str, Any]) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -156,19 +155,16 @@ def hits(record: PaperRecord, pictures: Mapping[str, Picture]) -> Section | Text
     about += "Bars: 95 % intervals (Clopper and Pearson). Median: manipulations that half of the runs needed at most."
     within = record.of("rates", record.conditions[0])["within"]
     columns = ["experiment", *(f"within {n}" for n, _ in enumerate(within, 1)), "median", "paper"]
-    rows = [_rates(record, condition) for condition in record.conditions]
+    rows = []
+    for condition in record.conditions:
+        needed = record.of("needed", condition).iloc[0]
+        median = "never" if needed["median"] > NEVER else f"{needed['median']:.0f}"
+        paper = f"{needed['paper']:.0f}" if np.isfinite(needed["paper"]) else "not said"
+        shares = [share(row) for _, row in record.of("rates", condition).iterrows()]
+        rows.append([LABELS[condition].replace(" ", "\u00a0"), *map(number, (*shares, median, paper))])
     return Section(
         "How often it hits", [Card("", [Figure("", pictures["hit_rates"], about)]), Card("", [Table(columns, rows)])]
     )
-
-
-def _rates(record: PaperRecord, condition: str) -> list[Any]:
-    """An experiment in the table of hit rates."""
-    needed = record.of("needed", condition).iloc[0]
-    median = "never" if needed["median"] > NEVER else f"{needed['median']:.0f}"
-    paper = f"{needed['paper']:.0f}" if np.isfinite(needed["paper"]) else "not said"
-    shares = [share(row) for _, row in record.of("rates", condition).iterrows()]
-    return [LABELS[condition].replace(" ", "\u00a0"), *map(number, (*shares, median, paper))]
 
 
 def share(row: pd.Series) -> str:
@@ -179,18 +175,17 @@ def share(row: pd.Series) -> str:
 # --- figures and tables
 def figures_and_tables(record: PaperRecord, pictures: Mapping[str, Picture]) -> Section | None:
     """Each figure with what the paper says and what came out here."""
-    shown = [_section(record, name, pictures[name]) for name in SECTIONS if name in pictures]
+    shown = []
+    for name, (title, conditions, paper) in SECTIONS.items():
+        if name in pictures:
+            here = [outcome(record, condition) for condition in conditions if condition in record.conditions]
+            said = sentence(" ".join([*here, pictures[name].alt]))
+            beside = Table((), [("paper", sentence(paper)), ("here", said)], named=True)
+            shown.append(Figure(title, pictures[name], "", beside=beside))
     lead = "Drawn is the run with the lowest seed that needed the median number of manipulations: neither the "
     lead += "luckiest nor the unluckiest. Strings and arm are fainter the earlier they are; the last are at the tip's "
     lead += "closest approach to the target."
     return Section("Figures and tables", [Text(lead), Grid(shown)]) if shown else None
-
-
-def _section(record: PaperRecord, name: str, picture: Picture) -> Figure:
-    title, conditions, paper = SECTIONS[name]
-    here = [outcome(record, condition) for condition in conditions if condition in record.conditions]
-    rows = [("paper", sentence(paper)), ("here", sentence(" ".join([*here, picture.alt])))]
-    return Figure(title, picture, "", beside=Table((), rows, named=True))
 
 
 def outcome(record: PaperRecord, condition: str) -> str:
@@ -222,17 +217,12 @@ def silent() -> Section:
 
 def numbers(record: PaperRecord) -> Section:
     """The numbers that the paper prints, with their places."""
-    rows = [
-        (n["what"], _of(n["of"]), number(significant(n["value"])), unit(n["unit"]), n["place"])
-        for n in record.tables["numbers"].to_dict("records")
-    ]
+    rows = []
+    for n in record.tables["numbers"].to_dict("records"):
+        of = symbol(n["of"]) if n["of"][1:2] == "_" and len(n["of"]) < 5 else n["of"]  # such as k_h, or words
+        rows.append((n["what"], of, number(significant(n["value"])), unit(n["unit"]), n["place"]))
     table = Table(("what", "of", "value", "unit", "place"), rows)
     return Section("The paper's numbers", [Details(f"{len(rows)} numbers, with their places", [table])])
-
-
-def _of(name: str) -> Markup | str:
-    """The quantity that a number belongs to: a symbol such as k_h, or words."""
-    return symbol(name) if name[1:2] == "_" and len(name) < 5 else name
 
 
 # --- the paper's figures again, from the study's tables alone

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from itertools import combinations
 from typing import Any
 
@@ -31,7 +31,7 @@ from stringcast.stages.report.page import (
     number,
 )
 from stringcast.stages.report.records import SweepRecord
-from stringcast.stages.report.theme import STYLE, Picture
+from stringcast.stages.report.theme import STYLE
 from stringcast.stages.report.words import UNKNOWN, mean_with_interval, significant, unit
 
 MAPPED = ("hit", "manipulations", "E_after")
@@ -42,12 +42,19 @@ def sweep_page(record: SweepRecord) -> str:
     with style.context(STYLE):
         responses = [response_to(record, factor) for factor in record.factors]
         sections = [tiles(record), failed(record), *responses, reaches(record), planes(record)]
+
+    varied = f"Varied: {', '.join(record.factors)}." if record.factors else "No setting was varied."
+    seeds = f"Each with {record.seeds} seed{'s' * (record.seeds != 1)}."
+    sure = "Bars and brackets are 95 % intervals of means over the seeds; with few seeds they are wide."
+    if record.seeds < 2:
+        sure = "With one seed nobody can say how much chance there is in these means, so they have no intervals but "
+        sure += "that of the hit rate."
     return str(
         Page(
             title=f"{record.name}: {record.sentence}",
             kicker=f"stringcast sweep · {record.name}",
             heading=finding(record) or record.sentence,
-            lead=_varied(record),
+            lead=f"{record.sentence}. {varied} {seeds} {sure}",
             sections=[*sections, combined(record), jobs(record)],
             origin=record.origin,
             settings=record.settings,
@@ -61,34 +68,17 @@ def finding(record: SweepRecord) -> str:
     if not record.factors or record.done.empty:
         return ""
     outcomes = _mapped(record)
-    nothing = f"No setting varied changes the {outcomes[0].label} by more than chance"
-    return next(filter(None, (_largest(record, outcome) for outcome in outcomes)), nothing)
-
-
-def _largest(record: SweepRecord, outcome: Outcome) -> str:
-    """The largest effect of a setting on an outcome; empty where none is beyond chance."""
-    means = {factor: response(record.done, outcome, [factor]) for factor in record.factors}
-    ends = {f: (rows.loc[rows["mean"].idxmin()], rows.loc[rows["mean"].idxmax()]) for f, rows in means.items()}
-    apart = {f: low for f, low in ends.items() if low[0]["high"] < low[1]["low"]}
-    if not apart:
-        return ""
-    factor = max(apart, key=lambda f: float(apart[f][1]["mean"] - apart[f][0]["mean"]))
-    low, high = apart[factor]
-    values = [f"{significant(row['mean'])}{outcome.unit and f' {outcome.unit}'}" for row in (high, low)]
-    return f"The {outcome.label} is {values[0]} with {factor}={high[factor]}, {values[1]} with {low[factor]}"
-
-
-def _varied(record: SweepRecord) -> str:
-    """The settings that were varied, and how sure means are."""
-    varied = f"Varied: {', '.join(record.factors)}." if record.factors else "No setting was varied."
-    seeds = f"Each with {record.seeds} seed{'s' * (record.seeds != 1)}."
-    sure = "Bars and brackets are 95 % intervals of means over the seeds; with few seeds they are wide."
-    if record.seeds < 2:
-        sure = (
-            "With one seed nobody can say how much chance there is in these means, so they have no intervals but that "
-        )
-        sure += "of the hit rate."
-    return f"{record.sentence}. {varied} {seeds} {sure}"
+    for outcome in outcomes:
+        # the levels with the least and the largest mean, where their intervals lie apart
+        means = {factor: response(record.done, outcome, [factor]) for factor in record.factors}
+        ends = {f: (rows.loc[rows["mean"].idxmin()], rows.loc[rows["mean"].idxmax()]) for f, rows in means.items()}
+        apart = {f: low for f, low in ends.items() if low[0]["high"] < low[1]["low"]}
+        if apart:
+            factor = max(apart, key=lambda f: float(apart[f][1]["mean"] - apart[f][0]["mean"]))
+            low, high = apart[factor]
+            values = [f"{significant(row['mean'])}{outcome.unit and f' {outcome.unit}'}" for row in (high, low)]
+            return f"The {outcome.label} is {values[0]} with {factor}={high[factor]}, {values[1]} with {low[factor]}"
+    return f"No setting varied changes the {outcomes[0].label} by more than chance"
 
 
 def tiles(record: SweepRecord) -> Tiles:
@@ -137,27 +127,21 @@ def _outcome(outcome: Outcome) -> Markup:
 
 
 def reaches(record: SweepRecord) -> Section | None:
-    """Maps of the targets, marked by the number of manipulations until they are hit."""
-    drawn = list(_reaches(record))
-    if not drawn:
-        return None
-    lead = (
-        "A mark at each target. Blue: in how many manipulations the tip hit, median of the seeds. Hollow: the median "
-    )
-    lead += "seed did not hit. Crosses: no job ran to its end; see the failed ones."
-    grid = [Figure(title or "All", picture, picture.alt) for title, picture in drawn]
-    return Section("Where it hits", [Text(lead), Grid(grid)])
-
-
-def _reaches(record: SweepRecord) -> Iterator[tuple[str, Picture]]:
-    """A map of the workspace for each combination of the other settings, where the target's place was varied."""
+    """Maps of the targets, marked by the number of manipulations until they are hit: one for each combination of the
+    other settings, where the target's place was varied."""
     ended = record.table[record.table["state"].isin(["done", "failed"])]
     if not set(PLACE) <= set(record.factors) or record.done.empty:
-        return
+        return None
     most = int(record.done["manipulations"].max())
     others = [name for name in record.factors if name not in PLACE]
+    maps = []
     for level, some in ended.groupby(others) if others else [((), ended)]:
-        yield ", ".join(f"{name} {value}" for name, value in zip(others, level, strict=True)), reach(some, most)
+        title = ", ".join(f"{name} {value}" for name, value in zip(others, level, strict=True))
+        picture = reach(some, most)
+        maps.append(Figure(title or "All", picture, picture.alt))
+    lead = "A mark at each target. Blue: in how many manipulations the tip hit, median of the seeds. Hollow: the "
+    lead += "median seed did not hit. Crosses: no job ran to its end; see the failed ones."
+    return Section("Where it hits", [Text(lead), Grid(maps)])
 
 
 def planes(record: SweepRecord) -> Section | None:

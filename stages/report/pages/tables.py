@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pandas as pd
-
-from stringcast.data import schema
 from stringcast.stages.report.page import Card, Page, Section, Table, Text
 from stringcast.stages.report.records import Facts
 
@@ -13,14 +10,13 @@ ROWS = 50  # of a table that are shown
 
 def tables_page(facts: Facts) -> str:
     """The page as text; the same facts give the same page."""
-    sections = [_section(table, getattr(facts.made, name)) for name, table in facts.made.TABLES.items()]
+    sections = []
+    for name, table in facts.made.TABLES.items():
+        frame = getattr(facts.made, name)
+        columns = [column for column in table.columns if column.kind != "bytes"]
+        cut = f"; the first {ROWS} of {len(frame)} rows" if len(frame) > ROWS else ""
+        heads = [f"{column.name} / {column.unit}" if column.unit else column.name for column in columns]
+        rows = frame[[column.name for column in columns]].head(ROWS).to_numpy(object).tolist()
+        sections.append(Section(table.name, [Text(f"{table.meaning}{cut}"), Card("", [Table(heads, rows)])]))
     kicker = f"stringcast · {facts.name}"
     return str(Page(facts.name, kicker, facts.name, facts.sentence, sections, facts.origin, facts.settings))
-
-
-def _section(table: schema.Table, frame: pd.DataFrame) -> Section:
-    columns = [column for column in table.columns if column.kind != "bytes"]
-    cut = f"; the first {ROWS} of {len(frame)} rows" if len(frame) > ROWS else ""
-    heads = [f"{column.name} / {column.unit}" if column.unit else column.name for column in columns]
-    rows = frame[[column.name for column in columns]].head(ROWS).to_numpy(object).tolist()
-    return Section(table.name, [Text(f"{table.meaning}{cut}"), Card("", [Table(heads, rows)])])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from markupsafe import Markup
@@ -50,7 +49,14 @@ def _prediction(record: DiagnosisRecord) -> list[Markup | str]:
     lead = f"{who} both models after they were fitted to the others.{chosen} The log-likelihood rises by "
     lead += f"{gain(rise['difference'])}{error} a trial; the matching rate E goes from "
     lead += f"{rate(total['matching_rate']['base'])} to {rate(total['matching_rate']['extended'])}."
-    return [lead, *map(_worse_in_words, predicted_worse(record))]
+    said: list[Markup | str] = [lead]
+    for row in predicted_worse(record):
+        than = f"{mm(row['rms_extended'], 1)} against {mm(row['rms_base'], 1)}"
+        fitted = f"Fitted to it as well, they leave {mm(row['rms_known'], 1)}: either it alone shows something of "
+        fitted += "them, as of a plane that no other reaches, or they are not right. Another trial like it would tell."
+        worse = bold(f"{row['trial']} is predicted worse with the causes than without, {than}.")
+        said.append(joined([worse, fitted if row["explained"] else ""]))
+    return said
 
 
 def predicted_worse(record: DiagnosisRecord) -> list[dict[str, Any]]:
@@ -61,17 +67,6 @@ def predicted_worse(record: DiagnosisRecord) -> list[dict[str, Any]]:
     worse = table[table["rms_extended"] > WORSE * table["rms_base"]]
     known = worse.get("rms_known", worse["rms_extended"])
     return worse.assign(explained=WORSE * known < worse["rms_base"]).to_dict("records")
-
-
-def _worse_in_words(row: Mapping[str, Any]) -> Markup:
-    """row: of `predicted_worse`."""
-    than = f"{mm(row['rms_extended'], 1)} against {mm(row['rms_base'], 1)}"
-    fitted = (
-        f"Fitted to it as well, they leave {mm(row['rms_known'], 1)}: either it alone shows something of them, as of a "
-        "plane that no other reaches, or they are not right. Another trial like it would tell."
-    )
-    said = bold(f"{row['trial']} is predicted worse with the causes than without, {than}.")
-    return joined([said, fitted if row["explained"] else ""])
 
 
 def _held_out(record: DiagnosisRecord) -> Table:

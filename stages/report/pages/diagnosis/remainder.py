@@ -18,10 +18,20 @@ from stringcast.stages.report.words import UNKNOWN, mm, percent, plain, signific
 
 def left(record: DiagnosisRecord) -> Section:
     """The section of the missing force, of what to try next, and of the model to go on with."""
-    document = record.document
-    parts: list[Part | None] = [Text(document["unexplained"]["sentence"]), _left_over(record), _next(record)]
-    if not document["unexplained"]["sentence"]:
-        parts = parts[1:]
+    said, following = record.document["unexplained"]["sentence"], record.document["next_experiment"]
+    parts: list[Part] = [Text(said)] if said else []
+    parts.append(_left_over(record))
+    if following:
+        told: list[Part] = [Text(following["sentence"], "")]
+        if drawn := proposed(record):
+            about = Markup(
+                "The string on the motion proposed: as the likeliest theory has it, and as near to that as the others "
+                "can come by moving their own parameters within what these trials allow. Left: where they are farthest "
+                "apart. Right: over time, anywhere on the string. The motion is kept beside this page as {}; {} "
+                "performs it and concludes."
+            ).format(code("iterations/*/motion"), code("+experiment=decide"))
+            told.append(Figure("", drawn, about))
+        parts.append(Card("What to try next", told))
     extension = Details("The extended model, as settings", [named(record.extension)])
     return Section("What is left", [*parts, extension], "left")
 
@@ -43,23 +53,6 @@ def _left_over(record: DiagnosisRecord) -> Part:
     return Text("Less is left than is tolerated.")
 
 
-def _next(record: DiagnosisRecord) -> Part | None:
-    """The experiment that would tell more, with its motion if one is proposed."""
-    following, drawn = record.document["next_experiment"], proposed(record)
-    if not following:
-        return None
-    parts: list[Part] = [Text(following["sentence"], "")]
-    if drawn:
-        about = Markup(
-            "The string on the motion proposed: as the likeliest theory has it, and as near to that as the others can "
-            "come by moving their own parameters within what these trials allow. Left: where they are farthest apart. "
-            "Right: over time, anywhere on the string. The motion is kept beside this page as {}; {} performs it and "
-            "concludes."
-        ).format(code("iterations/*/motion"), code("+experiment=decide"))
-        parts.append(Figure("", drawn, about))
-    return Card("What to try next", parts)
-
-
 def string(record: DiagnosisRecord) -> Section | None:
     """The string's parameters, fitted without and with the causes."""
     base, known = record.document["base"]["parameters"], record.extension.get("known", {})
@@ -72,33 +65,29 @@ def string(record: DiagnosisRecord) -> Section | None:
     ]
     if not rows:
         return None
-    lead = "Each model is fitted to all trials. What differs is what the base model bends to make up for its mistakes."
-    columns = ("parameter", "", "base model", "95 % interval", "extended model", "95 % interval", "change", "unit")
-    return Section("The string's parameters", [Text(lead), Card("", [Table(columns, rows), *_together(record)])])
 
-
-def _together(record: DiagnosisRecord) -> list[Text]:
-    """Parameters of the extended model that these trials tell together better than each alone, in a sentence."""
+    # parameters that these trials tell together better than each alone
     pairs = record.document.get("extended", {}).get("correlations", [])
     said = [f"{' and '.join(map(plain, one['parameters']))} ({one['value']:+.2f})".replace("-", "−") for one in pairs]
-    sentence = f"Known better together than each alone, by their correlation: {', '.join(said)}."
-    return [Text(sentence, "caption")] if said else []
+    together = f"Known better together than each alone, by their correlation: {', '.join(said)}."
+    beside = [Text(together, "caption")] if said else []
+    lead = "Each model is fitted to all trials. What differs is what the base model bends to make up for its mistakes."
+    columns = ("parameter", "", "base model", "95 % interval", "extended model", "95 % interval", "change", "unit")
+    return Section("The string's parameters", [Text(lead), Card("", [Table(columns, rows), *beside])])
 
 
 def _parameter(of: Parameter, values: tuple[float, float | None], ends: Sequence[Sequence[float] | None]) -> list[Any]:
     """A row: values of the base and of the extended model, each with the ends of its interval, if they are known."""
     base, extended = values
     change = "" if extended is None or not base else _change(extended / base)
-    cells = [number(words) for value, two in zip(values, ends, strict=True) for words in _estimated(value, two)]
+    cells: list[Cell] = []
+    for value, two in zip(values, ends, strict=True):
+        shown, interval = UNKNOWN if value is None else significant(value), ""
+        if value is not None and two is not None:
+            shown, low, high = within(value, *two)
+            interval = f"{low} to {high}"
+        cells += [number(shown), number(interval)]
     return [Cell(plain(of.name), title=of.meaning), symbol(of.symbol), *cells, number(change), unit(of.unit)]
-
-
-def _estimated(value: float | None, ends: Sequence[float] | None) -> tuple[str, str]:
-    """A value and its interval, as far as they are known."""
-    if value is None or ends is None:
-        return UNKNOWN if value is None else significant(value), ""
-    shown, low, high = within(value, *ends)
-    return shown, f"{low} to {high}"
 
 
 def _change(ratio: float) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 
 from stringcast.stages.report.charts.residual import curves, maps, size, tip_curves
 from stringcast.stages.report.charts.string import film, last, worst
@@ -42,19 +41,16 @@ def trials(record: DiagnosisRecord) -> Section | None:
     lead = "Point at a curve, and every trial shows its string at that time; drag to zoom, double click for the "
     lead += "whole. With the keyboard: arrows, + and −, 0. Faint lines are the ways of the tips. Each begins in the "
     lead += "frame that the base model gets most wrong."
-    cards = Side([_trial(record, trial, table) for trial, table in record.trials.items()])
-    return Section("Trials side by side", [Text(lead), Explore([cards], shown, times=True)], "trials")
-
-
-def _trial(record: DiagnosisRecord, trial: str, table: pd.DataFrame) -> Card:
-    """The string of a trial, to play, and its curves."""
-    frame = worst(table)
-    moment = float(frame["t"].iloc[0])
-    off = ", ".join(f"{m} {mm(float(np.sqrt(np.mean(away(frame, m) ** 2))), 1)}" for m in record.models)
-    played = Film(film(record, table), f"The string in trial {trial} over time, measured and simulated.")
-    jump = Jump(moment * MM, f"Most wrong at {ms(moment)}: {off} off")
-    charts = [curves(record, trial), tip_curves(record, trial, last(table)), latent(record, trial)]
-    return Card(trial, [played, jump, *(chart for chart in charts if chart)])
+    cards = []
+    for trial, table in record.trials.items():
+        frame = worst(table)
+        moment = float(frame["t"].iloc[0])
+        off = ", ".join(f"{m} {mm(float(np.sqrt(np.mean(away(frame, m) ** 2))), 1)}" for m in record.models)
+        played = Film(film(record, table), f"The string in trial {trial} over time, measured and simulated.")
+        jump = Jump(moment * MM, f"Most wrong at {ms(moment)}: {off} off")
+        charts = [curves(record, trial), tip_curves(record, trial, last(table)), latent(record, trial)]
+        cards.append(Card(trial, [played, jump, *(chart for chart in charts if chart)]))
+    return Section("Trials side by side", [Text(lead), Explore([Side(cards)], shown, times=True)], "trials")
 
 
 def _compared(record: DiagnosisRecord) -> list[str]:

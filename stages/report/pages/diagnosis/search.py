@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from stringcast.stages.report.charts.parameters import likeness, screenings
 from stringcast.stages.report.page import Card, Cell, Details, Figure, Grid, Part, Section, Table, Text, number
@@ -31,27 +30,26 @@ EVIDENCE = (
 
 def found(record: DiagnosisRecord) -> Section:
     """The section of promised effects, look-alikes, and every hypothesis that was fitted."""
-    promised, theories = screenings(record), _theories(record.diagnosis.theories)
     first = "Gain of the log-likelihood to first order, with the string's parameters refitted. Blue: named as a cause."
-    drawn = [Figure(f"Predicted gains{f' beside {at}' if at else ' of all effects'}", p, first) for at, p in promised]
+    drawn = []
+    for context, picture in screenings(record):
+        drawn.append(Figure(f"Predicted gains {f'beside {context}' if context else 'of all effects'}", picture, first))
     alike = likeness(record)
     if alike:
         about = "1: the two do the same to this data and cannot be told apart; 0: nothing in common."
         drawn.append(Figure("Confounded effects", alike, about))
+
+    # the hypotheses with the least cost first; the base model is among the few that are shown
+    rows = record.diagnosis.theories.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
+    late = (rows["causes"] == "") & (np.arange(len(rows)) >= FEW)
+    order = np.where(late, FEW - 1.5, np.arange(len(rows)))
+    theories = rows.iloc[np.argsort(order, kind="stable")].to_dict("records")
     more = theories[FEW:]
     tried: list[Part] = [_theories_table(theories[:FEW])]
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
     searched = len(record.diagnosis.theories) > 1 or not record.diagnosis.screening.empty
     fitted = Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])
     return Section("How it was found", [Text(SEARCH if searched else NO_SEARCH), Grid(drawn), fitted])
-
-
-def _theories(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The hypotheses with the least cost first; the base model is among the few that are shown."""
-    rows = table.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
-    late = (rows["causes"] == "") & (np.arange(len(rows)) >= FEW)
-    order = np.where(late, FEW - 1.5, np.arange(len(rows)))
-    return rows.iloc[np.argsort(order, kind="stable")].to_dict("records")
 
 
 def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:

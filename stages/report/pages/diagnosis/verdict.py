@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-import pandas as pd
 from markupsafe import Markup
 
 from stringcast.stages.report.charts.parameters import cause
@@ -60,12 +57,25 @@ def rejected(record: DiagnosisRecord) -> Part | None:
 
 
 def causes(record: DiagnosisRecord) -> Section:
-    """The causes, with their parameters and laws; what looks alike; what else it may be."""
-    by_name = record.diagnosis.causes.groupby("effect", sort=False)
-    cards = [_cause(record, str(name), rows) for name, rows in by_name]
+    """The causes, with their parameters, laws and references; what looks alike; what else it may be."""
+    cards = []
+    for name, rows in record.diagnosis.causes.groupby("effect", sort=False):
+        likely, said = rows["probability"].iloc[0], str(rows["sentence"].iloc[0])
+        told: list[Part] = [Text(f"{said[:1].upper()}{said[1:]}.", "")]
+        found = rows[rows["parameter"] != ""]
+        if len(found):
+            table = [(row["meaning"], number(quantity(row)), number(interval(row))) for row in found.to_dict("records")]
+            told.append(Table(("", "value", "95 % interval"), table))
+        if effect := record.library.get(str(name)):
+            values = {p.parameter.rpartition(".")[2]: p.value for p in found.itertuples()}
+            caption = f"Reference: {effect.reference}." if effect.reference else ""
+            told.append(Figure("", cause(effect, values), caption))
+        sure, mark = "good" if likely > LIKELY else "", Markup('{} <span class="badge {}">{}</span>')
+        cards.append(Card(mark.format(plain(str(name)), sure, percent(likely)), told))
+
     others = [a for a in record.document["alternatives"] if a["probability"] > RARE]
-    rows = [(plain(other["effect"]), number(percent(other["probability"]))) for other in others]
-    rest = Table((), rows, named=True) if rows else Text("Nothing else has more than 1 %.", "missing")
+    more = [(plain(other["effect"]), number(percent(other["probability"]))) for other in others]
+    rest = Table((), more, named=True) if more else Text("Nothing else has more than 1 %.", "missing")
     parts: list[Part] = [*map(Text, _verdict(record))]
     parts += [Grid(cards)] if cards else []
     return Section("Causes" if cards else "No cause is named", [*parts, Card("What else it may be", [rest])])
@@ -76,9 +86,10 @@ def _verdict(record: DiagnosisRecord) -> list[Markup | str]:
     verdict = record.document["verdict"]
     said: list[Markup | str] = []
     for group in record.document["indistinguishable"]:
-        alike = bold(
-            f"These look alike here: {enumerated([plain(name) for name in group])}{_correlated(record, group)}."
-        )
+        compared = record.diagnosis.likeness
+        pairs = compared[compared["effect"].isin(group) & compared["other"].isin(group)]
+        least = f" (correlation {pairs['cosine'].min():.3f})" if len(pairs) else ""  # empty where it was not asked
+        alike = bold(f"These look alike here: {enumerated([plain(name) for name in group])}{least}.")
         said.append(
             alike + " Each explains what was measured about as well as the others, so this data does not say which it "
             "is. Their probabilities below are shared among them."
@@ -95,29 +106,6 @@ def _verdict(record: DiagnosisRecord) -> list[Markup | str]:
     if verdict == "insufficient":
         said.append("Naming a cause takes more data than this. What was seen is shown below.")
     return said
-
-
-def _correlated(record: DiagnosisRecord, group: Sequence[str]) -> str:
-    """The least correlation between what effects of a group do, in words; empty where it was not asked."""
-    table = record.diagnosis.likeness
-    pairs = table[table["effect"].isin(group) & table["other"].isin(group)]
-    return f" (correlation {pairs['cosine'].min():.3f})" if len(pairs) else ""
-
-
-def _cause(record: DiagnosisRecord, name: str, rows: pd.DataFrame) -> Card:
-    """A cause with its parameters, its law and where it comes from."""
-    found = rows[rows["parameter"] != ""]
-    likely, said, effect = rows["probability"].iloc[0], str(rows["sentence"].iloc[0]), record.library.get(name)
-    parts: list[Part] = [Text(f"{said[:1].upper()}{said[1:]}.", "")]
-    if len(found):
-        table = [(row["meaning"], number(quantity(row)), number(interval(row))) for row in found.to_dict("records")]
-        parts.append(Table(("", "value", "95 % interval"), table))
-    if effect:
-        values = {p.parameter.rpartition(".")[2]: p.value for p in found.itertuples()}
-        caption = f"Reference: {effect.reference}." if effect.reference else ""
-        parts.append(Figure("", cause(effect, values), caption))
-    mark = Markup('{} <span class="badge {}">{}</span>')
-    return Card(mark.format(plain(name), "good" if likely > LIKELY else "", percent(likely)), parts)
 
 
 def budget(record: DiagnosisRecord) -> Section | None:
