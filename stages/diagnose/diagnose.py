@@ -177,7 +177,9 @@ def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:
     if judgement.verdict in ("none", "insufficient") or judgement.causes == (RESOLUTION,):
         return judgement
     if trials == 1:
-        return replace(judgement, verdict="insufficient", causes=(), groups=(), sentence=ALONE)
+        likely = [f"{name} ({chance:.2f})" for name, chance in judgement.inclusion.items() if chance > 0.5]
+        said = f"{ALONE}; there it is {' with '.join(likely)}" if likely else ALONE
+        return replace(judgement, verdict="insufficient", causes=(), groups=(), sentence=f"{said}.")
     return judgement if gained.better else judgement.unsupported
 
 

@@ -187,6 +187,8 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
     if len(touched) == 1:
         parts = shares(unexplained(data, step.parent), unexplained(data, best))
         return bool(parts[touched[0]] > criteria.least_share)
+    if len(data.trials) == 1:  # which nothing could confirm: it is only said what would be asked of more trials
+        return True
     return least_gain(step.parent, best) > criteria.enough or _gain_anew(data, step) > criteria.enough
 
 
