@@ -8,9 +8,7 @@ import numpy as np
 
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Found, refitted
-from stringcast.stages.inference.evidence import TIP, Data, Fit, Hypothesis, tip_draws
-
-DRAWS = 400  # of what is lacking, from which its interval is told
+from stringcast.stages.inference.evidence import TIP, Fit, Hypothesis, tip_draws
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,8 @@ def budgeted(found: Found, base: Fit, rng: np.random.Generator) -> Budget:
     """Causes share in the order in which they entered. What is left of the misfit beside noise and numerical error, as
     these are known, is unexplained. base: the base model's fit to the same data."""
     data, fits = found.prepared.data, _one_after_another(found, base)
-    squares = np.minimum.accumulate([_tip_square(data, fit) for fit in fits])
+    begun = [data.of(fit.hypothesis).begun(fit.residuals, fit.sizes) for fit in fits]
+    squares = np.minimum.accumulate([np.mean(data.tip_rms(each) ** 2) for each in begun])  # [m2], over trials
     noise, numerical = _known(found.prepared)
     left = float(squares[-1])
     numerical = min(numerical, left)
@@ -48,7 +47,8 @@ def budgeted(found: Found, base: Fit, rng: np.random.Generator) -> Budget:
     entries = [Entry(n, float(np.sqrt(max(s, 0.0))), e) for n, s, e in zip(names, shares, lost, strict=True)]
     rest = [("numerical error", numerical), ("noise", noise), ("unexplained", left - numerical - noise)]
     entries += [Entry(name, float(np.sqrt(max(square, 0.0)))) for name, square in rest]
-    low, high = _unexplained(data, full, rng)
+    drawn = np.sqrt(np.mean(tip_draws(data, full, rng) ** 2, axis=0))
+    low, high = np.quantile(drawn, [0.025, 0.975]).tolist()
     value = entries[-1].tip_rms
     ends = (value, min(low, value), max(high, value))
     return Budget(tuple(entries), ends, tuple(fits))
@@ -64,19 +64,7 @@ def _one_after_another(found: Found, base: Fit) -> list[Fit]:
     return [base, *between, full]
 
 
-def _tip_square(data: Data, fit: Fit) -> float:
-    """Mean square of the residual at the tip, over trials [m2]."""
-    return float(np.mean(data.tip_rms(data.of(fit.hypothesis).begun(fit.residuals, fit.sizes)) ** 2))
-
-
 def _known(prepared: Prepared) -> tuple[float, float]:
     """Mean squares at the tip that noise, and what is in doubt of the numerical error, leave [m2]."""
     noise = [2 * np.mean(trial.sigma[trial.s > trial.s.max() - TIP] ** 2) for trial in prepared.data.trials]
     return float(np.mean(noise)), float(np.mean(prepared.doubt**2))
-
-
-def _unexplained(data: Data, fit: Fit, rng: np.random.Generator) -> tuple[float, float]:
-    """95 % interval of what is lacking at the tip, root mean square over trials [m]."""
-    squares = tip_draws(data, fit, DRAWS, rng) ** 2
-    low, high = np.quantile(np.sqrt(squares.mean(axis=0)), [0.025, 0.975])
-    return float(low), float(high)

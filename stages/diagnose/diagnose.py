@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 
 DESIGN = 1  # keeps the chance of the design apart from that of the fits
 CHAOTIC = "it is so sensitive that no simulation tells it to the tolerance; it was set aside"
-ALONE = "causes can be sought in one trial only: what is found in it could not be checked on another"
+ALONE = "Causes can be sought in one trial only: what is found in it could not be checked on another"
 PLAIN = "# There is no extended model, for no effect is named. This is the base model.\n"
 
 
@@ -178,7 +178,7 @@ def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:
         return judgement
     if trials == 1:
         likely = [f"{name} ({chance:.2f})" for name, chance in judgement.inclusion.items() if chance > 0.5]
-        said = f"{ALONE}; there it is {' with '.join(likely)}" if likely else ALONE
+        said = f"{ALONE}; there it is {', '.join(likely)}" if likely else ALONE
         return replace(judgement, verdict="insufficient", causes=(), groups=(), sentence=f"{said}.")
     return judgement if gained.better else judgement.unsupported
 

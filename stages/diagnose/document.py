@@ -35,7 +35,8 @@ def document(
     """diagnosis.json. certainty: intervals and correlations of parameters, of the `base` and the `extended` model."""
     used, listed = [trial.name for trial in prepared.data.trials], [*judgement.causes]
     others = sorted(set(judgement.inclusion) - set(listed), key=lambda name: (-judgement.inclusion[name], name))
-    rest = {"none": _none(judgement), "unknown": judgement.unknown}
+    none = float(np.prod([slot.chances.get("", 0.0) for slot in judgement.slots]))  # that no effect is at work
+    rest = {"none": none, "unknown": judgement.unknown}
     alternatives = [{"effect": name, "probability": judgement.inclusion[name]} for name in others]
     return {
         "format": FORMAT,
@@ -48,7 +49,7 @@ def document(
         "gain": gain(held_out)
         | {"causes_chosen_from_them": bool(len(held_out)) and set(held_out["trial"]) <= set(used)},
         "unexplained": dict(left),
-        "budget": [_entry(entry) for entry in budget.entries],
+        "budget": _entries(budget),
         "trials": {
             "used": used,
             "rejected": dict(rejected),
@@ -58,14 +59,11 @@ def document(
     }
 
 
-def _none(judgement: Judgement) -> float:
-    """Probability that no effect of the library is at work."""
-    return float(np.prod([slot.chances.get("", 0.0) for slot in judgement.slots]))
-
-
-def _entry(entry: Any) -> dict[str, Any]:
-    row = {"source": entry.source, "tip_rms_m": entry.tip_rms}
-    return row | ({"log_evidence": entry.log_evidence} if np.isfinite(entry.log_evidence) else {})
+def _entries(budget: Budget) -> list[dict[str, Any]]:
+    """The budget; only causes have evidence."""
+    plain = [{"source": entry.source, "tip_rms_m": entry.tip_rms} for entry in budget.entries]
+    said = [{"log_evidence": e.log_evidence} if np.isfinite(e.log_evidence) else {} for e in budget.entries]
+    return [row | more for row, more in zip(plain, said, strict=True)]
 
 
 def cause_entry(rows: pd.DataFrame) -> dict[str, Any]:
@@ -159,12 +157,11 @@ def causes_in_words(
     stated = {name: f"{said[name]} (probability {probability[name]:.2f})" for name in names}
     alike = {name for group in groups for name in group}
     sure = [words for name, words in stated.items() if name not in alike]
-    doubtful = [_either([stated[name] for name in group], group) for group in groups]
-    return [*([f"What the simulation lacks: {_and(sure)}."] if sure else []), *doubtful]
-
-
-def _either(stated: Sequence[str], group: Sequence[str]) -> str:
-    return f"This data cannot tell {_and(list(group))} apart: either {', or '.join(stated)}."
+    said = [f"What the simulation lacks: {_and(sure)}."] if sure else []
+    for group in groups:
+        either = ", or ".join(stated[name] for name in group)
+        said.append(f"This data cannot tell {_and(list(group))} apart: either {either}.")
+    return said
 
 
 def _and(words: Sequence[str]) -> str:

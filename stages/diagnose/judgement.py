@@ -20,12 +20,11 @@ from stringcast.stages.diagnose.single_effects import (
     unexplained,
 )
 from stringcast.stages.diagnose.small_effects import responses, tempered
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, tip_draws
+from stringcast.stages.inference.evidence import DRAWS, Data, Fit, Hypothesis, evaluated, tip_draws
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"
 NOTHING = 0.5  # probability, before the data speak, that a simulation lacks nothing of the library
-DRAWS = 400  # of what is lacking, from which it is told how likely more is left than is tolerated
 
 
 @dataclass(frozen=True)
@@ -80,9 +79,12 @@ def settled(
         found = _to_the_end(found, found.fit)
     for changes in range(len(found.fit.hypothesis.causes), -1, -1):
         small, slots, other = responses(found.prepared.data, found.fit, effects), list[Slot](), None
+        names = found.fit.hypothesis.names
         for slot in _slots(found, effects, small, criteria, seed):
             slots.append(slot)
-            other = other or _likelier(found, slot)
+            likeliest = max(slot.chances, key=lambda name: slot.chances[name])
+            if names and likeliest not in names:  # another cause, or none
+                other = other or slot.fits.get(likeliest, slot.less)
             if changes and other is not None:
                 break
         if other is None:
@@ -96,13 +98,6 @@ def settled(
 def _to_the_end(found: Found, fit: Fit) -> Found:
     """With another fit, of the same causes or others, and numerical error as it is there."""
     return Found(*polished(found.prepared, fit), found.path)
-
-
-def _likelier(found: Found, slot: Slot) -> Fit | None:
-    """The fit with what is likelier in the place of a cause, another or none."""
-    name = max(slot.chances, key=lambda each: slot.chances[each])
-    named = not found.fit.hypothesis.causes or name in found.fit.hypothesis.names
-    return None if named else slot.fits.get(name, slot.less)
 
 
 def judged(
@@ -143,7 +138,7 @@ def _nearest(fit: Fit, share: float) -> str:
 
 def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:
     """Probability that in some trial more is lacking at the tip than is tolerated, root mean square."""
-    return float(np.mean(tip_draws(data, fit, DRAWS, rng).max(axis=0) > criteria.tolerance))
+    return float(np.mean(tip_draws(data, fit, rng).max(axis=0) > criteria.tolerance))
 
 
 def _beside(found: Found, cause: type[Effect], effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Step:

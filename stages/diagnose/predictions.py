@@ -35,14 +35,12 @@ def predicted(data: Data, fit: Fit, unseen: bool = False) -> list[Prediction]:
     numbers = range(len(data.trials))
     if unseen:
         return [_predicted(data, fit, number) for number in numbers]
-    without = [[k for k in numbers if k != number] for number in numbers]
-    return [_predicted(data, _again(data.only(others), fit), k) for k, others in zip(numbers, without, strict=True)]
-
-
-def _again(data: Data, fit: Fit) -> Fit:
-    """The fit to some of the trials."""
-    sizes = np.full(len(data.trials), int(np.median(fit.sizes)))
-    return fitted(data, fit.hypothesis, fit.chi[None], sizes, TURNS, STEPS)
+    found = []
+    for number in numbers:
+        others = data.only([k for k in numbers if k != number])
+        sizes = np.full(len(others.trials), int(np.median(fit.sizes)))  # those of the trial left out are in none
+        found.append(_predicted(data, fitted(others, fit.hypothesis, fit.chi[None], sizes, TURNS, STEPS), number))
+    return found
 
 
 def _predicted(data: Data, fit: Fit, number: int) -> Prediction:

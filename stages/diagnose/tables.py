@@ -60,7 +60,7 @@ def tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray
 def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolerance: float) -> pd.DataFrame:
     """Table THEORIES: all that were fitted, those with most evidence first."""
     data, base = found.prepared.data, by_cause[0]
-    lacking = unexplained(data, base)
+    lacking, trials = unexplained(data, base), len(base.by_trial)
     tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
     tried |= {joined_names(fit): fit for slot in judgement.slots for fit in slot.fits.values()}
     tried |= {joined_names(fit): fit for fit in (found.fit, *by_cause)}
@@ -71,7 +71,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
             "parameters": len(fit.chi),
             "mean_square": float(np.mean(np.concatenate(fit.residuals) ** 2)),
             "fit_gain": fit.evidence - base.evidence,
-            "held_out_gain": _held_out_gain(fit, base),
+            "held_out_gain": least_gain(base, fit) if fit is not base and len(fit.by_trial) == trials else np.nan,
             "moved": float(moved(data, base, fit).max()),
             "unexplained": 1 - removed(lacking, unexplained(data, fit), tolerance),
             "probability": chance.get(name, 0.0),
@@ -79,12 +79,6 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
         for name, fit in tried.items()
     ]
     return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
-
-
-def _held_out_gain(fit: Fit, base: Fit) -> float:
-    """What is left of the evidence over the base model without the trial that says most."""
-    same = fit is not base and len(fit.by_trial) == len(base.by_trial)
-    return least_gain(base, fit) if same else float("nan")
 
 
 def screening(found: Found) -> pd.DataFrame:
@@ -124,14 +118,11 @@ def causes(
             rows.append(common | {"sentence": effect.describe({}), "parameter": "", "at_least": False, **nothing})
             continue
         fit = fit_with(found, judgement, name)
-        common["sentence"] = effect.describe(fit.of(effect)) + _each_time(found.prepared.data.differs(name))
+        differs = MM * found.prepared.data.differs(name)
+        each_time = f", and differs from trial to trial, by about {differs:.0f} mm at the tip" if differs else ""
+        common["sentence"] = effect.describe(fit.of(effect)) + each_time
         rows += [common | row for row in _parameters(fit, effect, tempered[name], z)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
-
-
-def _each_time(differs: float) -> str:
-    """differs: [m] at the tip, from trial to trial."""
-    return f", and differs from trial to trial, by about {MM * differs:.0f} mm at the tip" if differs else ""
 
 
 def fit_with(found: Found, judgement: Judgement, name: str) -> Fit:

@@ -15,34 +15,35 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
 
+CHUNK = 128  # candidates simulated at once: keeps memory in hand, whatever their number
 BEGINNING = 0.05  # [s] of simulated time that a batch costs before its first step
 APART = 1.15  # times what steps cost where each candidate has a hand of its own
 
 
+def away(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.ndarray]:
+    """How far candidates (C, P) are from what was measured in each trial, over sigma: both coordinates of each point,
+    (C, 2 n); NaN where a run was rejected."""
+    parts = []
+    for first in range(0, len(values), CHUNK):
+        seen = seen_together(model, cases, values[first : first + CHUNK])
+        pairs = zip(cases, seen, strict=True)
+        parts.append([((c.at_measured(p) - c.points) / c.sigma[:, None]).reshape(len(p), -1) for c, p in pairs])
+    return [np.concatenate(own) for own in zip(*parts, strict=True)]
+
+
 def seen_together(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.ndarray]:
     """What the camera reports of candidates (C, P) in each trial, (C, F, n, 2) [m]; NaN where a run was rejected."""
+    alike: dict[object, list[int]] = {}  # side by side go those at rest, and those moving at the same time of a clock
+    begins = [case.motion.start if case.initial is None else case.initial.t for case in cases]
+    for i, (case, begin) in enumerate(zip(cases, begins, strict=True)):
+        alike.setdefault((case.initial is None, begin, case.motion.tick), []).append(i)
     result: dict[int, np.ndarray] = {}
-    for alike in _alike(cases):
-        lanes = len(values) / kernel.WIDTH
-        for chosen in _batches([_seconds(cases[i]) for i in alike], lanes / get_num_threads()):
-            numbers = [alike[place] for place in chosen]
-            result |= zip(numbers, _seen(model, [cases[i] for i in numbers], values), strict=True)
+    for numbers in alike.values():
+        seconds = [float(cases[i].times[-1] - begins[i]) for i in numbers]
+        for chosen in _batches(seconds, len(values) / kernel.WIDTH / get_num_threads()):
+            some = [numbers[place] for place in chosen]
+            result |= zip(some, _seen(model, [cases[i] for i in some], values), strict=True)
     return [result[i] for i in range(len(cases))]
-
-
-def _alike(cases: Sequence[Case]) -> list[list[int]]:
-    """Trials that can be simulated side by side: all at rest or all moving at the same time of their clock."""
-    alike: dict[object, list[int]] = {}
-    for i, case in enumerate(cases):
-        begin = ("rest", case.motion.start) if case.initial is None else ("moving", case.initial.t)
-        alike.setdefault((*begin, case.motion.tick), []).append(i)
-    return list(alike.values())
-
-
-def _seconds(case: Case) -> float:
-    """How long the trial is simulated [s]."""
-    begin = case.motion.start if case.initial is None else case.initial.t
-    return float(case.times[-1] - begin)
 
 
 def _batches(seconds: Sequence[float], rounds: float) -> list[list[int]]:
@@ -64,34 +65,32 @@ def _batches(seconds: Sequence[float], rounds: float) -> list[list[int]]:
 
 
 def _seen(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.ndarray]:
-    """Of trials that are simulated side by side."""
+    """Of trials that are simulated side by side. Clocks of strings that move count from there, shorter trials stay at
+    their last moment, and hands that end earlier rest."""
     if len(cases) == 1:
         return [model.seen(case.motion, values, case.times, case.initial).points for case in cases]
+    count = len(values)
     begun = [model.begun(case.initial, values) for case in cases]
-    hands = [_since(model.hand(case.motion, values), begin) for case, begin in zip(cases, begun, strict=True)]
     moments = [np.atleast_2d(model.moments(values, case.times)) for case in cases]
     counted = [m if begin is None else begin.counted(m) for m, begin in zip(moments, begun, strict=True)]
-    string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
-    states = _of_each([begin for begin in begun if begin is not None], len(values))
-    times = _below(_lasting(counted), len(values))
-    points = simulate(model.string, _side_by_side(hands, len(values)), string, times, states)
-    pairs = zip(np.split(points.points, len(cases)), moments, cases, strict=True)
-    return [model.reported(own[:, : m.shape[-1]], values, case.times) for own, m, case in pairs]
+    frames = max(own.shape[1] for own in counted)
+    lasting = [np.pad(own, ((0, 0), (0, frames - own.shape[1])), mode="edge") for own in counted]
 
-
-def _side_by_side(hands: Sequence[HandMotion], count: int) -> HandMotion:
-    """Hands of several trials for so many candidates of each; those that end earlier rest."""
+    pairs = zip((model.hand(case.motion, values) for case in cases), begun, strict=True)
+    hands = [hand if begin is None else hand.since(begin.t) for hand, begin in pairs]
     longest = max(hand.pose.shape[1] for hand in hands)
     moved = [rested(hand.pose, hand.rate, longest - hand.pose.shape[1]) for hand in hands]
     pose, rate = (_below(rows, count) for rows in zip(*moved, strict=True))
-    return HandMotion(hands[0].start, hands[0].tick, pose, rate)
+    hand = HandMotion(hands[0].start, hands[0].tick, pose, rate)
+
+    string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
+    states = _together([begin for begin in begun if begin is not None], count)
+    points = simulate(model.string, hand, string, _below(lasting, count), states).points
+    told = zip(np.split(points, len(cases)), moments, cases, strict=True)
+    return [model.reported(own[:, : m.shape[-1]], values, case.times) for own, m, case in told]
 
 
-def _since(hand: HandMotion, begin: State | None) -> HandMotion:
-    return hand if begin is None else hand.since(begin.t)
-
-
-def _of_each(states: Sequence[State], count: int) -> State | None:
+def _together(states: Sequence[State], count: int) -> State | None:
     """The states of several trials, for so many candidates of each, whose time counts from there; None of those at
     rest."""
     if not states:
@@ -99,12 +98,6 @@ def _of_each(states: Sequence[State], count: int) -> State | None:
     rows = zip(*((state.s, state.angle, state.rate) for state in states), strict=True)
     s, angle, rate = (_below([np.atleast_2d(part) for part in parts], count) for parts in rows)
     return State(0.0, s, angle, rate, _below([np.atleast_1d(state.let_back) for state in states], count))
-
-
-def _lasting(times: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Times of several trials, (1 or C, F) each, as many of each: shorter ones stay at their last."""
-    most = max(own.shape[1] for own in times)
-    return [np.pad(own, ((0, 0), (0, most - own.shape[1])), mode="edge") for own in times]
 
 
 def _below(parts: Sequence[np.ndarray], count: int) -> np.ndarray:

@@ -27,7 +27,7 @@ from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.noise import Track, gram_roots, track
 from stringcast.stages.inference.whitening import LowRank
 
-MEMORY = 0.08  # [s] of the Matern kernel: a quarter of the swing of a string of 0.3 m, 2 pi / 2.405 sqrt(L/g)
+MEMORY = 0.08  # [s] of the Matern kernel: in the middle of 0.05 to 0.12, which suited nine fits of strings of 0.3 m
 SIZES = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])  # [m] of s: each 1.56 times the last; no string is as far
 TYPICAL = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
 FREE = 0.2  # of all points: with fewer beside what splines tell, they do not tell the noise
@@ -85,7 +85,11 @@ class Discrepancy:
 
     def log_likelihoods(self, coefficients: np.ndarray) -> np.ndarray:
         """Of coefficients (C, 2 M) at all SIZES, (C, S)."""
-        return np.stack([self._log_likelihood(coefficients, size) for size in range(len(SIZES))], axis=1)
+        found = []
+        for deviation, rank in self._whitening:
+            square = np.sum(rank(coefficients / deviation) ** 2, axis=1)
+            found.append(-0.5 * square - np.log(deviation).sum() + np.log1p(-rank.taken).sum())
+        return np.stack(found, axis=1)
 
     def mean(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """The discrepancy over sigma (2 n,) that coefficients (2 M,) leave most likely."""
@@ -116,11 +120,6 @@ class Discrepancy:
         """Deviations (2 M,) of coefficients without nuisance, and what whitens them then, at each of SIZES."""
         deviations = [np.repeat(np.sqrt(1.0 + size**2 * self.variance), 2) for size in SIZES]
         return [(each, LowRank.of(self.nuisance / each[:, None])) for each in deviations]
-
-    def _log_likelihood(self, coefficients: np.ndarray, size: int) -> np.ndarray:
-        deviation, rank = self._whitening[size]
-        square = np.sum(rank(coefficients / deviation) ** 2, axis=1)
-        return np.asarray(-0.5 * square - np.log(deviation).sum() + np.log1p(-rank.taken).sum())
 
 
 def smoothed(trial: Case, residual: np.ndarray) -> tuple[np.ndarray, float]:
@@ -162,12 +161,8 @@ def _kernel_root(trial: Case, growth: np.ndarray) -> np.ndarray:
     """Columns (n, K) whose products are the covariance of the discrepancy, of unit mean square at the tip."""
     at = nodes(trial.times, KNOTS)
     memory = max(MEMORY, 2 * (at[1] - at[0]))
-    time = columns(trial.times, at, lambda gap: _matern(gap / memory))[trial.frame]
+    rate = np.sqrt(3) / memory  # of a Matern kernel of order 3/2
+    time = columns(trial.times, at, lambda gap: (1 + rate * gap) * np.exp(-rate * gap))[trial.frame]
     grown = (growth / np.sqrt(np.mean(growth**2)))[trial.frame] / trial.sigma
     place = along(trial.s, trial.model.string.length)
     return np.asarray(((grown[:, None] * time)[:, :, None] * place[:, None, :]).reshape(len(trial.s), -1))
-
-
-def _matern(gap: np.ndarray) -> np.ndarray:
-    """Matern 3/2 of gaps over its memory."""
-    return np.asarray((1 + np.sqrt(3) * gap) * np.exp(-np.sqrt(3) * gap))

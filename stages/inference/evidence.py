@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, marginal
 from stringcast.stages.inference.forward import Case
@@ -26,9 +26,9 @@ from stringcast.stages.model.effect import Effect, components
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter, values_of
 
-CHUNK = 128  # candidates simulated at once
 WIDTHS = np.array([1e-3, 3e-3, 1e-2, 3e-2])  # [m] by which a cause may well move the tip, each as likely
 FEW = 4  # iterations of several starts, before the best alone goes on
+DRAWS = 400  # of what may be lacking: a probability is told to 0.025
 TIP = 1e-3  # [m] points so near to the outermost are the tip
 ABSENT = 1e-9  # of a range: nearer than that is not there
 NEAR = 0.05  # of a range: farther off, slopes do not tell what a finer mesh changes
@@ -137,12 +137,8 @@ class Data:
     def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
         """Simulated less measured over sigma of each trial, (C, 2 n), for exponents (C, P); LOST where a run was
         rejected."""
-        values, parts = values_of(model.parameters, chi), []
-        for first in range(0, len(values), CHUNK):
-            seen = seen_together(model, self.trials, values[first : first + CHUNK])
-            pairs = zip(self.trials, seen, strict=True)
-            parts.append([((t.at_measured(p) - t.points) / t.sigma[:, None]).reshape(len(p), -1) for t, p in pairs])
-        found = [np.nan_to_num(np.concatenate(some), nan=LOST) for some in zip(*parts, strict=True)]
+        values = values_of(model.parameters, chi)
+        found = [np.nan_to_num(each, nan=LOST) for each in away(model, self.trials, values)]
         if self.finer is None:
             return found
         pairs = zip(found, self.finer.beside(model.names, chi), strict=True)
@@ -289,12 +285,12 @@ def lacked(data: Data, fit: Fit) -> list[np.ndarray]:
     return [d.mean(each[0], int(size)) for d, each, size in told]
 
 
-def tip_draws(data: Data, fit: Fit, count: int, rng: np.random.Generator) -> np.ndarray:
+def tip_draws(data: Data, fit: Fit, rng: np.random.Generator) -> np.ndarray:
     """Root mean squares at the tip of each trial of what a fit may lack, as likely as the data leave it [m], (K,
-    count)."""
+    DRAWS)."""
     data = data.of(fit.hypothesis)
     told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
-    drawn = [d.draws(each[0], int(size), count, rng) for d, each, size in told]
+    drawn = [d.draws(each[0], int(size), DRAWS, rng) for d, each, size in told]
     return np.array([[data.only([k]).tip_rms([draw])[0] for draw in own] for k, own in enumerate(drawn)])
 
 

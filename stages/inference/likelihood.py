@@ -15,14 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.inference.batch import seen_together
+from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.solver import LOST
 from stringcast.stages.inference.whitening import LowRank
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter, values_of
 
-CHUNK = 128  # candidates simulated at once: keeps memory in hand, whatever their number
 BLOCK = 0.05  # [s] of time taken as one independent piece
 STILL = 0.01  # of the string's length, from which the hand has moved
 
@@ -49,24 +48,18 @@ class Likelihood:
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Of candidates (C, P), (C, N): both coordinates of each point of each trial; LOST in a trial that could not be
         simulated."""
-        values, parts = values_of(self.parameters, chi), []
-        for first in range(0, len(values), CHUNK):
-            seen = seen_together(self.model, self.trials, values[first : first + CHUNK])
-            parts.append(np.concatenate([self._white(k, points) for k, points in enumerate(seen)], axis=1))
-        return np.nan_to_num(np.concatenate(parts), copy=False, nan=LOST)
+        found = [each / self.scale for each in away(self.model, self.trials, values_of(self.parameters, chi))]
+        if self.nuisance:
+            found = [whiten(each) for whiten, each in zip(self._whiten, found, strict=True)]
+        return np.nan_to_num(np.concatenate(found, axis=1), copy=False, nan=LOST)
 
     def until(self, seconds: float) -> Likelihood:
         """The beginning of each trial: so long after its hand moved, or after it began moving."""
-        trials = tuple(_until(trial, seconds) for trial in self.trials)
+        lasts = [max(_begins(trial) + seconds, trial.times[:2][-1]) for trial in self.trials]
+        pairs = zip(self.trials, lasts, strict=True)
+        trials = tuple(t.until((last - t.times[0]) / max(float(np.ptp(t.times)), 1e-9)) for t, last in pairs)
         nuisance = tuple(u[: 2 * len(trial.s)] for u, trial in zip(self.nuisance, trials, strict=False))
         return replace(self, trials=trials, nuisance=nuisance)
-
-    def _white(self, k: int, points: np.ndarray) -> np.ndarray:
-        """White residuals (C, 2 n) of a trial. points: of its strings, (C, F, n, 2)."""
-        trial = self.trials[k]
-        off = (trial.at_measured(points) - trial.points) / (self.scale * trial.sigma[:, None])
-        residual = off.reshape(len(points), -1)
-        return self._whiten[k](residual) if self.nuisance else residual
 
     @cached_property
     def _whiten(self) -> list[LowRank]:
@@ -81,12 +74,6 @@ def time_blocks(trials: Sequence[Case]) -> np.ndarray:
         pieces.append(np.repeat(first + own, 2))
         first += own.max() + 1
     return np.concatenate(pieces)
-
-
-def _until(trial: Case, seconds: float) -> Case:
-    """The first part of a trial, of at least two frames."""
-    last = max(_begins(trial) + seconds, trial.times[:2][-1])
-    return trial.until((last - trial.times[0]) / max(float(np.ptp(trial.times)), 1e-9))
 
 
 def _begins(trial: Case) -> float:

@@ -166,7 +166,7 @@ def test_what_leaves_more_than_is_tolerated_is_named_only_if_it_explains_nearly_
     )
     lack = {id(plain): np.array(before) / 1e3, id(full): np.array(after) / 1e3}
     monkeypatch.setattr(judgement, "unexplained", lambda data, fit: lack[id(fit)])
-    monkeypatch.setattr(judgement, "tip_draws", lambda data, fit, count, rng: lack[id(fit)][:, None])
+    monkeypatch.setattr(judgement, "tip_draws", lambda data, fit, rng: lack[id(fit)][:, None])
     monkeypatch.setattr(judgement, "refitted", lambda data, fit, hypothesis: plain)
     found = Found(SimpleNamespace(data=None, base=plain), full)
     made = judgement.judged(found, [], [Slot({"a": 1.0}, {"a": full}, plain)], CRITERIA, False, 0)
