@@ -176,3 +176,20 @@ def test_a_string_without_any_is_left_alone(arm, camera, monkeypatch):
     made = said_of(fine, observations, monkeypatch)
     assert made.verdict == "none"
     assert json.loads(made.finding["diagnosis"].iloc[0])["unexplained"]["tip_rms_m"]["high"] < CRITERIA.tolerance
+
+
+@pytest.mark.parametrize("true", [{"tip_mass.ratio": 0.05}, {"tip_mass.ratio": 0.05, "wind.along_x": 0.8}])
+def test_one_trial_names_nothing_but_says_all_that_it_would(arm, camera, monkeypatch, true):
+    names = {name.split(".")[0] for name in true}
+    model, observations = casts(arm, camera, sorted(names), true)
+    said = json.loads(said_of(model, observations[2:], monkeypatch).finding["diagnosis"].iloc[0])
+    assert (said["verdict"], said["causes"]) == ("insufficient", [])
+    assert {each["effect"] for each in said["alternatives"] if each["probability"] > 0.5} == names
+    assert all(name in said["unexplained"]["sentence"] for name in names)
+
+
+def test_a_cause_that_is_in_no_library_is_unknown(arm, camera, monkeypatch):
+    model, observations = casts(arm, camera, ["wind"], {"wind.along_x": 2.0})
+    made = said_of(model, observations, monkeypatch, without=["wind"])
+    assert (made.verdict, len(made.causes)) == ("unknown", 0)
+    assert yaml.safe_load(made.finding["extended"].iloc[0])["effects"] == []
