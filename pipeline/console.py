@@ -61,7 +61,16 @@ def casts(result: Result) -> Panel:
     colour = "green" if result.hit else "yellow"
     ended, _, more = result.sentence.partition(". ")
     parts: list[RenderableType] = [] if len(ended) <= TITLE else [Text(ended, "bold"), ""]
-    parts += _casts(result)
+    # a row for each cast or stored trial of which there is anything to say, without columns in which there is not
+    headings = ("cast", "tip in the box", "closest [mm]", "E before [1]", "E after [1]", "rms [mm]")
+    rows = [row for row in map(_row, result.iterations) if any(row[1:])]
+    kept = [n for n in range(len(headings)) if n == 0 or any(row[n] for row in rows)]
+    table = Table(box=None, pad_edge=False)
+    for n in kept:
+        table.add_column(Text(headings[n]), justify="right")
+    for row in rows:
+        table.add_row(*(row[n] for n in kept))
+    parts += [table] if rows else []
     if result.estimate is not None:
         parts += ["", Text(str(result.estimate.fit["sentence"].iloc[0])), *learned(result)]
     if more:
@@ -119,19 +128,6 @@ def faults(result: Result) -> list[str]:
     touched = {i.number: i.verdict.touched for i in result.iterations if i.verdict is not None and i.verdict.touched}
     lay = {n: f"the string lay in an obstacle in {frames} frame(s)" for n, frames in touched.items()}
     return [f"Cast {number}: {words}." for fault in (late, lay) for number, words in fault.items()]
-
-
-def _casts(result: Result) -> list[Table]:
-    """A row for each cast or stored trial of which there is anything to say, without columns in which there is not."""
-    headings = ("cast", "tip in the box", "closest [mm]", "E before [1]", "E after [1]", "rms [mm]")
-    rows = [row for row in map(_row, result.iterations) if any(row[1:])]
-    kept = [n for n in range(len(headings)) if n == 0 or any(row[n] for row in rows)]
-    table = Table(box=None, pad_edge=False)
-    for n in kept:
-        table.add_column(Text(headings[n]), justify="right")
-    for row in rows:
-        table.add_row(*(row[n] for n in kept))
-    return [table] if rows else []
 
 
 def _row(iteration: Iteration) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,6 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.library import files, named
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.string import String
 from stringcast.stages.spec import Call
 
@@ -166,8 +165,12 @@ def with_effects(model: Model, names: Any, where: str, setting: str = "effects")
 
 def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Values of parameters that are known from before, and the ranges of those that were measured."""
+    by_name: dict[str, Any] = {}
+    for name, given in block.items():  # on the command line, +known.tip_mass.ratio=0.05 is a block in a block
+        apart = isinstance(given, Mapping) and "value" not in given
+        by_name |= {f"{name}.{inner}": value for inner, value in given.items()} if apart else {name: given}
     values, ranges = {}, {}
-    for name, given in _by_full_name(block):
+    for name, given in by_name.items():
         if name not in model.names:
             effect = name.partition(".")[0]
             remedy = f"Known are: {', '.join(model.names)}"
@@ -191,15 +194,6 @@ def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict
     return values, ranges
 
 
-def _by_full_name(block: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Parameters by their full names: on the command line, +known.tip_mass.ratio=0.05 is a block in a block."""
-    for name, given in block.items():
-        if isinstance(given, Mapping) and "value" not in given:
-            yield from ((f"{name}.{inner}", value) for inner, value in given.items())
-        else:
-            yield name, given
-
-
 def _string(block: Mapping[str, Any], where: str) -> String:
     """The string model, with the ranges of its parameters."""
     if block.get("precision", FLOAT64) != FLOAT64:
@@ -212,7 +206,21 @@ def _string(block: Mapping[str, Any], where: str) -> String:
     if len(block["integrator"]) > 1:
         asked = dict(block["integrator"])
         raise UserError(f"string.integrator = {asked} ({where}): it must hold only `_target_`. Change it.")
-    return replace(plain, ranges=_ranges(block["ranges"], known, where), integrator=integrator())
+    ranges = {}
+    for name, limits in block["ranges"].items():
+        if name not in known:
+            raise UserError(
+                f"string.ranges.{name} ({where}): there is no such parameter. Known are: {', '.join(known)}."
+            )
+        low, high, start = (float(limits[key]) for key in ("low", "high", "start"))
+        if not low < high:
+            raise UserError(f"string.ranges.{name} ({where}): low = {low} must be below high = {high}. Change one.")
+        if not low <= start <= high:
+            raise UserError(
+                f"string.ranges.{name}.start = {start} ({where}): it must lie from {low} to {high}. Change it."
+            )
+        ranges[name] = replace(known[name], low=low, high=high, start=start)
+    return replace(plain, ranges=ranges, integrator=integrator())
 
 
 def _accurate(string: String, arm: Arm, config: Mapping[str, Any], where: str) -> String:
@@ -231,24 +239,3 @@ def _accurate(string: String, arm: Arm, config: Mapping[str, Any], where: str) -
         return accurate(string, hand, np.array([p.value(np.array(0.5)) for p in string.parameters]), tolerance).string
     except ToleranceError as error:
         raise UserError(f"string.tolerance = {tolerance} ({where}): {error}") from error
-
-
-def _ranges(
-    block: Mapping[str, Mapping[str, float]], known: Mapping[str, Parameter], where: str
-) -> dict[str, Parameter]:
-    """Parameters with the configured range and start."""
-    ranges = {}
-    for name, limits in block.items():
-        if name not in known:
-            raise UserError(
-                f"string.ranges.{name} ({where}): there is no such parameter. Known are: {', '.join(known)}."
-            )
-        low, high, start = (float(limits[key]) for key in ("low", "high", "start"))
-        if not low < high:
-            raise UserError(f"string.ranges.{name} ({where}): low = {low} must be below high = {high}. Change one.")
-        if not low <= start <= high:
-            raise UserError(
-                f"string.ranges.{name}.start = {start} ({where}): it must lie from {low} to {high}. Change it."
-            )
-        ranges[name] = replace(known[name], low=low, high=high, start=start)
-    return ranges

@@ -21,7 +21,16 @@ def refuse_source(settings: Mapping[str, Any], given: set[str]) -> None:
     looked_at = mode.sources(settings)
     named = sorted(name for name in given if name.partition(".")[0] == "source")
     if named and not looked_at:
-        _refuse_unseen(named[-1], settings, mode.moves(settings))
+        name = named[-1]
+        block, _, key = name.partition(".")
+        value = settings[block][key or "_target_"]
+        casts = mode.moves(settings)  # it makes trials, and does not look at stored ones
+        why = "the virtual lab films with a camera of its own" if casts else "this films nothing"
+        raise UserError(
+            f"{name} = {value} (command line): it would not be looked at, for {why}. Leave it out, or give what films: "
+            "hardware=serial, hardware=dynamixel or +experiment=calibrate. Films of casts that were made are read by: "
+            "python -m pipeline import <films> --to mine"
+        )
     for block, key in ((name, key) for name in looked_at for key in PLACES.keys() & settings[name]):
         place = settings[block][key]
         if place is not None and not Path(place).exists():
@@ -29,15 +38,3 @@ def refuse_source(settings: Mapping[str, Any], given: set[str]) -> None:
                 f"{block}.{key} = {place} (conf/source or the command line): there is no such {PLACES[key]}. Name one "
                 f"that is there, by its path from {Path.cwd()}."
             )
-
-
-def _refuse_unseen(name: str, settings: Mapping[str, Any], casts: bool) -> None:
-    """Raise UserError for a setting of a source. casts: whether this makes trials, and does not look at stored ones."""
-    block, _, key = name.partition(".")
-    value = settings[block][key or "_target_"]
-    why = "the virtual lab films with a camera of its own" if casts else "this films nothing"
-    raise UserError(
-        f"{name} = {value} (command line): it would not be looked at, for {why}. Leave it out, or give what films: "
-        "hardware=serial, hardware=dynamixel or +experiment=calibrate. Films of casts that were made are read by: "
-        "python -m pipeline import <films> --to mine"
-    )

@@ -89,7 +89,14 @@ def imported(what: Gathered, bench: BenchHints) -> Imported:
         points = _laid_over(points, grasp, length, notes)
     about: dict[str, Any] = {"format": FORMAT, "string": {"length": length}}
     about |= {"arm": {"links": list(bench.links), "base": list(bench.base)}} if as_joints else {}
-    about |= {"camera": _camera(what, bench)} if what.films else {}
+    if what.films:
+        fps = bench.fps or what.fps
+        said = {"fps": fps, "px_per_m": bench.px_per_m, "origin_px": bench.origin_px and list(bench.origin_px)}
+        options = {"fps": "--fps 240", "px_per_m": "--px-per-m 340", "origin_px": "--origin-px 251.5,387.5"}
+        if missing := [options[name] for name, value in said.items() if not value]:
+            raise DataError(f"of a film it must be known where it was taken from. Say {' '.join(missing)}, as it was.")
+        height, width = Video(next(iter(what.films.values())))[0].shape
+        about["camera"] = {**said, "width": width, "height": height}
     about |= {"initial": "moving"} if bench.moving else {}
     return Imported(ARM if as_joints else GRASP, motion, points, what.films, about, notes)
 
@@ -188,18 +195,6 @@ def _laid_over(points: pd.DataFrame, grasp: pd.DataFrame, length: float, notes: 
         f"clocks laid over one another so are good to about a frame{slack}; a diagnosis names the rest time_offset"
     )
     return points.assign(t=points["t"] + points["trial"].map(later).fillna(0.0))
-
-
-def _camera(what: Gathered, bench: BenchHints) -> dict[str, Any]:
-    """dataset.yaml's camera, of films."""
-    fps = bench.fps or what.fps
-    said = {"fps": fps, "px_per_m": bench.px_per_m, "origin_px": bench.origin_px and list(bench.origin_px)}
-    options = {"fps": "--fps 240", "px_per_m": "--px-per-m 340", "origin_px": "--origin-px 251.5,387.5"}
-    missing = [options[name] for name, value in said.items() if not value]
-    if missing:
-        raise DataError(f"of a film it must be known where it was taken from. Say {' '.join(missing)}, as it was.")
-    height, width = Video(next(iter(what.films.values())))[0].shape
-    return {**said, "width": width, "height": height}
 
 
 def written(what: Imported, folder: Path, files: Sequence[Path], command: str) -> None:

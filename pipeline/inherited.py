@@ -62,7 +62,13 @@ def with_inherited_settings(config: DictConfig, given: set[str]) -> dict[str, An
     if LENGTH in brought:
         OmegaConf.update(whole, LENGTH, brought[LENGTH])
     if config.trials is not None and not (Path(config.trials) / "config.json").exists():
-        _hang(Path(config.trials), whole)
+        # what dataset.yaml says was weighed at the string's tip hangs at the model's: it is known, and not fitted
+        string = dataset.metadata(Path(config.trials)).get("string", {})
+        if string.get("tip_mass"):
+            ratio = float(string["tip_mass"]) / float(string["mass"])
+            whole.effects = [*whole.effects, *({"tip_mass"} - {*whole.effects})]
+            weighed = {"value": ratio, "low": (1 - WEIGHED) * ratio, "high": (1 + WEIGHED) * ratio}
+            whole.known = {"tip_mass.ratio": weighed, **whole.known}  # what was said of it elsewhere stands above
     settings: Any = OmegaConf.to_container(whole, resolve=True)
     return dict(settings)
 
@@ -71,17 +77,6 @@ def put_back(whole: Any, config: DictConfig, given: set[str]) -> None:
     """Set the settings that a person gave, by their names, to what they are in `config`: they stand above all."""
     for name in sorted(given & set(flat(OmegaConf.to_container(config)))):
         OmegaConf.update(whole, name, OmegaConf.select(config, name))
-
-
-def _hang(folder: Path, whole: Any) -> None:
-    """Hang at the tip of the model's string what dataset.yaml says was weighed there: it is known, and not fitted."""
-    string = dataset.metadata(folder).get("string", {})
-    if not string.get("tip_mass"):
-        return
-    ratio = float(string["tip_mass"]) / float(string["mass"])
-    whole.effects = [*whole.effects, *({"tip_mass"} - {*whole.effects})]
-    weighed = {"value": ratio, "low": (1 - WEIGHED) * ratio, "high": (1 + WEIGHED) * ratio}
-    whole.known = {"tip_mass.ratio": weighed, **whole.known}  # what was said of it elsewhere stands above
 
 
 def refuse_inherited_limits(settings: Any, own: Any, source: str, word: str = "accept_limits=true") -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -98,28 +98,23 @@ class History:
         return self.iterations[-1]
 
     def make(self, name: str, **given: Any) -> Any:
-        """The artifact of a stage in the last iteration. given: artifacts that no stage makes, such as `trials`."""
+        """The artifact of a stage in the last iteration. given: artifacts that no stage makes, such as `trials`. Raises
+        TypeError for an input of another kind."""
         current, stage = self.iterations[-1], stages()[name]
         current.given.update(given)
-        made = self.executor.obtain(self._step(stage))
-        current.done[stage.folder] = made
-        return made
-
-    def _step(self, stage: StageSpec) -> Step:
-        """A stage with its inputs as they are now. Raises TypeError for one of another kind."""
+        # the stage's inputs as they are now, and where those lie that this run made
         there = [{**one.given, **one.done} for one in self.iterations]
         inputs: dict[str, Any] = {}
         places: list[Path] = []
-        for name, asked in stage.inputs.items():
-            number, inputs[name] = asked.found(name, there) or (0, None)
-            if number and not isinstance(inputs[name], asked.kind):
-                raise TypeError(f"stage {stage.name}: {name} is a {type(inputs[name]).__name__}, not {asked.kind}")
-            places += self._places(name, number, inputs[name])
-        return Step(stage, len(self.iterations), inputs, tuple(places), self.hashes)
-
-    def _places(self, name: str, number: int, artifact: Any) -> Iterator[Path]:
-        """Where an input lies that this run made."""
-        if isinstance(artifact, TrialSet):
-            yield from (place_of(one, made) for one in artifact.numbers for made in ("trial", "points"))
-        elif number and name in self.iterations[number - 1].done:
-            yield place_of(number, name)
+        for key, asked in stage.inputs.items():
+            number, found = asked.found(key, there) or (0, None)
+            if number and not isinstance(found, asked.kind):
+                raise TypeError(f"stage {stage.name}: {key} is a {type(found).__name__}, not {asked.kind}")
+            inputs[key] = found
+            if isinstance(found, TrialSet):
+                places += [place_of(one, made) for one in found.numbers for made in ("trial", "points")]
+            elif number and key in self.iterations[number - 1].done:
+                places.append(place_of(number, key))
+        step = Step(stage, len(self.iterations), inputs, tuple(places), self.hashes)
+        current.done[stage.folder] = self.executor.obtain(step)
+        return current.done[stage.folder]

@@ -96,49 +96,73 @@ def _answers(words: Sequence[str]) -> Iterator[Answer]:
         if command:
             yield right
         elif not word.belongs_before:
-            rules = OF_OPTIONS if text.startswith(("-", "~")) else OF_SETTINGS if "=" in text else OF_BARE_WORDS
-            answer = next((found for rule in rules for found in rule(word)), right)
+            # of several mistakes that a word may be, the first that fits
+            faults = _of_option if text.startswith(("-", "~")) else _of_setting if "=" in text else _of_bare_word
+            answer = next(faults(word), right)
             command = place == 0 and answer.meant[0] in NAMES
             yield answer
 
 
-# --- words that begin with a dash, or with a tilde, which takes a setting out ------------------
-def _setting_as_option(word: Word) -> Iterator[Answer]:
+# --- kinds of words, each with the mistakes that are made with it, most likely first --------------
+def _of_option(word: Word) -> Iterator[Answer]:
+    """Of a word that begins with a dash, or with a tilde, which takes a setting out."""
     if name := _named_as_option(word.text):
         what = "an experiment" if name == "experiment" else "a setting"
         yield Answer(f"{word.text}: {what} has no dashes before it.", [_given(name, word.value or word.next)])
-
-
-def _no_such_option(word: Word) -> Iterator[Answer]:
     if word.text.startswith("-") and word.name not in (*FLAGS, *OF_HYDRA):
         fault = "there is no such option. A setting has no dashes: name=value. All: python -m pipeline --help"
         yield Answer(f"{word.text}: {fault}", [word.text])
 
 
-# --- settings, name=value ----------------------------------------------------------------------
-def _experiment_not_added(word: Word) -> Iterator[Answer]:
+def _of_setting(word: Word) -> Iterator[Answer]:
+    """Of name=value."""
     if word.name == "experiment":
         yield Answer(f"{word.text}: an experiment is added to the settings.", [_given(word.name, word.value)])
-
-
-def _steps_before_modes(word: Word) -> Iterator[Answer]:
-    if word.name == "steps":
+    if word.name == "steps":  # as before there were modes
         names = word.value.strip("[]").replace(" ", "").split(",")  # such as extract,diagnose
         last = {"study": "blind_study", "extract": "cast"}.get(names[-1], names[-1])
         mode = "cast" if "generate" in names else "decide" if "execute" in names else last
         yield Answer(f"{word.text}: what a run does is its mode now.", [f"mode={mode}"])
-
-
-def _former_name(word: Word) -> Iterator[Answer]:
     if (now := new_name(word.setting)) != word.setting:
         yield Answer(f"{word.text}: this setting is called {now} now.", [f"{now}={word.value}"])
-
-
-def _place_as_pair(word: Word) -> Iterator[Answer]:
     place = re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", word.value)
     if word.setting == "target" and place:
         x, y = (_metres(float(part)) for part in place.groups())
         yield Answer(f"{word.text}: a place has a setting for each coordinate.", [f"target.x={x:g}", f"target.y={y:g}"])
+    yield from _unknown_choice(word)
+    yield from _choice_as_setting(word)
+    length = IN_METRES.match(word.text)
+    if length and (length[3] or abs(float(length[2])) >= FARTHEST):
+        number = float(length[2]) * FACTORS[length[3]] if length[3] else _metres(float(length[2]))
+        yield Answer(f"{word.text}: lengths are in metres, without a unit.", [f"{word.name}={number:g}"])
+    if word.name in ("effects", "own") and re.fullmatch(r"[a-z_,\d]+", word.value) and word.value != "null":
+        yield Answer(f"{word.text}: it is a list.", [f"{word.name}=[{word.value}]"])
+    if word.name.partition(".")[0] == "known":
+        yield Answer(f"{word.text}: what is known is added to the settings.", [f"+{word.text}"])
+    yield from _unknown_setting(word)
+
+
+def _of_bare_word(word: Word) -> Iterator[Answer]:
+    """Of a word without an equals sign: a command, or what is none."""
+    name, colon = word.text.rstrip(":"), word.text.endswith(":")
+    if _is_setting(name) and word.following and (colon or word.next == "="):
+        value = word.next if colon else "".join(word.following[1:2])
+        yield Answer(f"{name}: name and value belong together.", [_given(name, value)])
+    if Path(word.text).is_dir():
+        yield Answer(f"{word.text}: a folder of trials is a setting.", [f"trials={word.text}"])
+    if not word.before and word.text == "run":
+        yield Answer("run: this program runs what its settings say.", BEST)
+    if not word.before and word.text in OF_TASKS:
+        yield Answer(f"{word.text}: this is what tasks.py does: python3 tasks.py {word.text}", [word.text])
+    if word.text in ("help", "?"):
+        yield Answer(f"{word.text}: help is an option.", ["--help"])
+    near = _nearest(word.text, [*NAMES, *_options("experiment")])
+    if not word.before and near in NAMES:
+        yield Answer(f"{word.text}: there is no such command.", [near])
+    if near := _nearest(word.text, _options("experiment")):
+        yield Answer(f"{word.text}: an experiment is added to the settings.", [f"+experiment={near}"])
+    fault = f"this is neither a command ({', '.join(NAMES)}) nor a setting (name=value). See --help."
+    yield Answer(f"{word.text}: {fault}", [word.text])
 
 
 def _unknown_choice(word: Word) -> Iterator[Answer]:
@@ -166,23 +190,6 @@ def _choice_as_setting(word: Word) -> Iterator[Answer]:
             yield Answer(f"{word.text}: {option} is an option of {group}.", meant)
 
 
-def _not_in_metres(word: Word) -> Iterator[Answer]:
-    found = IN_METRES.match(word.text)
-    if found and (found[3] or abs(float(found[2])) >= FARTHEST):
-        number = float(found[2]) * FACTORS[found[3]] if found[3] else _metres(float(found[2]))
-        yield Answer(f"{word.text}: lengths are in metres, without a unit.", [f"{word.name}={number:g}"])
-
-
-def _names_without_brackets(word: Word) -> Iterator[Answer]:
-    if word.name in ("effects", "own") and re.fullmatch(r"[a-z_,\d]+", word.value) and word.value != "null":
-        yield Answer(f"{word.text}: it is a list.", [f"{word.name}=[{word.value}]"])
-
-
-def _known_not_added(word: Word) -> Iterator[Answer]:
-    if word.name.partition(".")[0] == "known":
-        yield Answer(f"{word.text}: what is known is added to the settings.", [f"+{word.text}"])
-
-
 def _unknown_setting(word: Word) -> Iterator[Answer]:
     """The nearest known one, by its first name."""
     if not _is_setting(word.setting):
@@ -191,64 +198,6 @@ def _unknown_setting(word: Word) -> Iterator[Answer]:
         meant = _given(f"{near}{dot}{inner}", word.value) if near else word.text
         listed = "" if near else " All of them: python -m pipeline --help"
         yield Answer(f"{word.text}: there is no setting '{top}'.{listed}", [meant])
-
-
-# --- words without an equals sign: commands, and what is none ----------------------------------
-def _name_and_value_apart(word: Word) -> Iterator[Answer]:
-    name, colon = word.text.rstrip(":"), word.text.endswith(":")
-    if _is_setting(name) and word.following and (colon or word.next == "="):
-        value = word.next if colon else "".join(word.following[1:2])
-        yield Answer(f"{name}: name and value belong together.", [_given(name, value)])
-
-
-def _folder(word: Word) -> Iterator[Answer]:
-    if Path(word.text).is_dir():
-        yield Answer(f"{word.text}: a folder of trials is a setting.", [f"trials={word.text}"])
-
-
-def _task(word: Word) -> Iterator[Answer]:
-    if not word.before and word.text == "run":
-        yield Answer("run: this program runs what its settings say.", BEST)
-    if not word.before and word.text in OF_TASKS:
-        yield Answer(f"{word.text}: this is what tasks.py does: python3 tasks.py {word.text}", [word.text])
-
-
-def _help(word: Word) -> Iterator[Answer]:
-    if word.text in ("help", "?"):
-        yield Answer(f"{word.text}: help is an option.", ["--help"])
-
-
-def _nearly_a_command(word: Word) -> Iterator[Answer]:
-    near = _nearest(word.text, [*NAMES, *_options("experiment")])
-    if not word.before and near in NAMES:
-        yield Answer(f"{word.text}: there is no such command.", [near])
-
-
-def _experiment_alone(word: Word) -> Iterator[Answer]:
-    if near := _nearest(word.text, _options("experiment")):
-        yield Answer(f"{word.text}: an experiment is added to the settings.", [f"+experiment={near}"])
-
-
-def _neither(word: Word) -> Iterator[Answer]:
-    fault = f"this is neither a command ({', '.join(NAMES)}) nor a setting (name=value). See --help."
-    yield Answer(f"{word.text}: {fault}", [word.text])
-
-
-# A rule answers one kind of mistake, and says nothing of a word without it. The first that answers stands.
-OF_OPTIONS = (_setting_as_option, _no_such_option)
-OF_SETTINGS = (
-    _experiment_not_added,
-    _steps_before_modes,
-    _former_name,
-    _place_as_pair,
-    _unknown_choice,
-    _choice_as_setting,
-    _not_in_metres,
-    _names_without_brackets,
-    _known_not_added,
-    _unknown_setting,
-)
-OF_BARE_WORDS = (_name_and_value_apart, _folder, _task, _help, _nearly_a_command, _experiment_alone, _neither)
 
 
 # --- what there is -----------------------------------------------------------------------------

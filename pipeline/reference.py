@@ -62,7 +62,17 @@ def page() -> str:
     parts = [HEAD, RUN, _table(("setting", "default", "what it means"), rows)]
     parts += [_options("experiment", ""), _options("method", chosen["method"])]
     parts += [part for group in groups for part in _group(group, chosen[group], settings[group])]
-    return "\n".join([*parts, _options("hydra/launcher", "serial"), EFFECTS, _effects()])
+    parts += [_options("hydra/launcher", "serial"), EFFECTS]
+    # every effect with its parameters, the base of the model first
+    told: list[tuple[str, ...]] = []
+    for effect in sorted(library().values(), key=lambda one: (not any(p.symbol for p in one.parameters), one.name)):
+        words = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
+        words += " A diagnosis does not look for it." * effect.excluded
+        told += [(f"`{effect.name}`", words, "", "", "")]
+        told += [
+            ("", p.meaning, f"`{effect.qualified(p)}`", f"{p.low:g} to {p.high:g}", p.unit) for p in effect.parameters
+        ]
+    return "\n".join([*parts, _table(("effect", "what it is", "parameter", "range", "unit"), told)])
 
 
 def _group(group: str, chosen: str, block: Mapping[str, Any]) -> Iterator[str]:
@@ -103,16 +113,13 @@ def _folded(block: Any) -> Any:
 
 def _options(group: str, chosen: str) -> str:
     """Heading and options of a group, each with what stands on top of its file."""
-    files = sorted((CONF / group).glob("*.yaml"), key=lambda file: (file.stem != chosen, file.stem))
-    rows = [(f"`{file.stem}`{', by default' * (file.stem == chosen)}", _heading(file)) for file in files]
+    rows = []
+    for file in sorted((CONF / group).glob("*.yaml"), key=lambda file: (file.stem != chosen, file.stem)):
+        lines = [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("# @package")]
+        top = re.match(r"(?:#.*\n)*", "\n".join([*lines, ""]))
+        heading = " ".join(line.strip("# ") for line in (top[0] if top else "").splitlines())
+        rows.append((f"`{file.stem}`{', by default' * (file.stem == chosen)}", heading))
     return f"## `{'+' * (group == 'experiment')}{group}=`\n{_table(('option', 'what it is'), rows)}"
-
-
-def _heading(file: Path) -> str:
-    """The comment on top of a file."""
-    lines = [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("# @package")]
-    top = re.match(r"(?:#.*\n)*", "\n".join([*lines, ""]))
-    return " ".join(line.strip("# ") for line in (top[0] if top else "").splitlines())
 
 
 def _meaning(name: str) -> str:
@@ -132,19 +139,16 @@ def _kinds(group: str, block: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _of_fields(place: str, hints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The values of each field in words, `whole, from 1 to 255`; nothing for what is no number, text or list of
+    these."""
     for name, hint in hints.items():
         if is_dataclass(hint):
             yield from _of_fields(f"{place}.{name}", get_type_hints(hint, include_extras=True))
-        else:
-            yield f"{place}.{name}", _kind(hint)
-
-
-def _kind(hint: Any) -> str:
-    """The values of a type in words: `whole, from 1 to 255`; nothing for what is no number, text or list of these."""
-    try:
-        return _said(TypeAdapter(hint).json_schema())
-    except (PydanticSchemaGenerationError, PydanticUserError):  # of a class of ours, whose fields are settings
-        return ""
+            continue
+        try:
+            yield f"{place}.{name}", _said(TypeAdapter(hint).json_schema())
+        except (PydanticSchemaGenerationError, PydanticUserError):  # of a class of ours, whose fields are settings
+            yield f"{place}.{name}", ""
 
 
 def _said(schema: Mapping[str, Any]) -> str:
@@ -156,19 +160,6 @@ def _said(schema: Mapping[str, Any]) -> str:
         return f"list, each {inside}" if (inside := _said(schema["items"])) else "list"
     limits = [f"{word} {schema[name]:g}" for name, word in LIMITS.items() if name in schema]
     return ", ".join(filter(None, (KINDS.get(schema.get("type", ""), ""), *limits)))
-
-
-def _effects() -> str:
-    """Every effect with its parameters, the base of the model first."""
-    rows = []
-    for effect in sorted(library().values(), key=lambda one: (not any(p.symbol for p in one.parameters), one.name)):
-        words = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
-        words += " A diagnosis does not look for it." * effect.excluded
-        rows += [(f"`{effect.name}`", words, "", "", "")]
-        rows += [
-            ("", p.meaning, f"`{effect.qualified(p)}`", f"{p.low:g} to {p.high:g}", p.unit) for p in effect.parameters
-        ]
-    return _table(("effect", "what it is", "parameter", "range", "unit"), rows)
 
 
 def _value(value: Any) -> str:

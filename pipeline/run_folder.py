@@ -29,7 +29,7 @@ from stringcast.pipeline.inherited import FROM_DATASETS
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.provenance import StoredStep, look, made_now, origin, performed, repeatable
+from stringcast.pipeline.provenance import look, made_now, origin, performed, repeatable
 from stringcast.pipeline.result import Result, in_numbers
 
 log = logging.getLogger(__name__)
@@ -47,18 +47,33 @@ class RunFolder:
     say: Callable[[str], object]
 
     def obtain(self, step: Step) -> Any:
-        """Read a step's artifact if it is there and fresh, else make and store it."""
-        found = look(self.experiment.config, self.folder, step)
+        """Read a step's artifact if it is there and fresh, else make and store it. Raises DataError for a damaged one
+        that cannot be made again."""
+        config, place = self.experiment.config, self.folder / step.place
+        found = look(config, self.folder, step)
         if found.artifact is not None and not found.reasons:
             log.info("%s is there, and fresh", step.place)
             return found.artifact
-        place = self.folder / step.place
         if not place.resolve().is_relative_to(self.folder.resolve()):
             raise DataError(f"{place}: it leads out of the run's folder by a link. Put the folder itself there.")
-        if place.is_dir() and self._stays(found, step):
-            return found.artifact
+        if place.is_dir():
+            # stale: it is used all the same where a real arm has moved by it
+            stays = performed(config, self.folder, step.number, step.stage.folder)
+            if stays and found.artifact is None:
+                raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
+            why = f"keeping {step.place}, by which the arm has moved" if stays else f"recomputing {step.place}"
+            message = f"{why}: {'; '.join(found.reasons)}"
+            log.warning(message)
+            self.say(message)
+            if stays:
+                return found.artifact
         disk.remove(self.folder / ENDED)
-        made = self._make(step, place)
+        with self.bar(f"{step.number}. {step.stage.name}") as progress:
+            at, begun = datetime.now(UTC), time.monotonic()
+            made = self.experiment.run(step, progress)
+            took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
+            store.save(made, place, made_now(config, self.folder, step) | took)
+            log.info("%s made in %.1f s", step.place, took["made"]["seconds"])
         stored: Any = store.load(step.stage.makes, place)
         return replace(stored, images=Fresh(stored.images, made.images)) if isinstance(made, Trial) else stored
 
@@ -68,28 +83,6 @@ class RunFolder:
         made_of = trial_hashes(self.folder, iterations)
         if not published(self.folder, made_of):
             publish(self.experiment, made_of, self.folder, iterations)
-
-    def _stays(self, found: StoredStep, step: Step) -> bool:
-        """Whether a stale step is used all the same; raises DataError for a damaged one that cannot be made again."""
-        stays = performed(self.experiment.config, self.folder, step.number, step.stage.folder)
-        if stays and found.artifact is None:
-            raise DataError(f"{found.reasons[0]} The arm has moved by it: it cannot be made again.")
-        reasons = "; ".join(found.reasons)
-        message = f"keeping {step.place}, by which the arm has moved: {reasons}"
-        message = message if stays else f"recomputing {step.place}: {reasons}"
-        log.warning(message)
-        self.say(message)
-        return stays
-
-    def _make(self, step: Step, place: Path) -> Any:
-        """Make and store a step, and return it; its footers also say when, and how long it took."""
-        with self.bar(f"{step.number}. {step.stage.name}") as progress:
-            at, begun = datetime.now(UTC), time.monotonic()
-            made = self.experiment.run(step, progress)
-            took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
-            store.save(made, place, made_now(self.experiment.config, self.folder, step) | took)
-            log.info("%s made in %.1f s", step.place, took["made"]["seconds"])
-            return made
 
 
 @contextmanager

@@ -67,7 +67,10 @@ def refusal(error: BaseException) -> str:
     said = str(error).strip().splitlines()[0]
     key = re.match(r"Could not override '([^']+)'", said)
     if beyond := re.match(r"LexerNoViableAltException: (.+=.*)", said):
-        return _quoted(beyond[1])
+        # for letters such as those of Jörg
+        name, _, value = beyond[1].partition("=")
+        again = shlex.join(f'{name}="{value}"' if word == beyond[1] else word for word in sys.argv[1:])
+        return f"{beyond[1]}: letters beyond ASCII are read between quotes only. Try: python -m pipeline {again}"
     if re.match("no viable|mismatched|missing|extraneous|token recognition", said):
         at = re.search(r"at input '([^']*)'", str(error))
         unread = next((word for word in sys.argv[1:] if at and at[1] in word), "The command line")
@@ -83,21 +86,10 @@ def refusal(error: BaseException) -> str:
     names = list(flat(composed(groups)))
     near = difflib.get_close_matches(key[1], names, 1)
     remedy = f"Did you mean '{near[0]}'?" if near else "See python -m pipeline --help."
-    remedy = f"It is one of {' and '.join(there)}." if (there := _options_with(key[1])) else remedy
-    return f"{key[1]} (command line): there is no such setting. {remedy}"
-
-
-def _quoted(unread: str) -> str:
-    """The answer to a setting that Hydra cannot read for letters such as those of Jörg."""
-    name, _, value = unread.partition("=")
-    again = shlex.join(f'{name}="{value}"' if word == unread else word for word in sys.argv[1:])
-    return f"{unread}: letters beyond ASCII are read between quotes only. Try: python -m pipeline {again}"
-
-
-def _options_with(name: str) -> list[str]:
-    """Options of a group that have a setting which those of this call have not: `estimate=random_search` for
-    `estimate.beta`."""
-    group, _, inner = name.partition(".")
+    # an option of a group may have it that those of this call have not: `estimate=random_search` has `estimate.beta`
+    group, _, inner = key[1].partition(".")
     line = re.compile(rf"^{re.escape(inner)}:", re.M)
     files = sorted((CONF / group).glob("*.yaml")) if inner else []
-    return [f"{group}={file.stem}" for file in files if line.search(file.read_text(encoding="utf-8"))]
+    there = [f"{group}={file.stem}" for file in files if line.search(file.read_text(encoding="utf-8"))]
+    remedy = f"It is one of {' and '.join(there)}." if there else remedy
+    return f"{key[1]} (command line): there is no such setting. {remedy}"

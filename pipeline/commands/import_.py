@@ -118,24 +118,16 @@ def _undoing(mistake: Mistake, what: Gathered, asked: argparse.Namespace) -> Cha
         return None if asked.plane else (mistake.said, mistake.option, lambda: setattr(asked, "plane", plane))
     if not mistake.parts or not {*mistake.parts} <= {"xy", "s", "hand", "length"}:
         return None
+    # lengths of some files in another unit, where neither their columns nor a person say in which
     unit = next(unit for unit, factor in LENGTHS.items() if factor == mistake.factor)
-    return _of_unit(mistake, unit, what, asked)
-
-
-def _of_unit(mistake: Mistake, unit: str, what: Gathered, asked: argparse.Namespace) -> Change | None:
-    """Lengths of some files in another unit, where neither their columns nor a person say in which."""
-    roles = {"xy": "point", "s": "point", "hand": "hand"}
-    wanted = {roles[part] for part in mistake.parts if part in roles}
-    files = {one.file.name for one in what.taken if one.unit == "m" and _kind(one.role) in wanted}
+    hand, points = "hand" in mistake.parts, bool({"xy", "s"} & {*mistake.parts})
+    wanted = {"x": hand, "y": hand, "s": points}  # by role; a point's are such as tip.x
+    metres = (one for one in what.taken if one.unit == "m")
+    files = {one.file.name for one in metres if wanted.get(one.role, points and one.role.endswith((".x", ".y")))}
     said = [f"{file}={unit}" for file in sorted(files)]
     if not files or any(text in asked.unit for text in said):
         return None
     return mistake.said, " ".join(f"--unit {text}" for text in said), lambda: asked.unit.extend(said)
-
-
-def _kind(role: str) -> str:
-    """Whether a role is of the hand or of points."""
-    return "hand" if role in ("x", "y") else "point" if role == "s" or role.endswith((".x", ".y")) else ""
 
 
 def _agree(why: str, option: str, change: Callable[[], object], asked: argparse.Namespace, console: Terminal) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -63,8 +63,13 @@ def index(folder: Path) -> pd.DataFrame:
     """Table RUNS of all runs in a folder, however deep. Raises UserError where there is no such folder."""
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder. Name one that holds runs.")
-    found = track(sorted(_runs(folder)), "index", console=Terminal(stderr=True), transient=True)
-    rows = [{"run": run.relative_to(folder).as_posix()} | row(run) for run in found]
+    found: list[Path] = []
+    for path in folder.rglob("config.json"):
+        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        if '"mode"' in text or '"steps"' in text:  # ours; older versions had steps instead
+            found.append(path.parent)
+    shown = track(sorted(found), "index", console=Terminal(stderr=True), transient=True)
+    rows = [{"run": run.relative_to(folder).as_posix()} | row(run) for run in shown]
     return RUNS.check(pd.DataFrame(rows)) if rows else RUNS.empty()
 
 
@@ -114,14 +119,6 @@ def printed(runs: pd.DataFrame) -> Printed:
     return table
 
 
-def _runs(folder: Path) -> Iterator[Path]:
-    """Folders with a config.json of ours."""
-    for path in folder.rglob("config.json"):
-        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
-        if '"mode"' in text or '"steps"' in text:  # which older versions had instead
-            yield path.parent
-
-
 def _json(path: Path) -> dict[str, Any]:
     return json_block(path) if path.is_file() else {}
 
@@ -129,18 +126,17 @@ def _json(path: Path) -> dict[str, Any]:
 def _ending(run: Path, ended: dict[str, Any], settings: Mapping[str, Any]) -> dict[str, str]:
     """State, outcome and words. settings: the run's."""
     failed = run / FAILED
-    if ended:
-        diagnosis = run / "diagnosis.json"
-        estimated = _cast(ended, settings) if any("hit" in i for i in ended["iterations"]) else "estimated"
-        outcome = _json(diagnosis)["verdict"] if diagnosis.is_file() else estimated
-        return {"state": "ended", "outcome": outcome, "said": ended["sentence"]}
-    said = failed.read_text(encoding="utf-8").strip() if failed.is_file() else ""
-    return {"state": "failed" if said else "incomplete", "outcome": "", "said": said}
-
-
-def _cast(ended: dict[str, Any], settings: Mapping[str, Any]) -> str:
-    """How a run of casts ended. One without the arm, or with a slow one, was not thrown at the target at all."""
-    return "dry run" if settings["execute"]["_target_"] in DRY_RUNS else "hit" if ended["hit"] else "missed"
+    if not ended:
+        said = failed.read_text(encoding="utf-8").strip() if failed.is_file() else ""
+        return {"state": "failed" if said else "incomplete", "outcome": "", "said": said}
+    diagnosis, outcome = run / "diagnosis.json", "estimated"
+    if diagnosis.is_file():
+        outcome = _json(diagnosis)["verdict"]
+    elif any("hit" in iteration for iteration in ended["iterations"]):
+        # without the arm, or with a slow one, nothing was thrown at the target at all
+        dry = settings["execute"]["_target_"] in DRY_RUNS
+        outcome = "dry run" if dry else "hit" if ended["hit"] else "missed"
+    return {"state": "ended", "outcome": outcome, "said": ended["sentence"]}
 
 
 def _steps(run: Path, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -212,7 +212,12 @@ def _grow(tree: Tree, place: Path, run: Path, shown: set[Path | str]) -> bool:
     changed = False
     for name, digest in made.get("inputs", {}).items():
         there = next((path.resolve() for path in (run / name, Path(name)) if path.exists()), None)
-        state = _state(there, digest)
+        state = " IS GONE"
+        if there is not None:
+            try:
+                state = "" if store.content_hash(there) == digest else " HAS CHANGED SINCE"
+            except store.UNREADABLE:
+                state = " IS DAMAGED"
         branch = tree.add(Text(f"{name}{state}{' (see above)' if there in shown else ''}"))
         changed |= bool(state)
         if there is not None:
@@ -250,13 +255,3 @@ def _words(made: Mapping[str, Any]) -> list[str]:
         f"code: commit {made['code']['commit'][:12]}, source {made['code']['source'][:12]}",
         f"packages: {packages}, Python {made['python']}",
     ]
-
-
-def _state(there: Path | None, digest: str) -> str:
-    """Nothing where an input is what it was, else what became of it."""
-    if there is None:
-        return " IS GONE"
-    try:
-        return "" if store.content_hash(there) == digest else " HAS CHANGED SINCE"
-    except store.UNREADABLE:
-        return " IS DAMAGED"

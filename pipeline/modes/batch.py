@@ -51,10 +51,18 @@ class Batch(Stepwise):
         return Result(folder, tuple(history.iterations), sentence, stages()[self.stage])
 
     def begun(self, experiment: Experiment, executor: Executor) -> tuple[History, TrialSet]:
-        """All trials, stored or performed for it, and the history in which they were read."""
+        """All trials, stored, or one performed for it, and the history in which they were read. Raises DataError where
+        they cannot be used."""
         if experiment.config["trials"] is None:
             history = History(executor)
-            return history, self._performed(history)
+            current = history.begin()
+            for name in self.first:
+                history.make(name)
+            if current.refused:
+                raise DataError(f"nothing is measured from this trial: {current.refused}.")
+            trial = current.done["trial"]
+            one = Observation(current.name, POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=trial.arm)
+            return history, TrialSet((one,), {current.name: trial.film}, numbers=(1,))
         data = usable(experiment)
         history = history_of(data, executor)
         if self.read:
@@ -64,14 +72,3 @@ class Batch(Stepwise):
             seen = list(data.trials.values())
         numbers = tuple(range(1, len(history.iterations) + 1))
         return history, TrialSet(tuple(seen), data.films, data.rejected, held_out(data), numbers)
-
-    def _performed(self, history: History) -> TrialSet:
-        """One trial performed for it. Raises DataError where it cannot be trusted."""
-        current = history.begin()
-        for name in self.first:
-            history.make(name)
-        if current.refused:
-            raise DataError(f"nothing is measured from this trial: {current.refused}.")
-        trial = current.done["trial"]
-        seen = Observation(current.name, POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=trial.arm)
-        return TrialSet((seen,), {current.name: trial.film}, numbers=(1,))

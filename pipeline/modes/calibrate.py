@@ -49,7 +49,12 @@ class Calibrate(Mode):
         with bars(console) as bar, bar("calibrate") as progress:
             step = Step(stage, 1, {"tilted": tilted, "flat": flat, "board": board})
             made: Calibration = experiment.run(step, progress)
-            sentence = keep(experiment, made, folder)
+            # the artifact, the page and, of a good one, camera.yaml
+            sentence = stage.summary(made).sentence
+            store.save(made, folder / stage.folder, origin(experiment.config, stage.name, experiment.seed, {}))
+            import_module("stringcast.pipeline.report").write_page(experiment, stage, made, sentence, folder)
+            for name, text in stage.files(made, folder).items():
+                store.write_text(folder / name, text)
         if made.reason:
             raise UserError(f"the calibration cannot be used: {made.reason} See {folder / 'report.html'}")
         ahead = (f"Go on with it: calibrated={folder}", str(folder / "report.html"))
@@ -71,14 +76,3 @@ def asked(words: str, console: Terminal) -> None:
     except EOFError as error:
         raise UserError("a calibration from a device needs a person at the terminal. Use images or a video.") from error
     console.print("Filming, for as many seconds as the settings say ...")
-
-
-def keep(experiment: Experiment, made: Calibration, folder: Path) -> str:
-    """Leave the artifact, the page and, of a good one, camera.yaml. Returns how it ended, in a sentence."""
-    stage = stages()["calibrate"]
-    sentence = stage.summary(made).sentence
-    store.save(made, folder / stage.folder, origin(experiment.config, stage.name, experiment.seed, {}))
-    import_module("stringcast.pipeline.report").write_page(experiment, stage, made, sentence, folder)
-    for name, text in stage.files(made, folder).items():
-        store.write_text(folder / name, text)
-    return sentence

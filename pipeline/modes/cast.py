@@ -45,28 +45,25 @@ class Cast(Stepwise):
         dry = by in DRY_RUNS
         casts = 1 if dry else experiment.config["manipulations"]
         while len(history.iterations) < casts and not (history.iterations and history.iterations[-1].hit):
-            self._cast(experiment, history)
+            current = history.begin()
+            for name in self.stages:
+                if "trials" not in stages()[name].inputs:
+                    history.make(name)
+                elif not current.refused:  # nothing is learned from a trial that cannot be trusted
+                    history.make(name, trials=remembered(experiment, history.iterations))
+            log_fit(current)
+            # whether it hit is asked of the tip as it was measured
+            motion: Motion = current.done["motion"]
+            points: Points = current.done["points"]
+            there = in_arms_frame(points, experiment.model)
+            verdict = hit_test(there, experiment.target, experiment.obstacles, motion.duration)
+            log.info("cast %d: the tip came within %.1f mm of the target", current.number, 1e3 * verdict.distance)
+            if current.refused:
+                log.warning("cast %d: nothing is estimated from its trial: %s", current.number, current.refused)
+            history.iterations[-1] = replace(current, verdict=verdict)
             executor.publish(history.iterations)
         made = tuple(history.iterations)
         return Result(folder, made, dry_run(made[-1]) if dry else ended(made))
-
-    def _cast(self, experiment: Experiment, history: History) -> None:
-        """One manipulation, step by step. Nothing is learned from a trial that cannot be trusted."""
-        current = history.begin()
-        for name in self.stages:
-            if "trials" not in stages()[name].inputs:
-                history.make(name)
-            elif not current.refused:
-                history.make(name, trials=remembered(experiment, history.iterations))
-        log_fit(current)
-        motion: Motion = current.done["motion"]
-        points: Points = current.done["points"]
-        there = in_arms_frame(points, experiment.model)
-        verdict = hit_test(there, experiment.target, experiment.obstacles, motion.duration)
-        log.info("cast %d: the tip came within %.1f mm of the target", current.number, 1e3 * verdict.distance)
-        if current.refused:
-            log.warning("cast %d: nothing is estimated from its trial: %s", current.number, current.refused)
-        history.iterations[-1] = replace(current, verdict=verdict)
 
 
 def known_stages(names: Sequence[str]) -> None:
