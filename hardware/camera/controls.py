@@ -35,22 +35,19 @@ def obeyed(
     Size and rate are measured instead: drivers report what they were asked.
     """
     accepted = {key: capture.set(_property(key), value) for key, value in {**form, **controls}.items()}
-    remarks = (_remark(capture, name, key, asked, accepted[key]) for key, asked in controls.items())
-    return tuple(remark for remark in remarks if remark)
-
-
-def _remark(capture: cv2.VideoCapture, name: str, key: str, asked: float, accepted: bool) -> str:
-    """Empty where the driver reports what was asked, words where it can report nothing."""
-    reported = float(capture.get(_property(key)))
-    if abs(reported - asked) <= NEAR * max(abs(asked), NEAR):
-        return ""
-    if not accepted and reported in UNKNOWN:
-        return f"the driver can neither set nor report {key}"
-    raise HardwareError(
-        f"{name}: source.controls.{key} is {asked:g}, the driver reports {reported:g}. Set it to what the driver "
-        "can do (v4l2-ctl --list-ctrls says what), choose another source.backend, or take it out of source.controls "
-        "if it does not matter."
-    )
+    remarks = []
+    for key, asked in controls.items():
+        reported = float(capture.get(_property(key)))
+        if abs(reported - asked) <= NEAR * max(abs(asked), NEAR):
+            continue
+        if accepted[key] or reported not in UNKNOWN:
+            raise HardwareError(
+                f"{name}: source.controls.{key} is {asked:g}, the driver reports {reported:g}. Set it to what the "
+                "driver can do (v4l2-ctl --list-ctrls says what), choose another source.backend, or take it out of "
+                "source.controls if it does not matter."
+            )
+        remarks.append(f"the driver can neither set nor report {key}")
+    return tuple(remarks)
 
 
 def _property(key: str) -> int:

@@ -44,8 +44,14 @@ def recording(film: Film, moved_at: float, delay: float, period: float, most_los
     counts = pd.DataFrame({"number": schedule.numbers, "late": schedule.late, "repeats": repeats})
     summary = _summary(schedule, film, int(again.sum()))
     summary["remarks"] = "; ".join(film.remarks)
-    died = film.died if t[-1] < film.until - 2 * period else ""
-    fault = f"the camera saw nothing after {t[-1]:.3f} s: {died}" if died else _lost(summary, most_lost)
+    # the film ended too early, or too many frames were lost; one that came twice left its place on the schedule empty
+    lost = int(summary["frames_dropped"]) / int(summary["frames_due"])
+    fault = ""
+    if film.died and t[-1] < film.until - 2 * period:
+        fault = f"the camera saw nothing after {t[-1]:.3f} s: {film.died}"
+    elif lost > most_lost:
+        twice = f" ({again.sum()} came twice instead)" if again.any() else ""
+        fault = f"{lost:.1%} of the frames were dropped{twice}, allowed are {most_lost:.1%}"
     return Recording(t, [images[i] for i in own], counts, summary, fault)
 
 
@@ -68,19 +74,14 @@ def exposed(arrived: np.ndarray, stamps: np.ndarray, period: float) -> tuple[np.
     """
     if len(arrived) < 3:
         return arrived, Schedule(period, np.arange(len(arrived)), arrived, np.zeros(len(arrived)))
-    if _clock(stamps, arrived, period):
+    # stamps are a clock's, and not the number of the frame times a nominal period, or nothing
+    late = arrived - stamps
+    counted = np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()
+    if counted and abs(np.median(late[: len(late) // 2]) - np.median(late[len(late) // 2 :])) < period:
         t = stamps + (arrived - stamps).min()
         return t, replace(fitted(t, period), late=arrived - t)
     schedule = fitted(arrived, period)
     return schedule.due, schedule
-
-
-def _clock(stamps: np.ndarray, arrived: np.ndarray, period: float) -> bool:
-    """Whether stamps are a clock's, and not the number of the frame times a nominal period, or nothing."""
-    if not np.isfinite(stamps).all() or (np.diff(stamps) <= 0).any():
-        return False
-    late = arrived - stamps
-    return bool(np.abs(np.median(late[: len(late) // 2]) - np.median(late[len(late) // 2 :])) < period)
 
 
 def _summary(schedule: Schedule, film: Film, repeats: int) -> dict[str, float | int | str]:
@@ -98,13 +99,3 @@ def _summary(schedule: Schedule, film: Film, repeats: int) -> dict[str, float | 
         "frame_jitter_p99": p99,
         "frame_jitter_max": most,
     }
-
-
-def _lost(summary: dict[str, float | int | str], most_lost: float) -> str:
-    """The fault of too many lost frames, in words; empty if they are not. A repeated frame left its place on the
-    schedule empty."""
-    share = int(summary["frames_dropped"]) / int(summary["frames_due"])
-    if share <= most_lost:
-        return ""
-    again = f" ({summary['frames_repeated']} came twice instead)" if summary["frames_repeated"] else ""
-    return f"{share:.1%} of the frames were dropped{again}, allowed are {most_lost:.1%}"

@@ -35,9 +35,19 @@ def fitted(t: np.ndarray, period: float) -> Schedule:
     """The schedule of frames noted at times t (F,) [s], sorted, with about this period [s]."""
     turns = _in_step(t - t[0], period)
     late = turns - np.rint(turns)
-    numbers = _one_each(np.floor(turns - np.percentile(late, QUICK) + EARLY).astype(int))
+    numbers = np.floor(turns - np.percentile(late, QUICK) + EARLY).astype(int)
+    # no number twice: of two frames on one moment the earlier was late, and so are those that it pushes
+    places = np.arange(len(numbers))
+    numbers = np.minimum.accumulate((numbers - places)[::-1])[::-1] + places
     numbers -= numbers[0]
-    slope = _slope(numbers, t) if numbers[-1] > 1 else period
+    # seconds a number, from frames in time: twice a line, the second time without the half that is latest
+    slope = period
+    if numbers[-1] > 1:
+        slope, start = map(float, np.polyfit(numbers, t, 1))
+        late = t - slope * numbers - start
+        kept = late <= np.median(late)
+        if len(np.unique(numbers[kept])) > 2:
+            slope = float(np.polyfit(numbers[kept], t[kept], 1)[0])
     late = t - slope * numbers
     quickest = np.percentile(late, QUICK)
     return Schedule(slope, numbers, quickest + slope * numbers, late - quickest)
@@ -50,17 +60,3 @@ def _in_step(t: np.ndarray, period: float) -> np.ndarray:
     waves = np.array([np.exp(2j * np.pi * rate * t).sum() for rate in rates])
     best = int(np.argmax(np.abs(waves)))
     return np.asarray(t * rates[best] - np.angle(waves[best]) / (2 * np.pi))
-
-
-def _one_each(numbers: np.ndarray) -> np.ndarray:
-    """No number twice: of two frames on one moment the earlier was late, and so are those that it pushes."""
-    places = np.arange(len(numbers))
-    return np.minimum.accumulate((numbers - places)[::-1])[::-1] + places
-
-
-def _slope(numbers: np.ndarray, t: np.ndarray) -> float:
-    """Seconds a number, from those in time: twice a line, the second time without the half that is latest."""
-    slope, start = np.polyfit(numbers, t, 1)
-    late = t - slope * numbers - start
-    kept = late <= np.median(late)
-    return float(np.polyfit(numbers[kept], t[kept], 1)[0]) if len(np.unique(numbers[kept])) > 2 else float(slope)

@@ -27,9 +27,23 @@ def warmed(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
             f"{name}: {len(frames)} frame(s) came in {PATIENCE:g} s. Check the cable and the light, and that no other "
             "program uses it."
         )
-    _check_kind(frames[0], name)
-    _check_size(frames[0], name, camera)
-    _check_rate(frames, name, camera)
+    shape, kind = frames[0].image.shape, frames[0].image.dtype
+    if kind != np.uint8 or shape[2:] not in ((), (3,)):
+        raise HardwareError(
+            f"{name}: its images are {kind} of shape {shape}, neither grey nor BGR of 8 bits. Choose another format "
+            "(source.controls.FOURCC) or another source.backend."
+        )
+    if shape[:2] != (camera.height, camera.width):
+        raise HardwareError(
+            f"{name}: it was asked for {camera.width}x{camera.height} and gives {shape[1]}x{shape[0]}. Set "
+            "camera.width and camera.height to what it can do, and calibrate at that size."
+        )
+    rate = (len(frames) - 1) / max(frames[-1].arrived - frames[0].arrived, 1e-9)
+    if abs(rate / camera.fps - 1) > RATE:
+        raise HardwareError(
+            f"{name}: {rate:.1f} frames come in a second, camera.fps is {camera.fps:g}. Shorten the exposure, choose a "
+            "quicker format (source.controls.FOURCC) or a smaller size, or set camera.fps to what comes."
+        )
     if all(np.array_equal(frame.image, frames[0].image) for frame in frames[1:]):
         raise HardwareError(
             f"{name}: its images are all the same to the bit, as no sensor's are. Take the lid off the lens, give "
@@ -48,33 +62,6 @@ def _looked(stream: Stream) -> Sequence[Frame]:
             break
         frames.append(frame)
     return frames
-
-
-def _check_kind(frame: Frame, name: str) -> None:
-    shape, kind = frame.image.shape, frame.image.dtype
-    if kind != np.uint8 or shape[2:] not in ((), (3,)):
-        raise HardwareError(
-            f"{name}: its images are {kind} of shape {shape}, neither grey nor BGR of 8 bits. Choose another format "
-            "(source.controls.FOURCC) or another source.backend."
-        )
-
-
-def _check_size(frame: Frame, name: str, camera: Camera) -> None:
-    rows, columns = frame.image.shape[:2]
-    if (columns, rows) != (camera.width, camera.height):
-        raise HardwareError(
-            f"{name}: it was asked for {camera.width}x{camera.height} and gives {columns}x{rows}. Set camera.width and "
-            "camera.height to what it can do, and calibrate at that size."
-        )
-
-
-def _check_rate(frames: Sequence[Frame], name: str, camera: Camera) -> None:
-    rate = (len(frames) - 1) / max(frames[-1].arrived - frames[0].arrived, 1e-9)
-    if abs(rate / camera.fps - 1) > RATE:
-        raise HardwareError(
-            f"{name}: {rate:.1f} frames come in a second, camera.fps is {camera.fps:g}. Shorten the exposure, choose a "
-            "quicker format (source.controls.FOURCC) or a smaller size, or set camera.fps to what comes."
-        )
 
 
 def _drift(frames: Sequence[Frame]) -> Sequence[str]:

@@ -169,7 +169,16 @@ class VirtualArm:
         fine, turned = bench.servo.follow(t, speeds, bench.generator(1))
         bench.performed = (fine, bench.pose + turned)
         reported = np.stack([np.interp(t, fine, bench.pose[j] + turned[:, j]) for j in range(3)], axis=-1)
-        return _report(t, speeds, bench.servo.encoder(reported), bench.generator(2))
+        measured = dict(zip(JOINTS, bench.servo.encoder(reported).T, strict=True))
+        # tables as a good link would give them: commands late by tens of microseconds
+        late = np.abs(bench.generator(2).normal(0, 4e-5, len(t)))
+        times = {"t_due": t, "t_sent": t + late, "t_acknowledged": t + late + 8e-4, "t_device": t}
+        asked = dict(zip(SPEEDS, speeds.T, strict=True))
+        ticks = pd.DataFrame({"tick": np.arange(len(t))} | times | asked | measured | {"missed": False})
+        p50, p99 = np.percentile(late, [50, 99])
+        jitter = {"jitter_p50": [p50], "jitter_p99": [p99], "jitter_max": [late.max()]}
+        link = pd.DataFrame({"valid": [True], "reason": [""], "ticks": [len(t)], "missed": [0]} | jitter)
+        return Performance(pd.DataFrame({"t": t} | measured), ticks, link, begun=0.0)
 
 
 @dataclass
@@ -207,21 +216,3 @@ class VirtualCamera:
             noisy(render(camera, bench.look, j, s, wall), bench.look, rng) for j, s in zip(joints, strings, strict=True)
         ]
         return Recording(t, images)
-
-
-def _report(t: np.ndarray, speeds: np.ndarray, angles: np.ndarray, rng: np.random.Generator) -> Performance:
-    """Tables as a good link would give them: commands late by tens of microseconds."""
-    late = np.abs(rng.normal(0, 4e-5, len(t)))
-    ticks = {
-        "tick": np.arange(len(t)),
-        "t_due": t,
-        "t_sent": t + late,
-        "t_acknowledged": t + late + 8e-4,
-        "t_device": t,
-    }
-    measured = dict(zip(JOINTS, angles.T, strict=True))
-    log = pd.DataFrame(ticks | dict(zip(SPEEDS, speeds.T, strict=True)) | measured | {"missed": False})
-    p50, p99 = np.percentile(late, [50, 99])
-    jitter = {"jitter_p50": [p50], "jitter_p99": [p99], "jitter_max": [late.max()]}
-    link = pd.DataFrame({"valid": [True], "reason": [""], "ticks": [len(t)], "missed": [0]} | jitter)
-    return Performance(pd.DataFrame({"t": t} | measured), log, link, begun=0.0)

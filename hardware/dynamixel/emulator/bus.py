@@ -136,7 +136,11 @@ class Bus(Emulated):
         for servo in self.servos.values():
             servo.silent = 0.0
         if packet.instruction == SYNC_WRITE:
-            self._sync_write(packet.parameters)
+            place = _place(packet.parameters)
+            size = place.stop - place.start
+            for at in range(4, len(packet.parameters), 1 + size):
+                if servo := self.servos.get(packet.parameters[at]):
+                    servo.write(place.start, packet.parameters[at + 1 : at + 1 + size])
             return b""
         if packet.instruction == SYNC_READ:
             where, identities = _place(packet.parameters), packet.parameters[4:]
@@ -157,22 +161,11 @@ class Bus(Emulated):
             return status(packet.id, servo.write(address, packet.parameters[2:]))
         return status(packet.id, UNKNOWN)
 
-    def _sync_write(self, parameters: bytes) -> None:
-        place = _place(parameters)
-        size = place.stop - place.start
-        for at in range(4, len(parameters), 1 + size):
-            if parameters[at] in self.servos:
-                self.servos[parameters[at]].write(place.start, parameters[at + 1 : at + 1 + size])
-
 
 def _place(parameters: bytes) -> slice:
     """Address and length, which begin most instructions."""
     address, length = (int.from_bytes(parameters[i : i + 2], "little") for i in (0, 2))
     return slice(address, address + length)
-
-
-def _drop(bus: Bus) -> bool:
-    return True
 
 
 def _freeze(bus: Bus) -> bool:
@@ -193,7 +186,7 @@ def _brownout(bus: Bus) -> bool:
 
 # Each says whether the packet is lost.
 STRIKES: dict[str, Callable[[Bus], bool]] = {
-    "drop": _drop,
+    "drop": lambda bus: True,
     "freeze": _freeze,
     "unplug": _unplug,
     "brownout": _brownout,

@@ -68,7 +68,12 @@ class Device(Emulated):
     def hear(self, data: bytes) -> None:
         """Bytes from the host, on their way from now on. Raises UnpluggedError."""
         for frame in self.deframer.frames(data):
-            fault = self._befallen(frame)
+            try:
+                moves = decode_command(frame).kind is Kind.VELOCITY
+            except FrameError:
+                moves = False
+            fault = self.fault() if moves else ""
+            STRIKES.get(fault, lambda device: None)(self)  # one of the device itself strikes at once
             self.coming += self._sent(frame, fault, LINE.get(fault, _whole))
 
     def step(self) -> bytes:
@@ -87,17 +92,6 @@ class Device(Emulated):
         self.firmware = Firmware(self.firmware.watchdog)
         self.coming, self.going = [], []
         self.since, self.booted, self.deaf = 0, self.clock, self.clock + BOOT
-
-    def _befallen(self, frame: bytes) -> str:
-        """The fault of this frame, if any; one of the device itself strikes at once."""
-        try:
-            if decode_command(frame).kind is not Kind.VELOCITY:
-                return ""
-        except FrameError:
-            return ""
-        fault = self.fault()
-        STRIKES.get(fault, lambda device: None)(self)
-        return fault
 
     def _sent(self, frame: bytes, fault: str, through: Callable[[bytes], Pieces]) -> list[Arrival]:
         return [Arrival(self.clock + late, piece, fault) for late, piece in through(frame)]

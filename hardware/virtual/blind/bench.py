@@ -39,13 +39,25 @@ class BlindBench:
 
     def write(self, folder: Path) -> None:
         """The dataset, in the format for measured data of others."""
+        scene, names = self.scene, [f"t{i:02d}" for i in range(len(self.scene.casts))]
         parts = [
-            pd.DataFrame({"trial": f"t{i:02d}", "t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
-            for i, cast in enumerate(self.scene.casts)
+            pd.DataFrame({"trial": name, "t": cast.t} | dict(zip(JOINTS, cast.reported.T, strict=True)))
+            for name, cast in zip(names, scene.casts, strict=True)
         ]
         write_table(with_trial(ARM), pd.concat(parts, ignore_index=True), folder / "arm.parquet", {})
-        write_table(with_trial(POINTS), self._points(), folder / "points.parquet", {})
-        write_text(folder / "dataset.yaml", yaml.safe_dump(self._about(), sort_keys=False))
+        # a row for each frame and place along the string
+        trial = np.repeat(names, [len(cast.frames) * len(scene.s) for cast in scene.casts])
+        t, s = np.meshgrid(np.concatenate([cast.frames for cast in scene.casts]), scene.s, indexing="ij")
+        x, y = self.points.reshape(-1, 2).T
+        points = pd.DataFrame({"trial": trial, "t": t.ravel(), "s": s.ravel(), "x": x, "y": y})
+        write_table(with_trial(POINTS), points, folder / "points.parquet", {})
+        arm, camera = scene.arm, scene.camera
+        seen = {"fps": camera.fps, "width": camera.width, "height": camera.height, "px_per_m": camera.px_per_m}
+        about: dict[str, Any] = {"format": FORMAT, "name": "bench", "string": {"length": scene.length}}
+        about |= {"arm": {"links": list(arm.links), "base": list(arm.base)}}
+        about |= {"camera": {**seen, "origin_px": list(camera.origin_px)}}
+        about |= {"noise": {"point_sigma": scene.sigma}} if self.states_sigma else {}
+        write_text(folder / "dataset.yaml", yaml.safe_dump(about, sort_keys=False))
 
     def envelope(self, path: Path) -> None:
         """Write what is really so. No stage opens this."""
@@ -54,21 +66,3 @@ class BlindBench:
         truth |= {"sizes": self.sizes, "paper": self.paper, "only_in_trial": acts_in}
         truth |= {"base": dict(self.scene.base), "sigma": self.scene.sigma}
         write_text(path, json.dumps(truth, indent=2))
-
-    def _about(self) -> dict[str, Any]:
-        arm, camera = self.scene.arm, self.scene.camera
-        seen = {"fps": camera.fps, "width": camera.width, "height": camera.height, "px_per_m": camera.px_per_m}
-        about: dict[str, Any] = {"format": FORMAT, "name": "bench", "string": {"length": self.scene.length}}
-        about |= {"arm": {"links": list(arm.links), "base": list(arm.base)}}
-        about |= {"camera": {**seen, "origin_px": list(camera.origin_px)}}
-        return about | ({"noise": {"point_sigma": self.scene.sigma}} if self.states_sigma else {})
-
-    def _points(self) -> pd.DataFrame:
-        trial = np.repeat(
-            [f"t{i:02d}" for i in range(len(self.scene.casts))], [len(c.frames) for c in self.scene.casts]
-        )
-        t, s = np.meshgrid(np.concatenate([c.frames for c in self.scene.casts]), self.scene.s, indexing="ij")
-        x, y = self.points.reshape(-1, 2).T
-        return pd.DataFrame(
-            {"trial": np.repeat(trial, len(self.scene.s)), "t": t.ravel(), "s": s.ravel(), "x": x, "y": y}
-        )

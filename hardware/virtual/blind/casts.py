@@ -29,22 +29,6 @@ class Cast:
 
 def random_cast(arm: Arm, rng: np.random.Generator, fps: float, speeds: tuple[float, float]) -> Cast:
     """A cast whose hand reaches a speed between `speeds` [m/s], performed, with some pictures missing."""
-    return performed(arm, *_planned(arm, rng, speeds), rng, fps)
-
-
-def performed(arm: Arm, ticks: np.ndarray, angles: np.ndarray, rng: np.random.Generator, fps: float) -> Cast:
-    """A movement as this arm makes it, filmed. ticks: (K,) [s]. angles: (K, J) that it is commanded to go to [rad]."""
-    servo = Servo()
-    fine, turned = servo.follow(ticks, arm.commanded(angles), rng)
-    happened = angles[0] + turned
-    at_ticks = np.stack([np.interp(ticks, fine, q) for q in happened.T], axis=-1)
-    frames = np.arange(np.ceil(ticks[0] * fps - 1e-6), np.floor(ticks[-1] * fps + 1e-6) + 1) / fps
-    kept = rng.uniform(size=len(frames)) > 0.02
-    return Cast(ticks, servo.encoder(at_ticks), joint_motion(fine, happened, FINE), frames[kept])
-
-
-def _planned(arm: Arm, rng: np.random.Generator, speeds: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Ticks (K,) and angles (K, J) of a movement that the arm can do."""
     while True:
         duration = float(np.round(rng.uniform(*DURATION) / arm.tick) * arm.tick)
         # the paper's velocity curves (III): Bezier of degree 5, at rest at both ends
@@ -60,7 +44,18 @@ def _planned(arm: Arm, rng: np.random.Generator, speeds: tuple[float, float]) ->
         ticks = np.arange(-round(BEFORE / arm.tick), round((duration + AFTER) / arm.tick) + 1) * arm.tick
         angles = start + scale * curve.antiderivative()(np.clip(ticks, 0.0, duration))
         if _possible(arm, angles, speeds):
-            return ticks, angles
+            return performed(arm, ticks, angles, rng, fps)
+
+
+def performed(arm: Arm, ticks: np.ndarray, angles: np.ndarray, rng: np.random.Generator, fps: float) -> Cast:
+    """A movement as this arm makes it, filmed. ticks: (K,) [s]. angles: (K, J) that it is commanded to go to [rad]."""
+    servo = Servo()
+    fine, turned = servo.follow(ticks, arm.commanded(angles), rng)
+    happened = angles[0] + turned
+    at_ticks = np.stack([np.interp(ticks, fine, q) for q in happened.T], axis=-1)
+    frames = np.arange(np.ceil(ticks[0] * fps - 1e-6), np.floor(ticks[-1] * fps + 1e-6) + 1) / fps
+    kept = rng.uniform(size=len(frames)) > 0.02
+    return Cast(ticks, servo.encoder(at_ticks), joint_motion(fine, happened, FINE), frames[kept])
 
 
 def _possible(arm: Arm, angles: np.ndarray, speeds: tuple[float, float]) -> bool:

@@ -32,6 +32,7 @@ EXPLAINED = 2.5  # sigmas that the true cause may then leave
 SPEEDS = (2.0, 10.0)  # of the hand [m/s]
 LADDER = np.geomspace(3e-3, 1.0, 12)  # shares of an effect's range among which its size is sought
 LARGEST = 0.9  # share of the way to the end of its range at which a cause is hidden, at most
+NEIGHBOUR = 0.382  # share w of the neighbour's noise in that of a point
 MOST_STEPS = 250  # of the fine string in a millisecond: strong dry friction would take it minutes
 
 
@@ -52,7 +53,11 @@ def draw(seed: int, arm: Arm, camera: Camera, version: int = LATEST) -> BlindBen
 def _drawn(seed: int, version: Version, rng: np.random.Generator, arm: Arm, camera: Camera) -> BlindBench:
     case = version.case(seed)
     scene = _scene(rng, arm, camera, version, soft=case == RESOLUTION)
-    things = tuple(_hidden(effect, rng, scene) for effect in _effects(case, version, rng))
+    library = version.library()
+    effects = [e for e in (*library, *version.causes()) if e.name == case]
+    if case == PAIR:
+        effects = [library[i] for i in rng.choice(len(library), 2, replace=False)]
+    things = tuple(_hidden(effect, rng, scene) for effect in effects)
     data, parameters = _sized(scene, things, rng)
     if _kind(case, version) == "outside" and aliased(scene, data, UNLIKE):
         raise Redraw
@@ -63,7 +68,10 @@ def _drawn(seed: int, version: Version, rng: np.random.Generator, arm: Arm, came
         sizes = {RESOLUTION: off}
         if off < LEAST:
             raise Redraw
-    points = scene.sigma * (true + _noise(rng, true.shape))
+    # noise of unit variance, neighbours along the string correlated by a third: w / (1 + w^2) = 1/3
+    white = rng.standard_normal((true.shape[0], true.shape[1] + 1, true.shape[2]))
+    noise = (white[:, 1:] + NEIGHBOUR * white[:, :-1]) / np.hypot(1.0, NEIGHBOUR)
+    points = scene.sigma * (true + noise)
     return BlindBench(seed, _kind(case, version), scene, things, parameters, sizes, off, points, bool(rng.integers(2)))
 
 
@@ -72,14 +80,6 @@ def _kind(case: str, version: Version) -> str:
     if case in (NONE, PAIR, RESOLUTION):
         return case
     return "outside" if case in version.outside else "effect"
-
-
-def _effects(case: str, version: Version, rng: np.random.Generator) -> list[type[Effect]]:
-    """The hidden effects."""
-    if case == PAIR:
-        library = version.library()
-        return [library[i] for i in rng.choice(len(library), 2, replace=False)]
-    return [e for e in (*version.library(), *version.causes()) if e.name == case]
 
 
 def _scene(rng: np.random.Generator, arm: Arm, camera: Camera, version: Version, soft: bool) -> Scene:
@@ -192,10 +192,3 @@ def _true(scene: Scene, things: Sequence[Hidden], parameters: dict[str, float]) 
     if scene.at_tip(rest) > EXPLAINED:
         raise Redraw
     return true, true - rest
-
-
-def _noise(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Noise of unit variance, neighbours along the string correlated by a third. shape: (N, S, 2)."""
-    white = rng.standard_normal((shape[0], shape[1] + 1, shape[2]))
-    share = 0.382  # of the neighbour's: w / (1 + w^2) = 1/3
-    return (white[:, 1:] + share * white[:, :-1]) / np.hypot(1.0, share)

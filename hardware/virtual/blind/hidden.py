@@ -38,36 +38,28 @@ def hidden(
 
     times: (F,) of each trial [s]. strings: (F, n, 2), the string without it [m].
     """
+    size, *others = effect.parameters
+    low_or_high = [end for end in (size.low, size.high) if end != size.start]
+    only, ends = None, None
     if issubclass(effect, Outside):
-        return _outside(effect, rng, times, strings)
-    ends = SPECIAL[effect.name](rng, times, strings) if effect.name in SPECIAL else _to_an_end(effect, rng)
+        # in one trial or in all of them, with circumstances from the trial in which it acts
+        trial = int(rng.integers(len(times)))
+        same = effect.circumstances(rng, times[trial], strings[trial])
+        ends = {size.name: 0.0, **same}, {size.name: float(rng.choice(low_or_high)), **same}
+        only = trial if effect.once else None
+    elif effect.name in SPECIAL:
+        ends = SPECIAL[effect.name](rng, times, strings)
+    else:
+        # its first parameter towards either end of its range; others, if it has any, somewhere in theirs
+        same = {p.name: float(p.value(np.asarray(rng.uniform()))) for p in others}
+        ends = {size.name: size.start, **same}, {size.name: float(rng.choice(low_or_high)), **same}
     if ends is None:
         return None
     absent, full = ({f"{effect.name}.{name}": value for name, value in end.items()} for end in ends)
-    return Hidden(effect, absent, full)
+    return Hidden(effect, absent, full, only)
 
 
 Ends = tuple[dict[str, float], dict[str, float]]
-
-
-def _to_an_end(effect: type[Effect], rng: np.random.Generator) -> Ends:
-    """Its first parameter towards either end of its range; others, if it has any, somewhere in theirs."""
-    size, *others = effect.parameters
-    ends = [end for end in (size.low, size.high) if end != size.start]
-    same = {p.name: float(p.value(np.asarray(rng.uniform()))) for p in others}
-    return {size.name: size.start, **same}, {size.name: float(rng.choice(ends)), **same}
-
-
-def _outside(
-    effect: type[Outside], rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]
-) -> Hidden:
-    """An outside cause in one trial or in all of them, with circumstances from the trial in which it acts."""
-    trial = int(rng.integers(len(times)))
-    circumstances = effect.circumstances(rng, times[trial], strings[trial])
-    size = effect.parameters[0]
-    end = float(rng.choice([end for end in (size.low, size.high) if end != 0.0]))
-    absent, full = ({f"{effect.name}.{n}": v for n, v in {size.name: s, **circumstances}.items()} for s in (0.0, end))
-    return Hidden(effect, absent, full, trial if effect.once else None)
 
 
 def _wind(rng: np.random.Generator, times: list[np.ndarray], strings: list[np.ndarray]) -> Ends:

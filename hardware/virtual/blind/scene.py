@@ -74,19 +74,17 @@ class Scene:
             # Where nothing hidden acts, parameters beyond the paper's, whose names have a dot, are at zero.
             own = values if acting else [{n: x for n, x in v.items() if "." not in n} for v in values]
             rows = np.stack([model.values({**self.base, **v}) for v in own])
-            parts.append(self._measured(model.seen(cast.happened, rows, cast.frames).points))
+            points = model.seen(cast.happened, rows, cast.frames).points
+            # at the arc lengths s, linear between mass points
+            position = np.clip(self.s / self.length * (points.shape[2] - 1), 0, points.shape[2] - 1 - 1e-9)
+            before, share = position.astype(int), (position % 1)[:, None]
+            parts.append(points[:, :, before] * (1 - share) + points[:, :, before + 1] * share)
         return np.concatenate(parts, axis=1) / self.sigma
 
     def steps(self, model: Model, values: Values) -> int:
         """The number of steps into which a millisecond is divided, so that the model stays finite with these values."""
         rows = model.values({**self.base, **values})[None, : len(model.string.parameters)]
         return int(steps_per_tick(model.string, model.string.material(rows), FINE)[0][0])
-
-    def _measured(self, points: np.ndarray) -> np.ndarray:
-        """At the arc lengths s, from mass points (C, F, n, 2)."""
-        position = np.clip(self.s / self.length * (points.shape[2] - 1), 0, points.shape[2] - 1 - 1e-9)
-        before, share = position.astype(int), (position % 1)[:, None]
-        return points[:, :, before] * (1 - share) + points[:, :, before + 1] * share
 
     def left(
         self, model: Model, data: np.ndarray, free: Sequence[str], start: Values, steps: int, only: int | None = None

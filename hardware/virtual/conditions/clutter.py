@@ -8,7 +8,6 @@ import numpy as np
 
 from stringcast.hardware.virtual.conditions.condition import Condition, Moment, Shot
 from stringcast.hardware.virtual.render import cover
-from stringcast.stages.model.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -22,8 +21,12 @@ class Cables(Condition):
     def stage(self, shot: Shot) -> Shot:
         """Lines through random points of the wall."""
         rng, wall = np.random.default_rng(self.seed), shot.wall.copy()
+        share = np.linspace(0, 1, 40)[:, None]
         for number in range(self.count):
-            line = cover(shot.camera, _cable(shot.camera, rng), shot.look.string_width * rng.uniform(0.5, 1.5))
+            # a quadratic curve between three random points of the picture
+            a, b, c = shot.camera.world(rng.uniform(0, 1, (3, 2)) * [shot.camera.width, shot.camera.height])
+            cable = (1 - share) ** 2 * a + 2 * share * (1 - share) * b + share**2 * c
+            line = cover(shot.camera, cable, shot.look.string_width * rng.uniform(0.5, 1.5))
             wall += line * rng.uniform(0.3, 1) * self.levels * (-1) ** number
         return replace(shot, wall=np.clip(wall, 5, 250))
 
@@ -42,10 +45,3 @@ class ArmCable(Condition):
         line = first + share * (last - first) - np.array([0, self.sag]) * 4 * share * (1 - share)
         drawn = cover(moment.shot.camera, line, moment.shot.look.string_width)
         return wall + drawn * (self.brightness - wall)
-
-
-def _cable(camera: Camera, rng: np.random.Generator) -> np.ndarray:
-    """A quadratic curve between three random points of the picture, (40, 2) [m]."""
-    a, b, c = camera.world(rng.uniform(0, 1, (3, 2)) * [camera.width, camera.height])
-    share = np.linspace(0, 1, 40)[:, None]
-    return (1 - share) ** 2 * a + 2 * share * (1 - share) * b + share**2 * c

@@ -33,14 +33,10 @@ class StickingJoint(HandEffect, Outside):
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, lasts: Quantity, when: Quantity) -> np.ndarray:
         """Angles less the turn of the joint while it sticks; smooth over some 10 ms."""
-        begun = _at(when[..., 0], t, angles[..., 1])
+        # where the joint is when each candidate begins to stick, (C, 1)
+        each = np.broadcast_to(angles[..., 1], (len(when), len(t)))
+        begun = np.array([np.interp(at, t, own) for at, own in zip(when[..., 0], each, strict=True)]).reshape(-1, 1)
         edge = 0.003  # [s]
         rise, fall = (0.5 * (1 + np.tanh((t[:, None] - x) / edge)) for x in (when, when + lasts))
         missing = (rise - fall)[..., 0] * (angles[..., 1] - begun)
         return angles - missing[..., None] * np.array([0.0, 1.0, 0.0])
-
-
-def _at(when: np.ndarray, t: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """The angle (1 or C, K) of each candidate at its own time (C, 1), (C, 1)."""
-    each = np.broadcast_to(angle, (len(when), len(t)))
-    return np.array([np.interp(moment, t, own) for moment, own in zip(when, each, strict=True)]).reshape(-1, 1)
