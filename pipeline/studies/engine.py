@@ -144,9 +144,14 @@ def workers(processes: int, lives: int | None = None) -> Iterator[ProcessPoolExe
     is replaced by a new one."""
     context = multiprocessing.get_context("spawn")  # threads of numba do not live through a fork
     count = processes or os.cpu_count() or 1
-    pool = ProcessPoolExecutor(count, context, end_with_parent, max_tasks_per_child=lives)
-    with _environment(ONE_THREAD), pool:
-        yield pool
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)  # which processes inherit when they are begun
+    try:
+        with ProcessPoolExecutor(count, context, end_with_parent, max_tasks_per_child=lives) as pool:
+            yield pool
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def end_with_parent() -> None:
@@ -159,15 +164,3 @@ def _follow() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
-
-
-@contextmanager
-def _environment(variables: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables for the processes that are begun meanwhile."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})

@@ -41,18 +41,15 @@ class Attempt:
         with ledger.claimed(self.key) as log:
             job = ledger.read(self.key)
             if log is not None and job.state in (PENDING, RUNNING):
-                self._run(ledger, job, log, threads)
+                begun = replace(job, state=RUNNING, error="", attempts=job.attempts + 1, host=socket.gethostname())
+                ledger.write(begun)
+                start, said = time.monotonic(), log.tell()
+                code = self._process(job, log, threads)
+                text = Path(log.name).read_bytes()[said:].decode(errors="replace")
+                seconds = round(time.monotonic() - start, 3)
+                state, error = ended(code, text)
+                ledger.write(replace(begun, state=state, error=error, seconds=seconds))
         return self.key
-
-    def _run(self, ledger: Ledger, job: Job, log: BinaryIO, threads: int) -> None:
-        begun = replace(job, state=RUNNING, error="", attempts=job.attempts + 1, host=socket.gethostname())
-        ledger.write(begun)
-        start, said = time.monotonic(), log.tell()
-        code = self._process(job, log, threads)
-        text = Path(log.name).read_bytes()[said:].decode(errors="replace")
-        seconds = round(time.monotonic() - start, 3)
-        state, error = ended(code, text)
-        ledger.write(replace(begun, state=state, error=error, seconds=seconds))
 
     def _process(self, job: Job, log: BinaryIO, threads: int) -> int:
         """The exit status of the job's process, which inherits the log, and with it the lock."""

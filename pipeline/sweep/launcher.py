@@ -58,19 +58,6 @@ class LedgerLauncher:
             ledger.add(job)
         self.launched = ledger.folder, loaded(self.finish, "hydra.launcher.finish", WHERE)
         keys = [job.key for job in jobs]
-        self._run(ledger, keys)
-        ledger.settle(keys)  # not after an interruption, which is no failure
-        return [_returned(ledger, job) for job in jobs]
-
-    def _job(self, overrides: Sequence[str], number: int) -> Job:
-        """A job with its settings, composed and resolved as its own run will."""
-        config = self.loader.load_sweep_config(self.config, list(overrides))
-        settings = OmegaConf.masked_copy(config, [str(name) for name in config if name != "hydra"])
-        plain: Any = OmegaConf.to_container(settings, resolve=True)
-        return Job(number, tuple(overrides), plain)
-
-    def _run(self, ledger: Ledger, keys: Sequence[str]) -> None:
-        """Run those that wait, and say how each ended."""
         waiting = [Attempt(ledger.folder, key) for key in ledger.waiting(keys, (FAILED,) if self.retry else ())]
         first = 0 if any(ledger.read(key).state == DONE for key in keys) else self.ahead
         console = Terminal(stderr=True)
@@ -82,6 +69,15 @@ class LedgerLauncher:
                     progress(ended / len(keys))
                     said = left(time.monotonic() - begun, len(keys) - ended, left_at_first)
                     console.print(line(ledger.read(key), said), soft_wrap=True, highlight=False)
+        ledger.settle(keys)  # not after an interruption, which is no failure
+        return [_returned(ledger, job) for job in jobs]
+
+    def _job(self, overrides: Sequence[str], number: int) -> Job:
+        """A job with its settings, composed and resolved as its own run will."""
+        config = self.loader.load_sweep_config(self.config, list(overrides))
+        settings = OmegaConf.masked_copy(config, [str(name) for name in config if name != "hydra"])
+        plain: Any = OmegaConf.to_container(settings, resolve=True)
+        return Job(number, tuple(overrides), plain)
 
     def ended(self) -> int:
         """Write table and page of the sweep, if it was begun, and say how it stands: 0 if all its jobs are done."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -78,20 +77,18 @@ def _value(job: Job, name: str, given: Mapping[str, str]) -> Any:
 
 
 def _row(ledger: Ledger, job: Job) -> dict[str, Any]:
-    """A job, and how its run ended."""
-    known = {"job": job.number, "key": job.key, "folder": ledger.place(job.key).name, "state": job.state}
+    """A job, and how its run ended, from its run.json; NaN where it did not, and for what it does not have."""
+    place = ledger.place(job.key)
+    known = {"job": job.number, "key": job.key, "folder": place.name, "state": job.state}
     known |= {"error": job.error, "attempts": job.attempts, "seconds": job.seconds, "host": job.host}
-    return known | _outcome(ledger.place(job.key) / "run.json", job.state == DONE)
-
-
-def _outcome(path: Path, done: bool) -> dict[str, float]:
-    """How a run ended, from its run.json; NaN where it did not, and for what it does not have."""
-    ended = json.loads(path.read_text(encoding="utf-8")) if done and path.exists() else {"iterations": []}
-    last = ended["iterations"][-1] if ended["iterations"] else {}
-    cast = any("hit" in iteration for iteration in ended["iterations"])
-    numbers = {name: last.get(name) for name in ("E_before", "E_after", "miss_m")}
-    numbers |= {"hit": ended["hit"] if cast else None, "manipulations": len(ended["iterations"]) or None}
-    return {name: float("nan") if value is None else float(value) for name, value in numbers.items()}
+    path = place / "run.json"
+    done = job.state == DONE and path.exists()
+    ended: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if done else {"iterations": []}
+    casts = ended["iterations"]
+    numbers = {name: casts[-1].get(name) if casts else None for name in ("E_before", "E_after", "miss_m")}
+    numbers |= {"hit": ended["hit"] if any("hit" in cast for cast in casts) else None}
+    numbers |= {"manipulations": len(casts) or None}
+    return known | {name: float("nan") if value is None else float(value) for name, value in numbers.items()}
 
 
 def _parameters(ledger: Ledger, job: Job) -> Iterator[tuple[str, tuple[Column, float]]]:

@@ -139,8 +139,8 @@ class Bus(Emulated):
             place = _place(packet.parameters)
             size = place.stop - place.start
             for at in range(4, len(packet.parameters), 1 + size):
-                if servo := self.servos.get(packet.parameters[at]):
-                    servo.write(place.start, packet.parameters[at + 1 : at + 1 + size])
+                if packet.parameters[at] in self.servos:
+                    self.servos[packet.parameters[at]].write(place.start, packet.parameters[at + 1 : at + 1 + size])
             return b""
         if packet.instruction == SYNC_READ:
             where, identities = _place(packet.parameters), packet.parameters[4:]

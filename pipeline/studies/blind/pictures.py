@@ -66,7 +66,11 @@ def _overview(tables: Mapping[str, pd.DataFrame]) -> plt.Figure:
     _sizes(left, tables["by_size"])
     _reliability(right, tables["calibration"], tables["calibration_error"].iloc[0])
     _goals(wide, tables["rates"])
-    _times(narrow, tables["benches"]["runtime"], tables["runtime"].iloc[0])
+    seconds = tables["runtime"].iloc[0]
+    narrow.hist(tables["benches"]["runtime"], bins=30, color=LIGHT["after"])
+    narrow.axvline(seconds["at_most"], color=LIGHT["wall"], ls="--", lw=1)
+    narrow.set(xlabel="runtime of a diagnosis / s", ylabel="benches", xlim=(0, None))
+    narrow.set_title(f"median {seconds['median']:.0f} s, 95 % below {seconds['p95']:.0f} s")
     return figure
 
 
@@ -104,10 +108,3 @@ def _goals(axes: Axes, table: pd.DataFrame) -> None:
         shown.index, shown["name"] + " (" + shown["right"].astype(str) + "/" + shown["count"].astype(str) + ")"
     )
     axes.set(xlim=(-0.03, 1.03), ylim=(-0.6, len(shown) - 0.4), xlabel="share, with 95 % interval; triangles: goals")
-
-
-def _times(axes: Axes, seconds: pd.Series, summary: pd.Series) -> None:
-    axes.hist(seconds, bins=30, color=LIGHT["after"])
-    axes.axvline(summary["at_most"], color=LIGHT["wall"], ls="--", lw=1)
-    axes.set(xlabel="runtime of a diagnosis / s", ylabel="benches", xlim=(0, None))
-    axes.set_title(f"median {summary['median']:.0f} s, 95 % below {summary['p95']:.0f} s")

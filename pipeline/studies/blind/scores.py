@@ -150,16 +150,23 @@ def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
     confusion = single.groupby(["kind", "truth", "answer"]).size().rename("count").reset_index()
     median, p95 = np.percentile(benches["runtime"], [50, 95])
     runtime = {"median": median, "p95": p95, "longest": benches["runtime"].max(), "at_most": 120.0}
+    calibration, error = _calibration(benches)
     made = {
         "benches": benches,
         "parameters": pd.DataFrame(parameters) if parameters else PARAMETERS.empty(),
         "confusion": confusion,
         "by_size": _by_size(benches),
-        "calibration": _calibration(benches),
-        "calibration_error": _calibration_error(benches),
+        "calibration": calibration,
+        "calibration_error": error,
         "runtime": pd.DataFrame([runtime]),
     }
-    made["rates"] = _rates(benches, made["parameters"])
+    rates = []
+    for name, kinds, chosen, at_least, at_most in COUNTED:
+        some = benches[benches["kind"].isin(kinds)]
+        rates.append({"name": name, **counted(chosen(some)), "at_least": at_least, "at_most": at_most})
+    inside = counted(made["parameters"]["inside"])
+    rates.append({"name": "parameter in its interval", **inside, "at_least": 0.93, "at_most": 0.97})
+    made["rates"] = pd.DataFrame(rates)
     return {name: TABLES[name].check(frame) for name, frame in made.items()}
 
 
@@ -217,22 +224,19 @@ def _by_size(benches: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows) if rows else BY_SIZE.empty()
 
 
-def _calibration(benches: pd.DataFrame) -> pd.DataFrame:
-    stated = benches[benches["confidence"].notna()]
-    rows = [
-        {"from": BINS[i], "to": BINS[i + 1], "confidence": some["confidence"].mean(), **counted(some["correct"])}
-        for i, some in stated.groupby(_bin(stated["confidence"].to_numpy()))
-    ]
-    return pd.DataFrame(rows) if rows else CALIBRATION.empty()
-
-
-def _calibration_error(benches: pd.DataFrame) -> pd.DataFrame:
+def _calibration(benches: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Tables CALIBRATION and ERROR: of answers with a probability, how many are right, and how far off that is."""
     stated = benches[benches["confidence"].notna()]
     p, right = stated["confidence"].to_numpy(), stated["correct"].to_numpy()
+    rows = [
+        {"from": BINS[i], "to": BINS[i + 1], "confidence": some["confidence"].mean(), **counted(some["correct"])}
+        for i, some in stated.groupby(_bin(p))
+    ]
     by_chance = np.random.default_rng(0).uniform(size=(CHANCE, len(p))) < p
     chance = [calibration_error(p, one) for one in by_chance] if len(p) else [np.nan]
-    row = {"error": calibration_error(p, right), "chance": np.mean(chance), "chance_high": np.percentile(chance, 95)}
-    return pd.DataFrame([row | {"at_most": 0.05, "count": len(p)}])
+    error = {"error": calibration_error(p, right), "chance": np.mean(chance), "chance_high": np.percentile(chance, 95)}
+    table = pd.DataFrame(rows) if rows else CALIBRATION.empty()
+    return table, pd.DataFrame([error | {"at_most": 0.05, "count": len(p)}])
 
 
 def calibration_error(p: np.ndarray, right: np.ndarray) -> float:
@@ -265,13 +269,3 @@ COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
     ("outside called unknown", ("outside",), lambda b: b["correct"], 0.90, np.nan),
     ("outside named above 0.5", ("outside",), lambda b: b["named_above_half"], np.nan, 0.0),
 )
-
-
-def _rates(benches: pd.DataFrame, parameters: pd.DataFrame) -> pd.DataFrame:
-    rows = []
-    for name, kinds, chosen, at_least, at_most in COUNTED:
-        some = benches[benches["kind"].isin(kinds)]
-        rows.append({"name": name, **counted(chosen(some)), "at_least": at_least, "at_most": at_most})
-    inside = counted(parameters["inside"])
-    rows.append({"name": "parameter in its interval", **inside, "at_least": 0.93, "at_most": 0.97})
-    return pd.DataFrame(rows)

@@ -64,17 +64,7 @@ def strip_row(folder: Path, name: str) -> dict[str, object]:
     footage, camera, table = strip(folder, name)
     length = int(name.partition("mm")[0]) / 1e3
     found = extract(footage, camera, string_length=length, **SETTINGS, **STRIP)
-    return {"name": name, **_read(found), **_agreement(found, table)}
-
-
-def _read(found: Points) -> dict[str, object]:
-    valid = found.readings["valid"]
-    sigma = float(found.readings["tip_sigma"].median()) * 1e3
-    return {"frames": len(valid), "read": valid.mean(), "tip_sigma_mm": sigma, "reasons": why(found.readings)}
-
-
-def _agreement(found: Points, table: pd.DataFrame) -> dict[str, float]:
-    """Distances from the published points, at their arc lengths."""
+    # distances from the published points, at their arc lengths [mm]
     frames, tips = [], []
     for t, rows in found.points.groupby("t"):
         real = table[np.abs(table["t"] - t) < 1e-6].sort_values("s")
@@ -82,12 +72,14 @@ def _agreement(found: Points, table: pd.DataFrame) -> dict[str, float]:
         frames.append(1e3 * np.hypot(x - real["x"], y - real["y"]).to_numpy())
         tips.append(frames[-1][-1])
     each = [rms(some) for some in frames]
-    return {
-        "rms_mm": rms(np.array(each)),
-        "median_mm": float(np.median(np.concatenate(frames))),
-        "worst_mm": max(each),
-        "tip_rms_mm": rms(np.array(tips)),
-    }
+    off = {"rms_mm": rms(np.array(each)), "median_mm": float(np.median(np.concatenate(frames)))}
+    return {"name": name, **_read(found), **off, "worst_mm": max(each), "tip_rms_mm": rms(np.array(tips))}
+
+
+def _read(found: Points) -> dict[str, object]:
+    valid = found.readings["valid"]
+    sigma = float(found.readings["tip_sigma"].median()) * 1e3
+    return {"frames": len(valid), "read": valid.mean(), "tip_sigma_mm": sigma, "reasons": why(found.readings)}
 
 
 def photograph_row(folder: Path, name: str, length: float) -> dict[str, object]:

@@ -103,26 +103,17 @@ def _off(rows: pd.DataFrame, true: np.ndarray, px_per_m: float) -> dict[str, flo
 
 def shares(frames: pd.DataFrame) -> pd.DataFrame:
     """Table SHARES of table FRAMES."""
-    groups = frames.groupby(["condition", "severity"], sort=False)
-    return SHARES.check(pd.DataFrame([{"condition": c, "severity": s, **_share(some)} for (c, s), some in groups]))
-
-
-def _share(some: pd.DataFrame) -> dict[str, object]:
-    """A row of SHARES."""
-    good, wrong = some[some["read"]], int(some["wrong"].sum())
-    middle = {name: good[name].median() for name in ("line_px", "line_mm", "tip_px")}
-    high = {f"{name}_95": good[name].quantile(0.95) for name in ("line_px", "tip_px")}
-    stated = {name: np.sqrt((good[name] ** 2).mean()) for name in ("line_sigmas", "tip_sigmas")}
-    return {
-        "frames": len(some),
-        "read": some["read"].mean(),
-        "wrong": wrong / len(some),
-        "wrong_high": binomtest(wrong, len(some)).proportion_ci(0.95, method="exact").high,
-        **middle,
-        **high,
-        **stated,
-        "reasons": why(some),
-    }
+    rows = []
+    for (condition, severity), some in frames.groupby(["condition", "severity"], sort=False):
+        good, wrong = some[some["read"]], int(some["wrong"].sum())
+        row = {"condition": condition, "severity": severity, "frames": len(some), "read": some["read"].mean()}
+        most = binomtest(wrong, len(some)).proportion_ci(0.95, method="exact").high
+        row |= {"wrong": wrong / len(some), "wrong_high": most, "reasons": why(some)}
+        row |= {name: good[name].median() for name in ("line_px", "line_mm", "tip_px")}
+        row |= {f"{name}_95": good[name].quantile(0.95) for name in ("line_px", "tip_px")}
+        row |= {name: np.sqrt((good[name] ** 2).mean()) for name in ("line_sigmas", "tip_sigmas")}
+        rows.append(row)
+    return SHARES.check(pd.DataFrame(rows))
 
 
 def why(some: pd.DataFrame) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Motion, Points, Trial
+from stringcast.data.artifacts import FRAMES, JOINTS, MASKS, POINTS, READINGS, Points, Trial
 from stringcast.hardware.virtual.bench import Bench
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.iterations import Iteration, Step
@@ -36,8 +36,15 @@ class PointExecutor:
 
     def obtain(self, step: Step) -> Any:
         """The artifact of a step."""
-        own = {"generate": self._generate, "execute": self._execute, "extract": self._extract}
-        return own.get(step.stage.name, self._made)(step)
+        if step.stage.name == "execute":
+            return self._execute(step)
+        if step.stage.name == "extract":
+            return self._extract(step)
+        begun = time.process_time()
+        made = self.experiment.run(step, lambda share: None)
+        if step.stage.name == "generate":
+            self.seconds[step.number] = time.process_time() - begun
+        return made
 
     def real(self, number: int, duration: float) -> Verdict:
         """The true outcome of a cast, whatever was seen of it. duration: of its movement [s]."""
@@ -48,15 +55,6 @@ class PointExecutor:
 
     def publish(self, iterations: list[Iteration]) -> None:
         """Do nothing: a job's casts are no dataset."""
-
-    def _made(self, step: Step) -> Any:
-        return self.experiment.run(step, lambda share: None)
-
-    def _generate(self, step: Step) -> Motion:
-        begun = time.process_time()
-        motion: Motion = self._made(step)
-        self.seconds[step.number] = time.process_time() - begun
-        return motion
 
     def _execute(self, step: Step) -> Trial:
         rest = self.experiment.config["execute"]

@@ -27,7 +27,11 @@ def picture(tables: Mapping[str, pd.DataFrame], path: Path) -> None:
         for place, case in zip(places, cases, strict=False):
             _hits(place, tables["rates"][tables["rates"]["case"] == case], case)
         learned, predicted, *empty = places[len(cases) :]
-        _learned(learned, tables["learned"][tables["learned"]["case"] == ALL])
+        of_all = tables["learned"][tables["learned"]["case"] == ALL]
+        for number, (_, some) in enumerate(of_all.groupby("method", sort=False)):
+            learned.plot(some["after"], some["median"] * MM, f"{MARKS[number]}-", ms=4)
+        learned.set(xlabel="casts", ylabel="tip on other casts / mm", title="how well it predicts", yscale="log")
+        learned.set_xticks(sorted(of_all["after"].unique()))
         if len(tables["calibration"]):
             _calibration(predicted, tables["calibration"], list(tables["rates"]["method"].unique()))
         else:
@@ -46,13 +50,6 @@ def _hits(axes: Axes, rates: pd.DataFrame, case: str) -> None:
     axes.axhline(WANTED, color=LIGHT["wall"], ls="--", lw=1)
     axes.set(xlabel="casts", ylabel="runs that have hit", ylim=(-0.03, 1.05), title=case)
     axes.set_xticks(sorted(rates["within"].unique()))
-
-
-def _learned(axes: Axes, learned: pd.DataFrame) -> None:
-    for number, (_, some) in enumerate(learned.groupby("method", sort=False)):
-        axes.plot(some["after"], some["median"] * MM, f"{MARKS[number]}-", ms=4)
-    axes.set(xlabel="casts", ylabel="tip on other casts / mm", title="how well it predicts", yscale="log")
-    axes.set_xticks(sorted(learned["after"].unique()))
 
 
 def _calibration(axes: Axes, table: pd.DataFrame, methods: list[str]) -> None:

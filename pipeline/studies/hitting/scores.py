@@ -73,7 +73,16 @@ def scores(casts: pd.DataFrame, most: int) -> dict[str, pd.DataFrame]:
     whole = CASTS.check(columns.astype({"code": object}).fillna({"code": UNKNOWN_CODE}))
     runs = whole.assign(run=whole["case"] + whole["seed"].astype(str))
     both = pd.concat([runs, runs.assign(case=ALL)], ignore_index=True).groupby(["case", "method"], sort=False)
-    rates = pd.concat([_rates(some, most).assign(case=c, method=m) for (c, m), some in both], ignore_index=True)
+    counts: list[dict[str, object]] = []
+    learned = []
+    for (case, method), some in both:
+        first = some["cast"].where(some["hit"].astype(bool)).groupby(some["run"]).min()
+        which = {"case": case, "method": method}
+        counts += [{"within": within, **counted(first <= within), **which} for within in range(1, most + 1)]
+        wide = some.pivot_table(index="run", columns="cast", values="foretelling", dropna=False)
+        stays = wide.reindex(columns=range(1, most + 1)).ffill(axis=1)  # a run that has hit keeps what it learned
+        learned.append(pd.DataFrame({"after": stays.columns, "median": stays.median().to_numpy(), **which}))
+    rates = pd.DataFrame(counts)
     needed = [
         {"case": case, "method": method, "casts": some.loc[some["share"] >= WANTED, "within"].min()}
         | {"runs": some["count"].iloc[0]}
@@ -83,22 +92,9 @@ def scores(casts: pd.DataFrame, most: int) -> dict[str, pd.DataFrame]:
         "casts": whole,
         "rates": rates,
         "needed": pd.DataFrame(needed),
-        "learned": pd.concat([_learned(some, most).assign(case=c, method=m) for (c, m), some in both]),
+        "learned": pd.concat(learned),
         "calibration": _calibration(whole),
     }
-
-
-def _rates(casts: pd.DataFrame, most: int) -> pd.DataFrame:
-    """The rows of RATES of one case and method."""
-    first = casts["cast"].where(casts["hit"].astype(bool)).groupby(casts["run"]).min()
-    return pd.DataFrame([{"within": within, **counted(first <= within)} for within in range(1, most + 1)])
-
-
-def _learned(casts: pd.DataFrame, most: int) -> pd.DataFrame:
-    """The rows of LEARNED of one case and method."""
-    wide = casts.pivot_table(index="run", columns="cast", values="foretelling", dropna=False)
-    stays = wide.reindex(columns=range(1, most + 1)).ffill(axis=1)
-    return pd.DataFrame({"after": stays.columns, "median": stays.median().to_numpy()})
 
 
 def _calibration(casts: pd.DataFrame) -> pd.DataFrame:

@@ -63,25 +63,19 @@ class Family:
         for table in (GRASP, POINTS):
             rows = pd.read_parquet(folder / self.folder / f"{table.name}.parquet")
             rows = rows[rows["trial"].isin(trials)].reset_index(drop=True)
-            rows = self._used(rows) if table is POINTS else rows
+            if table is POINTS:
+                frame = rows.groupby("trial")["t"].rank("dense").astype(int) - 1
+                rows = rows[(frame % self.every == 0) & (rows["s"] > self.beyond)]
+                rows = rows.assign(valid=~rows["held"]) if "held" in rows else rows  # a tracker only repeated itself
             store.write_table(with_trial(table), rows, to / f"{table.name}.parquet", origin)
-        length = {"length": round(float(rows["s"].max()), 4)} | self._weighed(folder, string)
-        about = {"format": 1, "name": string, "string": length, **self.about}
+        known = {"length": round(float(rows["s"].max()), 4)}
+        path = folder / self.folder / WEIGHED
+        stated = json.loads(path.read_text(encoding="utf-8")).get(string) if path.is_file() else None
+        known |= {} if stated is None else {"mass": stated["m_cable_kg"], "tip_mass": stated["m_tip_kg"]}  # [kg]
+        about = {"format": 1, "name": string, "string": known, **self.about}
         about["trials"] = {
             trial: {"initial": "moving" if re.fullmatch(self.moving, trial) else "rest"}
             | ({"role": "held_out"} if re.fullmatch(self.held_out, trial) else {})
             for trial in trials
         }
         store.write_text(to / "dataset.yaml", yaml.safe_dump(about, sort_keys=False))
-
-    def _used(self, points: pd.DataFrame) -> pd.DataFrame:
-        """Points that are used; those where a tracker only repeated itself are not valid."""
-        frame = points.groupby("trial")["t"].rank("dense").astype(int) - 1
-        points = points[(frame % self.every == 0) & (points["s"] > self.beyond)]
-        return points.assign(valid=~points["held"]) if "held" in points else points
-
-    def _weighed(self, folder: Path, string: str) -> dict[str, float]:
-        """Masses of a string and of what was hung at its tip [kg], where they are stated."""
-        path = folder / self.folder / WEIGHED
-        known = json.loads(path.read_text(encoding="utf-8")).get(string) if path.is_file() else None
-        return {} if known is None else {"mass": known["m_cable_kg"], "tip_mass": known["m_tip_kg"]}

@@ -35,8 +35,13 @@ def picture(table: pd.DataFrame, held_out: Mapping[tuple[str, str], pd.DataFrame
         for axes in places[len(trials) :]:
             axes.set_axis_off()
         for axes, (string, trial) in zip(places, trials, strict=False):
-            sets = {laws: rows for (name, laws), rows in held_out.items() if name == string}
-            _over_time(axes, sets, trial)
+            sets = [rows for (name, _), rows in held_out.items() if name == string]
+            for number, rows in enumerate(sets):
+                tip = rows[(rows["trial"] == trial) & (rows["s"] == rows["s"].max())]
+                off = np.hypot(tip["predicted_x"] - tip["x"], tip["predicted_y"] - tip["y"])
+                axes.plot(tip["t"], MM * off, lw=1, color=LIGHT[COLOURS[number % len(COLOURS)]])
+            axes.set_title(trial, fontsize="small")
+            axes.set(xlabel="time / s", ylabel="tip off / mm")
         figure.savefig(path, dpi=110, facecolor="white")
         plt.close(figure)
 
@@ -51,13 +56,3 @@ def _tips(axes: Axes, table: pd.DataFrame, strings: list[str], column: str, labe
     axes.set(xlabel=label, xscale="log", ylim=(len(strings) - 0.5, -0.5))
     axes.set_xticks([1, 3, 10, 30], ["1", "3", "10", "30"])
     axes.set_yticks(range(len(strings)), strings)
-
-
-def _over_time(axes: Axes, sets: Mapping[str, pd.DataFrame], trial: str) -> None:
-    """Distance of the tip over time, a line for each set."""
-    for number, rows in enumerate(sets.values()):
-        tip = rows[(rows["trial"] == trial) & (rows["s"] == rows["s"].max())]
-        off = np.hypot(tip["predicted_x"] - tip["x"], tip["predicted_y"] - tip["y"])
-        axes.plot(tip["t"], MM * off, lw=1, color=LIGHT[COLOURS[number % len(COLOURS)]])
-    axes.set_title(trial, fontsize="small")
-    axes.set(xlabel="time / s", ylabel="tip off / mm")

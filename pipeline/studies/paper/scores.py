@@ -107,9 +107,15 @@ def of(what: str) -> dict[str, float]:
 
 def runs(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
     """Table RUNS of the jobs that ended."""
-    asked = factors(jobs)
-    named = zip(jobs, asked[CONDITION], strict=True)
-    rows = [_run(ledger, job, condition) for job, condition in named if job.state in (DONE, FAILED)]
+    rows = []
+    for job, condition in zip(jobs, factors(jobs)[CONDITION], strict=True):
+        if job.state in (DONE, FAILED):
+            made = list(_casts(ledger.place(job.key))) if job.state == DONE else []
+            hits = [cast["manipulation"] for cast in made if cast["hit"]]
+            row = {"condition": condition, "seed": job.settings["seed"], "state": job.state, "error": job.error}
+            row |= {"hit_at": min(hits, default=np.inf), "manipulations": len(made)}
+            row |= {"budget": job.settings["manipulations"], "seconds": job.seconds, "folder": job.key}
+            rows.append(row)
     return RUNS.check(pd.DataFrame(rows)) if rows else RUNS.empty()
 
 
@@ -156,14 +162,6 @@ def median(values: np.ndarray) -> dict[str, float]:
     middle = float(np.sort(values)[(len(values) - 1) // 2])
     ends = quantile_test(values, q=middle, p=0.5).confidence_interval(0.95)
     return {"count": len(values), "median": middle, "low": float(ends.low), "high": float(ends.high)}
-
-
-def _run(ledger: Ledger, job: Job, condition: str) -> dict[str, Any]:
-    made = list(_casts(ledger.place(job.key))) if job.state == DONE else []
-    hits = [cast["manipulation"] for cast in made if cast["hit"]]
-    row = {"condition": condition, "seed": job.settings["seed"], "state": job.state, "error": job.error}
-    row |= {"hit_at": min(hits, default=np.inf), "manipulations": len(made)}
-    return row | {"budget": job.settings["manipulations"], "seconds": job.seconds, "folder": job.key}
 
 
 def _casts(folder: Path) -> Iterator[dict[str, Any]]:
