@@ -1,9 +1,10 @@
 """The step loop, fused for one set of effects.
 
 `kernel_for` writes a module that holds the laws of the effects, word for word, and one
-loop around them, and lets Numba compile it (`generated`). What is absent is not in the text,
-and costs nothing. Text, because Numba finds machine code of a text again in the next process,
-and that of a loop over functions never (README.md); `tests/laws/loop_of_paper.py` shows it.
+loop around them, and lets Numba compile it (`generated`). What is not given is not in the
+text, and costs nothing; which are given `String.in_loop` says. Text, because Numba finds
+machine code of a text again in the next process, and that of a loop over functions never
+(README.md); `tests/laws/loop_of_paper.py` shows it.
 
 Layout: W candidates side by side. Every quantity of a mass point or a segment is a row of
 W numbers; the innermost loop runs over the row, branch-free, so that LLVM fills the vector

@@ -111,12 +111,13 @@ def _run(
     initial: State | None,
 ) -> np.ndarray:
     """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2), of no meaning once one is lost."""
-    count, loop = len(material), (string.effects, string.rows, string.integrator)
+    count, (looped, filled) = len(material), string.in_loop(material)
+    loop = (looped.effects, looped.rows, string.integrator)
     width = kernel.lanes(count, *loop)
     blocks = -(-count // width)
     index = np.minimum(np.arange(blocks * width), count - 1)  # the last candidate again, where a block has lanes left
     # the loop loads a number of all candidates of a block at once: lanes stand last, side by side
-    parameters = np.ascontiguousarray(material[index].reshape(blocks, width, -1).transpose(0, 2, 1))
+    parameters = np.ascontiguousarray(filled[index].reshape(blocks, width, -1).transpose(0, 2, 1))
     own = pose if len(pose) == 1 else pose[index]
     start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
     angles, lengths, velocity, hung = (part[index] for part in start)

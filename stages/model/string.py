@@ -17,13 +17,21 @@ import numpy as np
 
 from stringcast.stages.model.effect import StringEffect, position_dependent
 from stringcast.stages.model.effects.air_drag import AirDrag
+from stringcast.stages.model.effects.anisotropic_drag import AnisotropicDrag
 from stringcast.stages.model.effects.axial_damper import AxialDamper
 from stringcast.stages.model.effects.axial_spring import AxialSpring
+from stringcast.stages.model.effects.density_taper import DensityTaper
 from stringcast.stages.model.effects.grasp_damper import GraspDamper
 from stringcast.stages.model.effects.grasp_spring import GraspSpring
 from stringcast.stages.model.effects.gravity import Gravity
+from stringcast.stages.model.effects.gravity_direction import GravityDirection
 from stringcast.stages.model.effects.hinge_damper import HingeDamper
 from stringcast.stages.model.effects.hinge_spring import HingeSpring
+from stringcast.stages.model.effects.internal_friction import InternalFriction
+from stringcast.stages.model.effects.nonlinear_bending import NonlinearBending
+from stringcast.stages.model.effects.rest_curvature import RestCurvature
+from stringcast.stages.model.effects.tip_mass import TipMass
+from stringcast.stages.model.effects.wind import Wind
 from stringcast.stages.model.integrator import Integrator, SemiImplicitEuler
 from stringcast.stages.model.parameter import Parameter, Parametrised
 from stringcast.stages.model.slots import HELD, HIDDEN, Law, arguments, taken
@@ -38,6 +46,18 @@ BASE: tuple[type[StringEffect], ...] = (
     AirDrag,
     GraspSpring,
     GraspDamper,
+)
+# If any of these is at work the loop holds them all, which takes 1.2 times as long, and one loop is compiled (3 s)
+# instead of up to 255. None has a memory; each adds exactly nothing where it is absent.
+TOGETHER: tuple[type[StringEffect], ...] = (
+    AnisotropicDrag,
+    DensityTaper,
+    GravityDirection,
+    InternalFriction,
+    NonlinearBending,
+    RestCurvature,
+    TipMass,
+    Wind,
 )
 
 
@@ -106,6 +126,22 @@ class String(Parametrised):
             self._smaller[effects] = string, np.array([self.rows.index(row) for row in string.rows])
         string, places = self._smaller[effects]
         return string, material[:, places]
+
+    def in_loop(self, material: np.ndarray) -> tuple[String, np.ndarray]:
+        """The string with what is compiled together, and its material: the rest of that is absent. The paper's forces
+        alone stay alone. material: (C, rows)."""
+        string, places, absent = self._in_loop
+        filled = np.repeat(absent[None], len(material), axis=0)
+        filled[:, places] = material
+        return string, filled
+
+    @cached_property
+    def _in_loop(self) -> tuple[String, list[int], np.ndarray]:
+        """That string, the places of this one's rows among its own, and a row of it in which all is absent."""
+        more = TOGETHER if set(BASE) < set(self.effects) else ()
+        string = replace(self, effects=(*(e for e in self.effects if e not in more), *more))
+        start = np.array([p.start for e in string.effects for p in e.parameters])
+        return string, [string.rows.index(row) for row in self.rows], string.material(start)
 
     @cached_property
     def _absent(self) -> np.ndarray:
