@@ -75,7 +75,14 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
         "most_lag": lag,
         "extended": yaml.safe_dump(settings(model, measured, fit), sort_keys=False),
     }
-    return Alignment(measured, seen_table(problem, before, after), alike, ALIGNED.check(pd.DataFrame([row])))
+    parts = []
+    for trial in problem.trials:
+        s = trial.sightings
+        columns = {"trial": trial.name, "t": s.times[s.frame], "link": s.link, "share": s.share, "sigma": s.sigma}
+        columns |= dict(zip(("x", "y", "along_x", "along_y"), (*s.seen.T, *s.along.T), strict=True))
+        parts.append(pd.DataFrame(columns))
+    seen = SEEN.check(pd.concat(parts, ignore_index=True).assign(before=before, after=after))
+    return Alignment(measured, seen, alike, ALIGNED.check(pd.DataFrame([row])))
 
 
 def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
@@ -98,17 +105,6 @@ def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
         for name, numbers in ends.items()
     ]
     return MEASURED.check(pd.DataFrame(rows).sort_values(["found", "name"], ascending=[False, True]))
-
-
-def seen_table(problem: Problem, before: np.ndarray, after: np.ndarray) -> pd.DataFrame:
-    """Table SEEN."""
-    parts = []
-    for trial in problem.trials:
-        s = trial.sightings
-        columns = {"trial": trial.name, "t": s.times[s.frame], "link": s.link, "share": s.share, "sigma": s.sigma}
-        columns |= dict(zip(("x", "y", "along_x", "along_y"), (*s.seen.T, *s.along.T), strict=True))
-        parts.append(pd.DataFrame(columns))
-    return SEEN.check(pd.concat(parts, ignore_index=True).assign(before=before, after=after))
 
 
 def settings(model: Model, measured: pd.DataFrame, fit: Fit) -> dict[str, object]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pandas as pd
 
@@ -19,7 +17,9 @@ AROUND = np.linspace(-4, 4, 17)  # standard deviations
 
 def likelihood(problem: Problem, fit: Fit) -> pd.DataFrame:
     """Table LIKELIHOOD about the fit that was chosen."""
-    return _with_lag(problem, fit) if "arm_lag" in fit.effects else _without(problem, fit)
+    rows = _with_lag(problem, fit) if "arm_lag" in fit.effects else _without(problem, fit)
+    columns = ["offset", "alone", "with_lag", "lag"]
+    return LIKELIHOOD.check(pd.DataFrame(rows, columns=columns).sort_values("offset"))
 
 
 def most_lag(table: pd.DataFrame, fit: Fit) -> float:
@@ -31,11 +31,11 @@ def most_lag(table: pd.DataFrame, fit: Fit) -> float:
     return float(np.interp(END, np.maximum.accumulate(rise), lag))
 
 
-def _without(problem: Problem, fit: Fit) -> pd.DataFrame:
+def _without(problem: Problem, fit: Fit) -> list[tuple[float, ...]]:
     """No lag was seen: how large it could be with the offset growing along."""
     place = fit.names.index(OFFSET)
     offset, sigma = fit.x[place], np.sqrt(fit.covariance[place, place])
-    rows = [(offset + k * sigma, k**2, k**2, 0.0) for k in AROUND]
+    rows: list[tuple[float, ...]] = [(offset + k * sigma, k**2, k**2, 0.0) for k in AROUND]
     values = dict(fit.values)
     for lag in LAGS:
         held = {OFFSET: offset + lag}
@@ -45,25 +45,20 @@ def _without(problem: Problem, fit: Fit) -> pd.DataFrame:
         rows.append((offset + lag, (lag / sigma) ** 2, rise, values[LAG]))
         if rise > CLEAR:
             break
-    return _table(rows)
+    return rows
 
 
-def _with_lag(problem: Problem, fit: Fit) -> pd.DataFrame:
+def _with_lag(problem: Problem, fit: Fit) -> list[tuple[float, ...]]:
     """A lag was seen: how much worse an offset alone does."""
     alone = fitted(problem, tuple(e for e in fit.effects if e != "arm_lag"), fit.values, limit=fit.limit)
     place, lag = fit.names.index(OFFSET), fit.names.index(LAG)
     variance = fit.covariance[place, place]
     own = alone.names.index(OFFSET)
     more = (alone.deviance - fit.deviance) / fit.inflation
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for k in AROUND:
         offset = fit.x[place] + k * np.sqrt(variance)
         off = (offset - alone.x[own]) ** 2 / alone.covariance[own, own]
         follows = fit.x[lag] + fit.covariance[lag, place] / variance * (offset - fit.x[place])
         rows.append((offset, more + off, k**2, follows))
-    return _table(rows)
-
-
-def _table(rows: Sequence[tuple[float, ...]]) -> pd.DataFrame:
-    columns = ["offset", "alone", "with_lag", "lag"]
-    return LIKELIHOOD.check(pd.DataFrame(rows, columns=columns).sort_values("offset"))
+    return rows

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 
 from stringcast.data.artifacts import Points
 from stringcast.stages.model.model import Model
@@ -20,19 +19,14 @@ def in_arms_frame(points: Points, model: Model) -> Points:
     """
     if not model.measured:
         return points
-    places = ((points.points, ("x", "y")), (points.readings, ("tip_x", "tip_y")))
-    lines, readings = (_moved(model, table, *columns) for table, columns in places)
-    return replace(points, points=lines, readings=readings)
-
-
-def _moved(model: Model, table: pd.DataFrame, x: str, y: str) -> pd.DataFrame:
-    """A table with its places put right."""
-    if table.empty:
-        return table
-    t, seen = table["t"].to_numpy(), table[[x, y]].to_numpy()
-    true, values = seen, model.values({})[None]
+    values = model.values({})[None]
     moments = 3 if model.camera_effects else 1  # at which the camera is asked for places that do not move
-    for _ in range(ROUNDS):
-        reported = model.reported(np.tile(true[None, :, None], (1, moments, 1, 1)), values, t)
-        true = true + seen - reported[0, :, 0]
-    return table.assign(**dict(zip((x, y), true.T, strict=True)))
+    right = []
+    for table, places in ((points.points, ["x", "y"]), (points.readings, ["tip_x", "tip_y"])):
+        t, seen = table["t"].to_numpy(), table[places].to_numpy()
+        true = seen
+        for _ in range(ROUNDS if len(table) else 0):
+            reported = model.reported(np.tile(true[None, :, None], (1, moments, 1, 1)), values, t)
+            true = true + seen - reported[0, :, 0]
+        right.append(table.assign(**dict(zip(places, true.T, strict=True))))
+    return replace(points, points=right[0], readings=right[1])

@@ -56,26 +56,30 @@ def calibrate(
     the usual error that no view's may be. What misses one of these is in the artifact, with the reason. Raises
     DataError where there is too little to work out anything.
     """
-    seen = _looked(pictures, board, progress)
+    seen = []
+    for number, picture in enumerate(pictures):
+        seen.append(look(number, picture, board))
+        progress(0.9 * (number + 1) / len(pictures))  # most of the time goes into finding the markers
     used = [view for view in seen if not view.reason]
     if len(used) < SOLVABLE:
-        raise DataError(_too_few(seen, used))
+        reasons = Counter(view.reason for view in seen if view.reason)
+        why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
+        raise DataError(
+            f"the board can be read in {len(used)} of {len(seen)} pictures{why}. Take ten and more of the board in the "
+            "settings (board=...), sharp, lit evenly, tilted in all directions and all over the picture."
+        )
     held = _held(flat, board)
-    size = _size([*seen, held])
+    sizes = sorted({view.image.shape[::-1] for view in (*seen, held)})
+    if len(sizes) > 1:
+        several = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
+        raise DataError(f"pictures are {several} px. Take all with the camera set as for the experiment.")
+    size = (int(sizes[0][0]), int(sizes[0][1]))
+
     lens = fitted(used, board, size)
     alone = held_out(used, board, size, FOLDS)
     plane = in_plane(held, board, place, lens, replace(camera, width=size[0], height=size[1]))
     solution = Solution(used, lens, alone, held, plane, size)
     return tables(solution, seen, reason(solution, Thresholds(views, spread, coverage, rms, astray)))
-
-
-def _looked(pictures: Sequence[np.ndarray], board: Board, progress: Progress) -> list[View]:
-    """Every picture, most of whose time goes into finding the markers."""
-    seen = []
-    for number, picture in enumerate(pictures):
-        seen.append(look(number, picture, board))
-        progress(0.9 * (number + 1) / len(pictures))
-    return seen
 
 
 def _held(flat: Sequence[np.ndarray], board: Board) -> View:
@@ -87,22 +91,3 @@ def _held(flat: Sequence[np.ndarray], board: Board) -> View:
     if best.reason:
         raise DataError(f"the board in the plane of motion: {best.reason}. Hold it in view, lit and still.")
     return best
-
-
-def _size(views: Sequence[View]) -> tuple[int, int]:
-    """Width and height of all pictures [px]."""
-    sizes = sorted({view.image.shape[::-1] for view in views})
-    if len(sizes) > 1:
-        several = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
-        raise DataError(f"pictures are {several} px. Take all with the camera set as for the experiment.")
-    return (int(sizes[0][0]), int(sizes[0][1]))
-
-
-def _too_few(seen: Sequence[View], used: Sequence[View]) -> str:
-    """The message that too few pictures can be used, with the reason that most of them give."""
-    reasons = Counter(view.reason for view in seen if view.reason)
-    why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
-    return (
-        f"the board can be read in {len(used)} of {len(seen)} pictures{why}. Take ten and more of the board in the "
-        "settings (board=...), sharp, lit evenly, tilted in all directions and all over the picture."
-    )

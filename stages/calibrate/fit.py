@@ -52,7 +52,18 @@ def fitted(views: Sequence[View], board: Board, size: tuple[int, int]) -> Fitted
     lens = lens_of([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *bent.ravel()[:4]])
     poses = [(turn.ravel(), place.ravel()) for turn, place in zip(turns, places, strict=True)]
     errors = [view.pixels - projected(lens, board, view, *at) for view, at in zip(views, poses, strict=True)]
-    return Fitted(lens, poses, _covariance(lens, solid, poses, np.concatenate(errors)), errors)
+
+    # covariance of the lens: the inverse of what the views say of it once each has chosen its own pose
+    known = np.zeros((OWN, OWN))
+    for points, (turn, place) in zip(solid, poses, strict=True):
+        _, slopes = cv2.projectPoints(points, turn, place, lens.matrix, np.array(lens.distortion))
+        own, common = slopes[:, :6], slopes[:, 6 : 6 + OWN]
+        left = common - own @ np.linalg.lstsq(own, common, rcond=None)[0]
+        known += left.T @ left
+    every = np.concatenate(errors)
+    freedom = every.size - OWN - 6 * len(poses)
+    covariance = np.linalg.inv(known) * float((every**2).sum()) / max(freedom, 1)
+    return Fitted(lens, poses, covariance, errors)
 
 
 def values_of(lens: Lens) -> np.ndarray:
@@ -94,15 +105,3 @@ def projected(lens: Lens, board: Board, view: View, turn: np.ndarray, place: np.
 def _solid(board: Board, view: View) -> np.ndarray:
     """Corners on the board, (N, 3) [m], as OpenCV has them: y down."""
     return board.points[view.corners].astype(np.float32)
-
-
-def _covariance(lens: Lens, solid: Sequence[np.ndarray], poses: Sequence[Pose], errors: np.ndarray) -> np.ndarray:
-    """(8, 8) of the lens: the inverse of what the views say of it once each has chosen its own pose."""
-    known = np.zeros((OWN, OWN))
-    for points, (turn, place) in zip(solid, poses, strict=True):
-        _, slopes = cv2.projectPoints(points, turn, place, lens.matrix, np.array(lens.distortion))
-        own, common = slopes[:, :6], slopes[:, 6 : 6 + OWN]
-        left = common - own @ np.linalg.lstsq(own, common, rcond=None)[0]
-        known += left.T @ left
-    freedom = errors.size - OWN - 6 * len(poses)
-    return np.linalg.inv(known) * float((errors**2).sum()) / max(freedom, 1)

@@ -43,16 +43,34 @@ def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration
     columns = zip(solution.used, solution.lens.errors, strict=True)
     corners = [_seen(view, view.pixels - error, False) for view, error in columns]
     corners.append(_seen(solution.held, solution.plane.fit, True))
+    camera = solution.plane.camera
+    assert camera.lens is not None
+    values = [*values_of(camera.lens), camera.px_per_m, *camera.origin_px, camera.rotation, *camera.tilt]
+    sigma = [*np.sqrt(np.diag(solution.lens.covariance)), *solution.plane.sigma]
+    measured = pd.DataFrame([*LENS, *PLANE], columns=["name", "unit", "meaning"]).assign(value=values, sigma=sigma)
+    outcome = {
+        "valid": not reason,
+        "reason": reason,
+        "width": solution.size[0],
+        "height": solution.size[1],
+        "rms": solution.lens.rms,
+        "held_out_rms": rms(solution.alone),
+        "plane_rms": solution.plane_rms,
+        "coverage": float(solution.filled.mean()),
+        "spread": solution.spread,
+        "camera": settings(camera),
+    }
     return Calibration(
-        VIEWS.check(pd.DataFrame([*_views(solution, seen), _flat(solution)])),
+        VIEWS.check(pd.DataFrame(_views(solution, seen))),
         CORNERS.check(pd.concat(corners, ignore_index=True)),
-        MEASURED.check(_measured(solution)),
-        OUTCOME.check(pd.DataFrame([_outcome(solution, reason)])),
+        MEASURED.check(measured),
+        OUTCOME.check(pd.DataFrame([outcome])),
     )
 
 
 def _views(solution: Solution, seen: Sequence[View]) -> list[dict[str, object]]:
-    lens = solution.lens
+    """Rows of every view of the tilted board, and of that in the plane of motion."""
+    lens, camera = solution.lens, solution.plane.camera
     tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
     columns = zip(solution.used, solution.errors, solution.alone, tilts, lens.poses, strict=True)
     known = {
@@ -60,17 +78,12 @@ def _views(solution: Solution, seen: Sequence[View]) -> list[dict[str, object]]:
         for view, error, alone, tilt, (_, place) in columns
     }
     nothing = dict.fromkeys(("rms", "held_out_rms", "tilt", "distance"), np.nan)
-    return [_view(view, plane=False) | known.get(view.number, nothing) for view in seen]
-
-
-def _flat(solution: Solution) -> dict[str, object]:
-    """The row of the view in the plane of motion."""
-    camera = solution.plane.camera
+    rows = [_view(view, plane=False) | known.get(view.number, nothing) for view in seen]
     assert camera.lens is not None
-    tilt = float(np.arccos(np.cos(camera.tilt[0]) * np.cos(camera.tilt[1])))
-    distance = camera.lens.mean_focal / camera.px_per_m
-    row = {"rms": solution.plane_rms, "held_out_rms": np.nan, "tilt": tilt, "distance": distance}
-    return _view(solution.held, plane=True) | row
+    flat = {"rms": solution.plane_rms, "held_out_rms": np.nan}
+    flat["tilt"] = float(np.arccos(np.cos(camera.tilt[0]) * np.cos(camera.tilt[1])))
+    flat["distance"] = camera.lens.mean_focal / camera.px_per_m
+    return [*rows, _view(solution.held, plane=True) | flat]
 
 
 def _view(view: View, plane: bool) -> dict[str, object]:
@@ -83,30 +96,6 @@ def _view(view: View, plane: bool) -> dict[str, object]:
 def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
     seen = dict(zip(("u", "v", "fit_u", "fit_v"), [*view.pixels.T, *fit.T], strict=True))
     return pd.DataFrame({"view": view.number, "plane": plane, "corner": view.corners} | seen)
-
-
-def _measured(solution: Solution) -> pd.DataFrame:
-    camera = solution.plane.camera
-    assert camera.lens is not None
-    plane = [camera.px_per_m, *camera.origin_px, camera.rotation, *camera.tilt]
-    sigma = [*np.sqrt(np.diag(solution.lens.covariance)), *solution.plane.sigma]
-    rows = pd.DataFrame([*LENS, *PLANE], columns=["name", "unit", "meaning"])
-    return rows.assign(value=[*values_of(camera.lens), *plane], sigma=sigma)
-
-
-def _outcome(solution: Solution, reason: str) -> dict[str, object]:
-    return {
-        "valid": not reason,
-        "reason": reason,
-        "width": solution.size[0],
-        "height": solution.size[1],
-        "rms": solution.lens.rms,
-        "held_out_rms": rms(solution.alone),
-        "plane_rms": solution.plane_rms,
-        "coverage": float(solution.filled.mean()),
-        "spread": solution.spread,
-        "camera": settings(solution.plane.camera),
-    }
 
 
 def settings(camera: Camera) -> str:

@@ -87,35 +87,26 @@ def posterior_samples(goals: Sequence[Target], chi: np.ndarray, seed: int) -> np
 
 
 def _interval(model: Model, best: np.ndarray, sure: Covariance, likelihood: Likelihood) -> Interval:
-    """95 % intervals about the solution (P,), and what the data cannot determine."""
+    """95 % intervals about the solution (P,), what the data cannot determine, and what the intervals do not cover."""
     low, high = np.clip(best - sure.reach, 0, 1), np.clip(best + sure.reach, 0, 1)
     determined = (high - low < WIDE) & (best > EDGE) & (best < 1 - EDGE)
-    sentence = undetermined(model.parameters, determined, "This data determines every parameter.")
-    sentence += correlated(model.parameters, determined, sure.correlation)
-    return Interval(low, high, determined, sentence + _misfit(likelihood) + _mesh(likelihood, best))
-
-
-def _misfit(likelihood: Likelihood) -> str:
-    """A warning where the residual exceeds the points' own uncertainty, where that is known; else empty."""
-    if likelihood.scale < MISFIT:
-        return ""
-    return (
-        f" The residual is {likelihood.scale:.1f} times what the points' uncertainty explains: the model lacks "
-        "something, and the intervals do not cover that."
-    )
-
-
-def _mesh(likelihood: Likelihood, best: np.ndarray) -> str:
-    """A warning where the discretisation error exceeds the noise of the points; else empty."""
+    said = undetermined(model.parameters, determined, "This data determines every parameter.")
+    said += correlated(model.parameters, determined, sure.correlation)
+    if likelihood.scale >= MISFIT:
+        said += (
+            f" The residual is {likelihood.scale:.1f} times what the points' uncertainty explains: the model lacks "
+            "something, and the intervals do not cover that."
+        )
     string, error = likelihood.model.string, discretisation_error(likelihood, best)
     noise = np.sqrt(2) * likelihood.scale * np.median([np.median(trial.sigma) for trial in likelihood.trials])
-    if not error > noise:
-        return ""
-    finer = f"string.points={2 * string.points - 1} string.largest_step={string.largest_step / 2:.2g}"
-    return (
-        f" A far finer mesh would put the string {1e3 * error:.1f} mm elsewhere, root mean square, beside "
-        f"{1e3 * noise:.1f} mm of noise: parameters make up for that in these motions, not in others. Finer: {finer}."
-    )
+    if error > noise:
+        finer = f"string.points={2 * string.points - 1} string.largest_step={string.largest_step / 2:.2g}"
+        said += (
+            f" A far finer mesh would put the string {1e3 * error:.1f} mm elsewhere, root mean square, beside "
+            f"{1e3 * noise:.1f} mm of noise: parameters make up for that in these motions, not in others. Finer: "
+            f"{finer}."
+        )
+    return Interval(low, high, determined, said)
 
 
 def _draws(chi: np.ndarray, sure: Covariance, seed: int) -> np.ndarray:

@@ -121,35 +121,27 @@ def _match(
 
 
 def _target(ready: Case, observation: Observation, matching: Matching) -> Target:
-    """Scores from the binary images, or from the measured points where there are none."""
+    """Scores from the binary images, or from the measured points where there are none; and the weights of Eq. 6."""
     images = dict(zip(observation.masks["t"], observation.masks["png"], strict=True)) if len(observation.masks) else {}
-    camera = ready.model.camera
+    camera, string = ready.model.camera, ready.model.string
     near, tips = [], []
     for number, t in enumerate(ready.times):
         line = camera.pixels(ready.points[ready.frame == number])
-        mask = _decode(images[t]) if t in images else rasterise(line, (camera.height, camera.width), 3)
+        if t in images:
+            mask = np.asarray(cv2.imdecode(np.frombuffer(images[t], np.uint8), cv2.IMREAD_GRAYSCALE))
+        else:
+            mask = rasterise(line, (camera.height, camera.width), 3)
         near.append(scores_near(mask, matching.dilations, matching.step_px))
         tips.append(line[np.argmax(ready.s[ready.frame == number])])
     begins = np.cumsum([0, *(part.size for _, _, part in near)])
     windows = np.array([[begin, *at, *part.shape] for begin, (*at, part) in zip(begins, near, strict=False)])
     scores = np.concatenate([part.ravel() for _, _, part in near])
-    return Target(ready, matching, scores, windows, np.array(tips), _weights(ready, matching.delta_w))
 
-
-def _weights(ready: Case, delta_w: float) -> np.ndarray:
-    """w_i = 1 + (i - 1) delta_w (Eq. 6) of the mass points that a frame shows, (F, n).
-
-    0 for those it does not: where the tip is hidden, or only a marker was measured, nothing
-    is known of the rest. The extract stage reads a string whole or not at all.
-    """
-    string = ready.model.string
+    # w_i = 1 + (i - 1) delta_w of the mass points that a frame shows, (F, n); 0 for those it does not: where the tip is
+    # hidden, or only a marker was measured, nothing is known of the rest
     s, half = string.arc_lengths(), string.segment / 2
     measured = pd.Series(np.clip(ready.s, 0, string.length)).groupby(ready.frame)
     first, last = measured.min().to_numpy()[:, None], measured.max().to_numpy()[:, None]
-    return np.where((s >= first - half) & (s <= last + half), 1 + np.arange(len(s)) * delta_w, 0.0)
-
-
-def _decode(png: bytes) -> np.ndarray:
-    mask = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert mask is not None  # the store has checked the table; its PNGs are ours
-    return mask
+    shown = (s >= first - half) & (s <= last + half)
+    weights = np.where(shown, 1 + np.arange(len(s)) * matching.delta_w, 0.0)
+    return Target(ready, matching, scores, windows, np.array(tips), weights)

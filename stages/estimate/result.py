@@ -77,6 +77,7 @@ def estimate_of(
     frames = [pd.DataFrame({"trial": c.name, "t": c.times, "before": old, "after": new}) for c, old, new in scores]
     matching = pd.concat(frames, ignore_index=True)
     rms, tip = np.sqrt(np.mean([[goal.case.off(v) for v in pair] for goal in goals], axis=0)).T
+    rate = search.matching_rate
     fit = {
         "method": search.method,
         "before": matching["before"].mean(),
@@ -85,12 +86,15 @@ def estimate_of(
         "rms_after": rms[1],
         "tip_before": tip[0],
         "tip_after": tip[1],
-        "rejected": int(np.isnan(search.matching_rate).sum()),
+        "rejected": int(np.isnan(rate).sum()),
         "sentence": bad_fit(matching["after"].mean(), rms[1], goals[0].case.model.string.length) or interval.sentence,
     }
+    record = np.fmax.accumulate(np.where(np.isnan(rate), -np.inf, rate))
+    better = np.concatenate([[True], record[1:] > record[:-1]]) & ~np.isnan(rate)
+    tried = {"candidate": np.arange(len(rate)), "matching_rate": rate, "finite": ~np.isnan(rate), "accepted": better}
     return Estimate(
         PARAMETERS.check(_parameters(parameters, pair[1], after, interval)),
-        CANDIDATES.check(_candidates(parameters, search)),
+        CANDIDATES.check(pd.DataFrame(tried | _columns(parameters, search.chi))),
         MATCHING.check(matching),
         FIT.check(pd.DataFrame([fit])),
         DRAWS.check(pd.DataFrame({"draw": np.arange(len(draws))} | _columns(parameters, draws))),
@@ -177,14 +181,6 @@ def _parameters(
             "determined": interval.determined,
         }
     )
-
-
-def _candidates(parameters: Sequence[Parameter], search: Candidates) -> pd.DataFrame:
-    rate = search.matching_rate
-    record = np.fmax.accumulate(np.where(np.isnan(rate), -np.inf, rate))
-    better = np.concatenate([[True], record[1:] > record[:-1]]) & ~np.isnan(rate)
-    table = {"candidate": np.arange(len(rate)), "matching_rate": rate, "finite": ~np.isnan(rate), "accepted": better}
-    return pd.DataFrame(table | _columns(parameters, search.chi))
 
 
 def _columns(parameters: Sequence[Parameter], chi: np.ndarray) -> dict[str, np.ndarray]:

@@ -26,7 +26,11 @@ def trimmed_at_contact(observation: Observation, obstacles: Sequence[Box]) -> Ob
     if not obstacles or points.empty:
         return observation
     times, lines = _lines(points.sort_values(["t", "s"], kind="stable"))
-    late = np.flatnonzero(_near(lines, obstacles))
+    near = np.zeros(len(lines), dtype=bool)
+    for box in (replace(each, w=each.w + 2 * NEAR, h=each.h + 2 * NEAR) for each in obstacles):
+        near |= box.crossed(lines[:, :-1], lines[:, 1:]).any(axis=1)
+        near[1:] |= box.crossed(lines[:-1], lines[1:]).any(axis=1)
+    late = np.flatnonzero(near)
     if not late.size or late[0] < FEWEST:
         return observation
     return replace(observation, points=observation.points[observation.points["t"] < times[late[0]]])
@@ -40,12 +44,3 @@ def _lines(points: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
         return times, at_places(frame, s, xy, np.linspace(s.min(), s.max(), PLACES))
     wide = points.pivot_table(index="t", columns="s", values=["x", "y"])
     return times, np.stack([wide["x"].to_numpy(), wide["y"].to_numpy()], axis=-1)
-
-
-def _near(line: np.ndarray, obstacles: Sequence[Box]) -> np.ndarray:
-    """The frames (F,) in which a string (F, S, 2) [m] is near an obstacle; points that were not measured are NaN."""
-    near = np.zeros(len(line), dtype=bool)
-    for box in (replace(each, w=each.w + 2 * NEAR, h=each.h + 2 * NEAR) for each in obstacles):
-        near |= box.crossed(line[:, :-1], line[:, 1:]).any(axis=1)
-        near[1:] |= box.crossed(line[:-1], line[1:]).any(axis=1)
-    return near

@@ -86,9 +86,20 @@ def trace(
     near = np.s_[rows[0] : rows[-1] + 1, columns.min() : columns.max() + 1]  # all that is allowed
     graph = _graph(difference[near], mask[near], allowed[near])
     depth, before = dijkstra(graph, indices=int(np.argmin(distance)), return_predecessors=True)
-    ends = _ends(np.where(np.isfinite(depth) & inside, depth, -1.0), mask, rows, columns)
-    way = max((_way(before, end) for end in ends), key=lambda way: np.sum(np.where(inside[way], 1, -1)))
-    return np.concatenate([grasp[None], np.stack([columns, rows], axis=-1)[way[1:]]])
+
+    # it may end at the deepest pixel of each patch; the way is taken that lies most in the mask
+    depth = np.where(np.isfinite(depth) & inside, depth, -1.0)
+    patch = cv2.connectedComponents(mask, connectivity=8)[1][rows, columns]
+    order = np.argsort(depth, kind="stable")[::-1]
+    ends = order[np.unique(patch[order], return_index=True)[1]]
+    ways = []
+    for end in ends[depth[ends] >= 0]:
+        way = [int(end)]
+        while before[way[-1]] >= 0:
+            way.append(int(before[way[-1]]))
+        ways.append(way[::-1])
+    best = max(ways, key=lambda way: np.sum(np.where(inside[way], 1, -1)))
+    return np.concatenate([grasp[None], np.stack([columns, rows], axis=-1)[best[1:]]])
 
 
 def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float, half: float) -> Line:
@@ -103,7 +114,10 @@ def refine(light: np.ndarray, outline: np.ndarray, way: np.ndarray, noise: float
     if np.isnan(first.light[-1]):
         return first  # its end is hidden: there is nothing to carry it on from
     firm = max(len(first.points) - 1 - int(np.ceil(half)), 2)  # an end cut aslant is not lit on both sides
-    return _centred(light, outline, _onward(_evenly(first.points[:firm]), half, 3 * half + 5), noise, half)
+    depth = first.depth[:firm]
+    at = np.linspace(0, depth[-1], max(round(depth[-1]) + 1, 2))
+    evenly = np.stack([np.interp(at, depth, first.points[:firm, i]) for i in (0, 1)], axis=-1)  # a pixel a point
+    return _centred(light, outline, _onward(evenly, half, 3 * half + 5), noise, half)
 
 
 def _centred(light: np.ndarray, outline: np.ndarray, smooth: np.ndarray, noise: float, half: float) -> Line:
@@ -122,13 +136,6 @@ def _centred(light: np.ndarray, outline: np.ndarray, smooth: np.ndarray, noise: 
     each = np.append(np.arange(whole), whole - 1)  # the tip is as the point before it
     lit = np.where(seen.blind, np.nan, seen.light)[each]
     return Line(points, sigmas(seen.sigma[each], seen.lost[each], firm, end_sigma), lit)
-
-
-def _evenly(line: np.ndarray) -> np.ndarray:
-    """The line again, a pixel a point. line: (K, 2) [px]."""
-    depth = along(line)
-    at = np.linspace(0, depth[-1], max(round(depth[-1]) + 1, 2))
-    return np.stack([np.interp(at, depth, line[:, i]) for i in (0, 1)], axis=-1)
 
 
 def _across(
@@ -196,19 +203,3 @@ def _graph(difference: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo
     first, second, weight = np.concatenate(a), np.concatenate(b), np.concatenate(w)
     both = (np.concatenate([weight, weight]), (np.concatenate([first, second]), np.concatenate([second, first])))
     return coo_array(both, shape=(count, count)).tocsr()
-
-
-def _ends(depth: np.ndarray, mask: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> list[int]:
-    """Where the string may end: the deepest pixel of each patch. depth: (P,), below 0 where it cannot."""
-    patch = cv2.connectedComponents(mask, connectivity=8)[1][rows, columns]
-    order = np.argsort(depth, kind="stable")[::-1]
-    first = order[np.unique(patch[order], return_index=True)[1]]
-    return [int(one) for one in first if depth[one] >= 0]
-
-
-def _way(before: np.ndarray, end: int) -> list[int]:
-    """From the start of the search to `end`."""
-    way = [end]
-    while before[way[-1]] >= 0:
-        way.append(int(before[way[-1]]))
-    return way[::-1]

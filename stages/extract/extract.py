@@ -79,7 +79,12 @@ def extract(
     grasp that may be out of sight [m]. shorter, longer: by how much of the string's length the
     line may differ before the frame is refused (a swung string stretches).
     """
-    _check_size(footage, camera)
+    rows, columns = footage.images[0].shape
+    if (columns, rows) != (camera.width, camera.height):
+        raise DataError(
+            f"camera.width x camera.height is {camera.width} x {camera.height}, the frames are {columns} x {rows} px. "
+            "Say so in the dataset's dataset.yaml, or in conf/camera."
+        )
     images, sway = stabilised(Held(footage.images))
     footage = replace(footage, images=images)
     reach = string_length * (1 + longer) * camera.px_per_m + MARGIN
@@ -108,16 +113,6 @@ def _backdrop(footage: Footage, camera: Camera, string_length: float, arm_width:
     return Backdrop(scene, brightest(footage.images, scene), half, sway)
 
 
-def _check_size(footage: Footage, camera: Camera) -> None:
-    """The frames must be the camera's."""
-    rows, columns = footage.images[0].shape
-    if (columns, rows) != (camera.width, camera.height):
-        raise DataError(
-            f"camera.width x camera.height is {camera.width} x {camera.height}, the frames are {columns} x {rows} px. "
-            "Say so in the dataset's dataset.yaml, or in conf/camera."
-        )
-
-
 def _line(
     footage: Footage,
     number: int,
@@ -134,7 +129,18 @@ def _line(
     window = around(grasp, reach, image.shape)
     if min(window.shape) < 2 * HALF:
         raise UnreadableError("the grasp is out of view")
-    moments, blur = _body(footage, number, camera)
+
+    # the arm's joints (K, J + 1, 2) at moments of the exposure, and how far the fastest moves in it [px]
+    moments, blur = np.zeros((0, 0, 2)), 0.0
+    if footage.body is not None:
+        beside = slice(max(number - 1, 0), number + 2)
+        near = camera.pixels(footage.body[beside])
+        moved = (near[-1] - near[0]) / max(float(np.ptp(footage.t[beside])), 1e-9) * camera.exposure
+        blur = float(np.linalg.norm(moved, axis=-1).max())
+        count = int(np.ceil(blur)) + 1
+        share = (np.arange(count) + 0.5) / count - 0.5
+        moments = camera.pixels(footage.body[number]) + share[:, None, None] * moved
+
     part = replace(backdrop, scene=window.cut(backdrop.scene))
     seen = segment(window.cut(image), part, moments - window.corner, arm_width * camera.px_per_m, blur, sigmas)
     half = min(half_width(seen.mask), backdrop.half + BLURRED)
@@ -144,8 +150,8 @@ def _line(
     check(line, seen.mask, half)
     points = np.concatenate([grasp[None], line.points[1:] + window.corner])
     whole = replace(line, points=points, sigma=np.hypot(line.sigma, backdrop.sway))
-    near = rasterise(whole.points - window.corner, seen.mask.shape, 9 + 2 * half)
-    return whole, window.paste(seen.mask & (near > 0), image.shape)
+    beside_it = rasterise(whole.points - window.corner, seen.mask.shape, 9 + 2 * half)
+    return whole, window.paste(seen.mask & (beside_it > 0), image.shape)
 
 
 def drawn(s: np.ndarray, length: float) -> np.ndarray:
@@ -156,18 +162,6 @@ def drawn(s: np.ndarray, length: float) -> np.ndarray:
     """
     share, more = s / s[-1], max(length - s[-1], 0.0)
     return np.asarray(share * (length - more) + more * share * (2 - share))
-
-
-def _body(footage: Footage, number: int, camera: Camera) -> tuple[np.ndarray, float]:
-    """The arm's joints (K, J + 1, 2) [px] at moments of an exposure, and how far the fastest moves in it [px]."""
-    if footage.body is None:
-        return np.zeros((0, 0, 2)), 0.0
-    beside = slice(max(number - 1, 0), number + 2)
-    near = camera.pixels(footage.body[beside])
-    moved = (near[-1] - near[0]) / max(float(np.ptp(footage.t[beside])), 1e-9) * camera.exposure
-    blur = float(np.linalg.norm(moved, axis=-1).max())
-    share = (np.arange(n := int(np.ceil(blur)) + 1) + 0.5) / n - 0.5
-    return camera.pixels(footage.body[number]) + share[:, None, None] * moved, blur
 
 
 def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorter: float, longer: float) -> Reading:
@@ -189,33 +183,23 @@ def _reading(line: Line, mask: np.ndarray, camera: Camera, s: np.ndarray, shorte
 
 
 def _tables(t: np.ndarray, readings: list[Reading | str], s: np.ndarray) -> Points:
-    """Everything read, as tables."""
-    good = [(i, r) for i, r in enumerate(readings) if isinstance(r, Reading)]
-    frames = [i for i, _ in good]
-    masks = pd.DataFrame({"frame": frames, "t": t[frames], "png": [r.mask for _, r in good]})
-    return Points(
-        POINTS.check(_points(t[frames], s, [r for _, r in good])) if good else POINTS.empty(),
-        READINGS.check(pd.DataFrame([_row(i, t[i], r) for i, r in enumerate(readings)]))
-        if readings
-        else READINGS.empty(),
-        MASKS.check(masks) if good else MASKS.empty(),
-    )
-
-
-def _points(t: np.ndarray, s: np.ndarray, read: list[Reading]) -> pd.DataFrame:
-    """Rows of POINTS, frame by frame. t: (F,) of the frames that were read [s], s: (K,) [m]."""
-    x, y = np.concatenate([r.points for r in read]).T
-    sigma = np.concatenate([r.sigma for r in read])
-    return pd.DataFrame(
-        {"t": np.repeat(t, len(s)), "s": np.tile(s, len(t)), "x": x, "y": y, "sigma": sigma, "valid": True}
-    )
-
-
-def _row(number: int, t: float, reading: Reading | str) -> dict[str, object]:
-    """One line of READINGS."""
-    if isinstance(reading, str):
-        nothing = dict.fromkeys(("tip_x", "tip_y", "tip_sigma", "length"), np.nan)
-        return {"frame": number, "t": t, "valid": False, "reason": reading} | nothing
-    tip = reading.points[-1]
-    found = {"tip_x": tip[0], "tip_y": tip[1], "tip_sigma": float(reading.sigma[-1]), "length": reading.length}
-    return {"frame": number, "t": t, "valid": True, "reason": ""} | found
+    """Everything read, as tables. t: (F,) times of the frames [s]. s: (K,) arc lengths of the points [m]."""
+    rows: list[dict[str, object]] = []
+    for number, reading in enumerate(readings):
+        if isinstance(reading, str):  # why it could not be read
+            found = dict.fromkeys(("tip_x", "tip_y", "tip_sigma", "length"), np.nan)
+            rows.append({"frame": number, "t": t[number], "valid": False, "reason": reading} | found)
+        else:
+            x, y = reading.points[-1]
+            tip = {"tip_x": x, "tip_y": y, "tip_sigma": float(reading.sigma[-1]), "length": reading.length}
+            rows.append({"frame": number, "t": t[number], "valid": True, "reason": ""} | tip)
+    table = READINGS.check(pd.DataFrame(rows)) if rows else READINGS.empty()
+    good = [(number, reading) for number, reading in enumerate(readings) if isinstance(reading, Reading)]
+    if not good:
+        return Points(POINTS.empty(), table, MASKS.empty())
+    frames, read = [number for number, _ in good], [reading for _, reading in good]
+    places = {"t": np.repeat(t[frames], len(s)), "s": np.tile(s, len(frames))}
+    places |= dict(zip("xy", np.concatenate([reading.points for reading in read]).T, strict=True))
+    places |= {"sigma": np.concatenate([reading.sigma for reading in read])}
+    masks = {"frame": frames, "t": t[frames], "png": [reading.mask for reading in read]}
+    return Points(POINTS.check(pd.DataFrame(places).assign(valid=True)), table, MASKS.check(pd.DataFrame(masks)))

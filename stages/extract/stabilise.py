@@ -82,32 +82,29 @@ def _smaller(image: np.ndarray, by: int) -> np.ndarray:
 
 def _against(images: Sequence[np.ndarray], by: int, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gain and shift (d_u, d_v) [px] of each image against the median of some, all so many times smaller, (F, 3), and
-    one sigma of the shift (F,) [px]. start: (F, 3) from where."""
+    one sigma of the shift (F,) [px], by Gauss and Newton. start: (F, 3) from where."""
     template = np.median([_smaller(images[i], by) for i in samples(len(images))], axis=0)
-    looked = [_closest(_smaller(image, by), template, one, by) for image, one in zip(images, start, strict=True)]
-    return np.array([found for found, _ in looked]), np.array([sigma for _, sigma in looked])
-
-
-def _closest(image: np.ndarray, template: np.ndarray, found: np.ndarray, by: int) -> tuple[np.ndarray, float]:
-    """Gain and shift from where they were found to be, (3,), by Gauss and Newton, and one sigma of the shift [px]."""
-    for _ in range(STEPS):
-        like = _moved(template, found[1:] / by)
-        across, down = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
-        columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[:, 2:-2, 2:-2]
-        rest = (image - found[0] * like)[2:-2, 2:-2]
-        still = np.abs(rest) < MOVES * (float(mad_sigma(rest.ravel()[::7])) + 1e-3)
-        sums = _by_part(np.concatenate([columns, rest[None]]) * still)
-        others = sums.sum(axis=0) - sums
-        steps = np.linalg.solve(others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:])[..., 0]
-        found = found + np.mean(steps, axis=0)
-    scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))  # the jackknife: without each part in turn
-    return found, float(np.linalg.norm(scatter[1:]))
-
-
-def _by_part(rows: np.ndarray) -> np.ndarray:
-    """Products of rows (4, height, width) summed over each part of the picture, (PARTS^2, 4, 4)."""
-    bands = (part for band in np.array_split(rows, PARTS, axis=1) for part in np.array_split(band, PARTS, axis=2))
-    return np.stack([(flat := part.reshape(len(rows), -1)) @ flat.T for part in bands])
+    places, sigmas = [], []
+    for whole, begin in zip(images, start, strict=True):
+        image, found = _smaller(whole, by), begin
+        for _ in range(STEPS):
+            like = _moved(template, found[1:] / by)
+            across = cv2.Sobel(like, cv2.CV_32F, 1, 0, scale=0.125)
+            down = cv2.Sobel(like, cv2.CV_32F, 0, 1, scale=0.125)
+            columns = np.stack([like, -found[0] * across / by, -found[0] * down / by])[:, 2:-2, 2:-2]
+            rest = (image - found[0] * like)[2:-2, 2:-2]
+            still = np.abs(rest) < MOVES * (float(mad_sigma(rest.ravel()[::7])) + 1e-3)
+            # normal equations of each part of the picture, (PARTS^2, 4, 4), and steps without each in turn
+            bands = np.array_split(np.concatenate([columns, rest[None]]) * still, PARTS, axis=1)
+            parts = [part.reshape(4, -1) for band in bands for part in np.array_split(band, PARTS, axis=2)]
+            sums = np.stack([part @ part.T for part in parts])
+            others = sums.sum(axis=0) - sums
+            steps = np.linalg.solve(others[:, :3, :3] + 1e-6 * np.eye(3), others[:, :3, 3:])[..., 0]
+            found = found + np.mean(steps, axis=0)
+        scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))  # the jackknife
+        places.append(found)
+        sigmas.append(float(np.linalg.norm(scatter[1:])))
+    return np.array(places), np.array(sigmas)
 
 
 def _moved(image: np.ndarray, shift: np.ndarray) -> np.ndarray:

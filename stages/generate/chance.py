@@ -88,8 +88,15 @@ def _together(task: Task, curves: Curves, draws: Draws) -> Outcome:
     before = ~np.logical_or.accumulate(arm | string, axis=1)
     clear = (before & moving).sum(axis=1) / moving.sum(axis=1)
     counts = (before & moving)[:, 1:].repeat(2, axis=1)  # pieces of the way, two to a tick
-    away = np.where(counts, _nearest(task.target, way), np.inf).min(axis=1)
-    hit = (task.target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1) & finite & ~arm.any(axis=1)
+    # from the centre to each piece of the way, in half widths and heights
+    target = task.target
+    scaled = (way - [target.x, target.y]) / [target.w / 2, target.h / 2]
+    start, piece = scaled[:, :-1], np.diff(scaled, axis=1)
+    square = np.maximum(piece[..., 0] ** 2 + piece[..., 1] ** 2, 1e-300)
+    share = np.clip(-(start[..., 0] * piece[..., 0] + start[..., 1] * piece[..., 1]) / square, 0, 1)
+    nearest = np.hypot(*np.moveaxis(start + share[..., None] * piece, -1, 0))
+    away = np.where(counts, nearest, np.inf).min(axis=1)
+    hit = (target.crossed(way[:, :-1], way[:, 1:]) & counts).any(axis=1) & finite & ~arm.any(axis=1)
     return Outcome(np.where(finite, away, np.inf).reshape(shape), clear.reshape(shape), hit.reshape(shape))
 
 
@@ -112,26 +119,11 @@ def _touching(task: Task, angles: np.ndarray, points: np.ndarray) -> tuple[np.nd
     joints = task.model.arm.joints(angles)
     for box in task.obstacles:
         arm |= box.crossed(joints[..., :-1, :], joints[..., 1:, :]).any(axis=2)
-        string |= _lies_in(box, points)
+        # only strings beside it are looked at closely
+        x, y = points[..., 0], points[..., 1]
+        apart = (x.min(axis=2) > box.x + box.w / 2) | (x.max(axis=2) < box.x - box.w / 2)
+        apart |= (y.min(axis=2) > box.y + box.h / 2) | (y.max(axis=2) < box.y - box.h / 2)
+        near = points[~apart]
+        string[~apart] |= box.crossed(near[:, :-1], near[:, 1:]).any(axis=1)
         string[:, 1:] |= box.crossed(points[:, :-1, -1], points[:, 1:, -1])
     return arm, string
-
-
-def _lies_in(box: Box, points: np.ndarray) -> np.ndarray:
-    """Whether a string (C, T, n, 2) lies in a box, (C, T). Only those beside it are looked at closely."""
-    x, y = points[..., 0], points[..., 1]
-    apart = (x.min(axis=2) > box.x + box.w / 2) | (x.max(axis=2) < box.x - box.w / 2)
-    apart |= (y.min(axis=2) > box.y + box.h / 2) | (y.max(axis=2) < box.y - box.h / 2)
-    near = points[~apart]
-    inside = np.zeros(points.shape[:2], dtype=bool)
-    inside[~apart] = box.crossed(near[:, :-1], near[:, 1:]).any(axis=1)
-    return inside
-
-
-def _nearest(target: Box, way: np.ndarray) -> np.ndarray:
-    """Distance of the centre from each piece of the tip's way (C, F, 2), (C, F - 1), in half widths and heights."""
-    scaled = (way - [target.x, target.y]) / [target.w / 2, target.h / 2]
-    begin, piece = scaled[:, :-1], np.diff(scaled, axis=1)
-    square = np.maximum(piece[..., 0] ** 2 + piece[..., 1] ** 2, 1e-300)
-    share = np.clip(-(begin[..., 0] * piece[..., 0] + begin[..., 1] * piece[..., 1]) / square, 0, 1)
-    return np.hypot(*np.moveaxis(begin + share[..., None] * piece, -1, 0))

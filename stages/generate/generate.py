@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -112,34 +111,27 @@ def generate(
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     values = model.values({} if estimate is None else estimate.values())
-    check, count = partial(_tried, model, target, obstacles, values), Counter[str]()
+    count = Counter[str]()
     curves: list[Callable[[int], Curves]] = [lambda size: first_curves(model.arm, rng, size, durations, drawing.alpha)]
     if previous is not None:
         given, last = (durations, drawing.alpha), (curves_of(previous), drawing.fraction)
         curves.insert(0, lambda size: next_curves(model.arm, rng, size, *given, *last))
     for draw in curves:
-        found, tried = _searched(check, draw, budget, progress)
+        tried, found = Counter[str](), list[tuple[float, Motion]]()
+        while tried.total() < budget.attempts and len(found) < budget.hits:
+            size = min(budget.batch, budget.attempts - tried.total())
+            found += _tried(model, target, obstacles, values, draw(size), tried, budget.hits - len(found))
+            progress(tried.total() / budget.attempts)
         count += tried
-        if found:
+        if found:  # of several, the one whose tip stays longest in the box
             best = max(found, key=lambda one: one[0])[1]
             attempts = ATTEMPTS.check(pd.DataFrame(sorted(count.items()), columns=["outcome", "count"]))
             return replace(best, attempts=attempts, outcome=best.outcome.assign(tried=count.total()))
-    raise MotionNotFoundError(_failure(count))
-
-
-def _searched(
-    check: Callable[[Curves, Counter[str], int], list[tuple[float, Motion]]],
-    draw: Callable[[int], Curves],
-    budget: Budget,
-    progress: Progress,
-) -> tuple[list[tuple[float, Motion]], Counter[str]]:
-    """Motions that hit, with how long each stays in the box [s], and what became of all that were tried."""
-    count, found = Counter[str](), list[tuple[float, Motion]]()
-    while count.total() < budget.attempts and len(found) < budget.hits:
-        size = min(budget.batch, budget.attempts - count.total())
-        found += check(draw(size), count, budget.hits - len(found))
-        progress(count.total() / budget.attempts)
-    return found, count
+    reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
+    raise MotionNotFoundError(
+        f"no motion hits the target in {count.total()} tries ({reasons}). "
+        "Allow more generate.attempts, a larger target box, or other limits of the arm."
+    )
 
 
 def curves_of(motion: Motion) -> Curves:
@@ -269,12 +261,3 @@ def string_of(times: np.ndarray, arc: np.ndarray, points: np.ndarray) -> pd.Data
     t, s = np.meshgrid(times, arc, indexing="ij")
     columns = {"t": t.ravel(), "s": s.ravel(), "x": points[..., 0].ravel(), "y": points[..., 1].ravel()}
     return PREDICTED_STRING.check(pd.DataFrame(columns))
-
-
-def _failure(count: Counter[str]) -> str:
-    """The message of MotionNotFoundError. count: how often each reason occurred."""
-    reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
-    return (
-        f"no motion hits the target in {count.total()} tries ({reasons}). "
-        "Allow more generate.attempts, a larger target box, or other limits of the arm."
-    )

@@ -149,25 +149,21 @@ def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:
     order = np.lexsort((distance, ~hit))  # those that hit come first, the nearest first
     typical = int(order[hit.sum() // 2])
     points = simulated(task.model, curve, draws.only(np.array([typical])))[1][0]
+    target, way = task.target, between(points[None, :, -1])[0]
+    at = int(np.argmin(target.away(way)))
+    share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
+    row = {
+        "duration": float(curve.duration[0]),
+        "t_hit": at * task.model.arm.tick / 2,
+        **{"tip_x": way[at, 0], "tip_y": way[at, 1], "tried": tried},
+        **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
+        **{"chance": float(hit.mean()), "chance_low": share.low, "chance_high": share.high},
+    }
     attempts = pd.DataFrame({"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]})
     return Motion(
         commands_of(task.model.arm, curve),
         control_points_of(curve),
         string_of(np.arange(len(points)) * task.model.arm.tick, task.model.string.arc_lengths(), points),
         ATTEMPTS.check(attempts),
-        MOTION_OUTCOME.check(pd.DataFrame([_outcome(task, curve, points[:, -1], hit) | {"tried": tried}])),
+        MOTION_OUTCOME.check(pd.DataFrame([row])),
     )
-
-
-def _outcome(task: Task, curve: Curves, tip: np.ndarray, hit: np.ndarray) -> dict[str, float]:
-    """Table MOTION_OUTCOME. tip: (T, 2) of a string that hits [m]. hit: (K,) of the validation draws."""
-    target, way = task.target, between(tip[None])[0]
-    at = int(np.argmin(target.away(way)))
-    share = stats.binomtest(int(hit.sum()), len(hit)).proportion_ci(method="wilson")
-    return {
-        "duration": float(curve.duration[0]),
-        "t_hit": at * task.model.arm.tick / 2,
-        **{"tip_x": way[at, 0], "tip_y": way[at, 1]},
-        **{"target_x": target.x, "target_y": target.y, "target_w": target.w, "target_h": target.h},
-        **{"chance": float(hit.mean()), "chance_low": share.low, "chance_high": share.high},
-    }
