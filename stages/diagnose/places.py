@@ -5,37 +5,42 @@ Asked of the effect's own law, without any simulation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 from scipy.stats import qmc
 
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, lacked
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.effect import Effect, StringEffect, components
 from stringcast.stages.model.parameter import Parameter, values_of
 from stringcast.stages.model.stability import load
 
-DRAWS = 10  # places of which it is asked, as a power of two
+DRAWS = 13  # places of which it is asked, as a power of two
 TRIED = 48  # of these that are simulated
 FIRM = 0.1  # of the range of its size: a cushion's stiffness of a plane's
 TOUCHED = 0.1  # of the string's places on its way, at most: what acts on more is no touch
-STRING, HAND = 20_000, 300  # places on the ways of the string and of the hand
+STRING, HAND = 1500, 300  # places on the string's way in a trial, and on the hand's in all
 AT_ONCE = 256  # candidates of which it is asked
+DEPARTED = 3.0  # noises by which a string that was touched is somewhere else
+DEPARTURE = 0.3  # of the largest departure in any trial: what others lack besides is no touch
+APART = 0.1  # [s] between touch and departure, from which one is not the other: what is lacking is told as smoothly
 
 
 @dataclass(frozen=True)
 class Places:
-    """start: exponents (P,) with the effect absent. own: places of its size and of what says where. string, hand: ways
-    through all trials, arguments of laws (M,) each."""
+    """start: exponents (P,) with the effect absent. own: places of its size and of what says where. strings: the
+    string's way in each trial, hand: all the hand's, arguments of laws (M,) each. departs: when what was measured
+    departs from the string in each trial [s], infinite where it does not, (K,)."""
 
     hypothesis: Hypothesis
     start: np.ndarray
     own: list[int]
-    string: Mapping[str, np.ndarray]
+    strings: Sequence[Mapping[str, np.ndarray]]
     hand: Mapping[str, np.ndarray]
+    departs: np.ndarray
     seed: int
 
     @property
@@ -48,18 +53,27 @@ class Places:
         chi = np.repeat(self.start[None], 2**DRAWS, axis=0)
         chi[:, self.own] = qmc.Sobol(len(self.own), seed=self.seed).random_base2(DRAWS)
         chi[:, self.own[0]] = self.start[self.own[0]] + FIRM * (1 - self.start[self.own[0]])
-        return self._possible(chi)[:TRIED]
+        return self._likely(chi)
 
     def about(self, chi: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
         """Exponents (C', P) at which it acts, within reach of those given."""
-        near, where = chi.copy(), self.own[1:]
+        near, where = np.repeat(chi, 2**DRAWS // (32 * len(chi)), axis=0), self.own[1:]
         near[:, where] = np.clip(near[:, where] + rng.uniform(-reach, reach, (len(near), len(where))), 0, 1)
-        return self._possible(near)
+        return self._likely(near)
 
-    def _possible(self, chi: np.ndarray) -> np.ndarray:
+    def _likely(self, chi: np.ndarray) -> np.ndarray:
+        """Those by which the string is touched first when it departs, in each trial, and the hand never."""
         chi = chi[~self._pushed(chi, self.hand).any(axis=1)]  # first: the hand's way is short
-        share = self._pushed(chi, self.string).mean(axis=1)
-        return chi[(share > 0) & (share < TOUCHED)]
+        apart, shares = np.zeros(len(chi)), []
+        for way, departs in zip(self.strings, self.departs, strict=True):
+            pushed = self._pushed(chi, way)
+            end = way["t"][-1] + APART  # stands for never
+            first = np.where(pushed.any(axis=1), way["t"][pushed.argmax(axis=1)], end)
+            apart += np.minimum(np.abs(first - min(departs, end)), APART) ** 2
+            shares.append(pushed.mean(axis=1))
+        share = np.mean(shares, axis=0)
+        touches = np.flatnonzero((share > 0) & (share < TOUCHED))
+        return chi[touches[np.argsort(apart[touches], kind="stable")[:TRIED]]]
 
     def _pushed(self, chi: np.ndarray, way: Mapping[str, np.ndarray]) -> np.ndarray:
         """Whether it acts there, (C, M)."""
@@ -84,10 +98,22 @@ def touching(data: Data, parent: Fit, hypothesis: Hypothesis, seed: int) -> Plac
     effect = hypothesis.causes[-1]
     own = hypothesis.places(effect, varied_parameters(effect))
     values = values_of(parent.hypothesis.parameters, parent.chi[None])
-    string = _thinned([_way(trial, parent, values) for trial in data.trials], STRING)
-    poses = [parent.hypothesis.model.hand(trial.motion, values).pose[0] for trial in data.trials]
-    hand = _thinned([{"x": pose[:, 0], "y": pose[:, 1]} for pose in poses], HAND)
-    return Places(hypothesis, hypothesis.carried(parent.named), own, string, hand, seed)
+    strings = [_thinned(_way(trial, parent, values), STRING) for trial in data.trials]
+    poses = np.concatenate([parent.hypothesis.model.hand(trial.motion, values).pose[0] for trial in data.trials])
+    hand = _thinned({"x": poses[:, 0], "y": poses[:, 1]}, HAND)
+    departs = _departures(data.trials, lacked(data, parent))
+    return Places(hypothesis, hypothesis.carried(parent.named), own, strings, hand, departs, seed)
+
+
+def _departures(trials: Sequence[Case], lacking: Sequence[np.ndarray]) -> np.ndarray:
+    """When what a string lacks, (2 n,) over sigma of each trial, is first more than noise, and more than a share of the
+    most in any trial [s]; infinite where it never is, (K,)."""
+    far = [np.linalg.norm(own.reshape(-1, 2), axis=1) * t.sigma for own, t in zip(lacking, trials, strict=True)]
+    least = DEPARTURE * max(each.max() for each in far)
+    moments = [
+        t.times[t.frame[own > np.maximum(DEPARTED * t.sigma, least)]] for own, t in zip(far, trials, strict=True)
+    ]
+    return np.array([each.min() if len(each) else np.inf for each in moments])
 
 
 def _way(trial: Case, parent: Fit, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -110,7 +136,6 @@ def way_of(points: np.ndarray, s: np.ndarray, times: np.ndarray) -> dict[str, np
     return {name: array[:, 1:].ravel() for name, array in known.items()}
 
 
-def _thinned(ways: list[dict[str, np.ndarray]], count: int) -> dict[str, np.ndarray]:
-    """Some places of several ways, evenly, about `count`."""
-    joined = {name: np.concatenate([way[name] for way in ways]) for name in ways[0]}
-    return {name: each[:: max(len(each) // count, 1)] for name, each in joined.items()}
+def _thinned(way: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """Some places of a way, evenly, about `count`."""
+    return {name: each[:: max(len(each) // count, 1)] for name, each in way.items()}

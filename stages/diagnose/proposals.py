@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from stringcast.stages.diagnose.places import touching, varied_parameters
+from stringcast.stages.diagnose.places import APART, touching, varied_parameters
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import marginal
 from stringcast.stages.inference.evidence import WIDTHS, Data, Fit, Hypothesis
@@ -30,7 +30,7 @@ LARGEST = 2.0  # times a probe's size that it may be taken at, where it is still
 STARTS = 3  # of an effect's fit
 VALUES = (np.arange(8) + 0.5) / 8  # of its range, at which a parameter of a cause is tried anew
 CLOSER = (0.06, 0.03, 0.015)  # of a range, within which places are tried about the best ones
-BEST, ABOUT = 4, 6  # how many of these, and how many places about each
+BEST = 4  # how many of these
 UNMOVED = 1e-6  # standard deviations: what moves nothing explains nothing
 
 
@@ -118,6 +118,14 @@ class _Linear:
         step = step - step[:, [place]] * held / held[place]  # the least with that one held
         return np.clip(chi + step, 0.0, 1.0), self.gains(responses, step, np.ones(len(chi)))
 
+    def early_gains(self, responses: Sequence[np.ndarray], ends: np.ndarray) -> np.ndarray:
+        """Of half the sum of squares by responses until a time in each trial [s], (K,); (C,)."""
+        gain = np.zeros(len(responses[0]))
+        for trial, own, each, end in zip(self.data.trials, self.parent.residuals, responses, ends, strict=True):
+            seen = np.repeat(trial.times[trial.frame] <= end, 2)
+            gain += 0.5 * (np.sum(own[seen] ** 2) - np.sum((own + each)[:, seen] ** 2, axis=1))
+        return gain
+
     def gains(self, responses: Sequence[np.ndarray], step: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Of the log-likelihood by so many times (C,) a response and what is done about it, (C,)."""
         told = zip(self.parent.residuals, responses, self.parent.slopes, strict=True)
@@ -166,20 +174,24 @@ def _probes(linear: _Linear, hypothesis: Hypothesis, effect: type[Effect], seed:
 
 
 def _placed(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | None:
-    """Of an effect that depends on place: where it touches the string's way, ever closer about the best places."""
+    """Of an effect that depends on place: where it touches the string when that departs, ever closer about the places
+    that explain most until shortly after. What happens later depends on everything; the parameters stay as they are."""
     hypothesis, rng = linear.parent.hypothesis.joined(effect), np.random.default_rng(seed)
     places = touching(linear.data, linear.parent, hypothesis, seed)
     chi, found = places.drawn(), []
     for reach in (*CLOSER, 0.0):
         if not len(chi):
             return None
-        responses = linear.responses(hypothesis, chi)
-        step, beyond = linear.steps(responses)
-        found.append((chi, linear.gains(responses, step, np.ones(len(chi))), step, beyond))
-        starts, gain, steps, directions = (np.concatenate(each) for each in zip(*found, strict=True))
-        best = starts[np.argsort(-gain, kind="stable")[:BEST]]
-        chi = places.about(np.repeat(best, ABOUT, axis=0), reach, rng) if reach else chi
-    return _best(linear, hypothesis, starts, gain, steps, directions)
+        found.append((chi, linear.early_gains(linear.responses(hypothesis, chi), places.departs + APART)))
+        starts, early = (np.concatenate(each) for each in zip(*found, strict=True))
+        starts = starts[np.argsort(-early, kind="stable")]
+        chi = places.about(starts[:BEST], reach, rng) if reach else chi
+    responses = linear.responses(hypothesis, starts[:STARTS])
+    same = np.zeros((len(responses[0]), len(linear.parent.chi)))
+    gain = linear.gains(responses, same, np.ones(len(same))).max()
+    if not np.isfinite(gain):
+        return None
+    return Proposal(hypothesis, starts[:STARTS], float(gain), linear.steps(responses)[1][0])
 
 
 def _best(
