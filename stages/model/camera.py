@@ -71,7 +71,12 @@ class Camera:
             there = _across(np.linalg.inv(self._plane), self.lens.rays(flat))
             return there[..., :2] / there[..., 2:]
         if self.distortion != 0.0:
-            flat = self._straighten(flat)
+            centre, half = self._frame()
+            bent = (flat - centre) / half
+            straight = bent
+            for _ in range(30):  # a fixed point, to which this converges for |k1| r^2 < 1/3
+                straight = bent / (1 + self.distortion * np.sum(straight**2, axis=-1, keepdims=True))
+            flat = centre + half * straight
         return (flat - np.asarray(self.origin_px)) @ np.linalg.inv(self._similarity).T
 
     @cached_property
@@ -94,15 +99,6 @@ class Camera:
 
     def _frame(self) -> tuple[np.ndarray, float]:
         return np.array([(self.width - 1) / 2, (self.height - 1) / 2]), self.width / 2
-
-    def _straighten(self, pixels: np.ndarray) -> np.ndarray:
-        """Undo the distortion by fixed-point iteration (converges for |k1| r^2 < 1/3)."""
-        centre, half = self._frame()
-        bent = (pixels - centre) / half
-        straight = bent
-        for _ in range(30):
-            straight = bent / (1 + self.distortion * np.sum(straight**2, axis=-1, keepdims=True))
-        return centre + half * straight
 
 
 def _across(plane: np.ndarray, points: np.ndarray) -> np.ndarray:

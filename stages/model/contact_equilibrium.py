@@ -133,16 +133,11 @@ class _Strings:
         """Moments at the hinges, and their slopes with the hinge's angle, (C, n) each."""
         return moments(self.chain, self.pose[:, 2], self.angles)
 
-    @property
-    def stretch(self) -> np.ndarray:
-        """(C, n - 1)."""
-        return self.lengths / self.chain.segment - 1
-
     @cached_property
     def tension(self) -> tuple[np.ndarray, np.ndarray]:
         """Tension of the segments [m2/s2] and its slope with the stretch, (C, n - 1) each."""
-        of = (self.chain.string, self.chain.material)
-        return sloped(*of, "tension", "stretch", self.stretch, {"rate": np.zeros((1, 1))})
+        of, stretch = (self.chain.string, self.chain.material), self.lengths / self.chain.segment - 1
+        return sloped(*of, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
 
     @cached_property
     def left(self) -> np.ndarray:
@@ -190,20 +185,17 @@ class _Strings:
         Turning or stretching segment m moves all points beyond it by l_m n_m or t_m: with K the change of a point's
         force with its place, l_j n_j . (sum of K beyond both) l_m n_m, and so on.
         """
-        order = np.arange(self.angles.shape[1])
-        both = beyond(self._change())[:, np.maximum.outer(order, order)]
-        ways = (self.lengths[..., None] * self.normal, self.tangent)
-        return np.block([[np.einsum("cja,cjmab,cmb->cjm", a, both, b) for b in ways] for a in ways])
-
-    def _change(self) -> np.ndarray:
-        """K of each point, (C, n - 1, 2, 2): force by place."""
         tangent, places = self.drawn
         ways = NEAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         moved = np.concatenate([places + way for way in ways])
         four = self.chain.only(np.tile(np.arange(len(tangent)), 4))
         pushed = weight(four, moved, np.tile(tangent, (4, 1, 1)))
         ahead, behind = pushed.reshape(2, 2, *places.shape)
-        return np.moveaxis((ahead - behind) / (2 * NEAR), 0, -1)
+        change = np.moveaxis((ahead - behind) / (2 * NEAR), 0, -1)  # K, (C, n - 1, 2, 2)
+        order = np.arange(self.angles.shape[1])
+        both = beyond(change)[:, np.maximum.outer(order, order)]
+        turns = (self.lengths[..., None] * self.normal, self.tangent)
+        return np.block([[np.einsum("cja,cjmab,cmb->cjm", a, both, b) for b in turns] for a in turns])
 
 
 def _stable(matrix: np.ndarray) -> bool:

@@ -61,34 +61,35 @@ def _settled(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np
     chain = Chain.of(string, material)
     angles, lengths = guessed(string, material, pose[:, 2]), plain(string, material)
     force = forces(chain, pose, angles, lengths)
+    turning = string.asks(("load", "flow", "acceleration"), ("x", "y", "tx", "ty"))  # what pulls, with the string
     last, share = np.zeros_like(angles), np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):
         some = chain if moving.size == len(material) else chain.only(moving)
-        if not chain.rigid_weight:
+        if turning:
             force[moving] = forces(some, pose[moving], angles[moving], lengths[moving])
-        turn, lengths[moving] = _by_tangents(some, pose[moving, 2], force[moving], angles[moving], lengths[moving])
-        share[moving] = np.where(_back_again(turn, last[moving]), 0.5 * share[moving], np.minimum(2 * share[moving], 1))
+
+        # to where all is balanced, by the tangents of the laws here: to ask the laws takes longer than all else
+        stretch = lengths[moving] / some.segment - 1
+        pull = sloped(some.string, some.material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
+        turn, long = np.zeros_like(stretch), np.empty_like(stretch)
+        hinges = moments(some, pose[moving, 2], angles[moving])
+        _balanced(force[moving], angles[moving], (stretch, *pull), hinges, some.segment[:, 0], turn, long)
+        lengths[moving] = long
+
+        # half a step where it goes back by most of the last, as from one side of a kink in a law to the other: whole
+        # steps would do so for ever
+        most = np.abs(turn).max(axis=1, keepdims=True)
+        against = np.sum(turn * last[moving], axis=1, keepdims=True) < 0
+        back = against & (most > 0.5 * np.abs(last[moving]).max(axis=1, keepdims=True))
+        share[moving] = np.where(back, 0.5 * share[moving], np.minimum(2 * share[moving], 1))
         angles[moving] += share[moving] * turn
         last[moving] = turn
         # Each candidate ends on its own, so that its shape does not depend on its company.
-        moving = moving[np.abs(turn).max(axis=1) > ENOUGH]
+        moving = moving[most[:, 0] > ENOUGH]
         if moving.size == 0:
             break
     return angles, lengths
-
-
-def _by_tangents(
-    chain: Chain, theta: np.ndarray, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """How far the segments turn to where all is balanced [rad], and how long they are there [m], (C, n - 1) each, by
-    the tangents of the laws where they are: to ask the laws takes longer than all else."""
-    stretch = lengths / chain.segment - 1
-    pull = sloped(chain.string, chain.material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
-    turn, lengths = np.zeros_like(angles), np.empty_like(lengths)
-    hinges = moments(chain, theta, angles)
-    _balanced(force, angles, (stretch, *pull), hinges, chain.segment[:, 0], turn, lengths)
-    return turn, lengths
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -149,31 +150,18 @@ def _turned(
     return most
 
 
-def _back_again(turn: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Whether a step goes back by most of the last, (C, 1), as from one side of a kink in a law to the other and back:
-    whole steps would do so for ever. turn, last: (C, n - 1)."""
-    size = np.abs(last).max(axis=1, keepdims=True)
-    against = np.sum(turn * last, axis=1, keepdims=True) < 0
-    return against & (np.abs(turn).max(axis=1, keepdims=True) > 0.5 * size)
-
-
 def stretched(string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Lengths [m] of segments that are held at these angles [rad] and carry what hangs on them, (C, n - 1).
 
     material: (C, P). pose: (1 or C, 3) of the grasp.
     """
-    chain, lengths = Chain.of(string, material), plain(string, material)
+    chain, lengths, still = Chain.of(string, material), plain(string, material), {"rate": np.zeros((1, 1))}
     force = forces(chain, np.broadcast_to(pose, (len(material), 3)), angles, lengths)
-    for _ in range(4):
-        lengths = _lengths(chain, force, angles, lengths)
-    return lengths
-
-
-def _lengths(chain: Chain, force: np.ndarray, angles: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Lengths at which tension balances the pull along each segment: two steps of Newton's method from `lengths`."""
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
-    stretch = lengths / chain.segment - 1
-    for _ in range(2):
-        tension, rise = sloped(chain.string, chain.material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
-        stretch = np.maximum(stretch - (tension - along) / rise, -0.9)
-    return chain.segment * (1 + stretch)
+    for _ in range(4):
+        stretch = lengths / chain.segment - 1
+        for _ in range(2):  # steps of Newton's method to where tension balances the pull along each segment
+            tension, rise = sloped(string, material, "tension", "stretch", stretch, still)
+            stretch = np.maximum(stretch - (tension - along) / rise, -0.9)
+        lengths = chain.segment * (1 + stretch)
+    return lengths

@@ -41,18 +41,14 @@ def loaded(text: str) -> ModuleType:
 
 
 def place(text: str) -> Path:
-    """The file of the module of this text."""
-    made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
-    digest = hashlib.sha256((text + made_by).encode()).hexdigest()[:20]
-    return cache_folder() / f"string_{digest}.py"
-
-
-def cache_folder() -> Path:
-    """The folder of generated modules and of their machine code."""
+    """The file of the module of this text, beside its machine code, in the folder that STRINGCAST_CACHE names or in the
+    clone's own."""
     chosen = os.environ.get("STRINGCAST_CACHE")
     folder = Path(chosen) if chosen else Path(__file__).resolve().parents[2] / ".numba_cache"
     usable = os.access(folder if folder.exists() else folder.parent, os.W_OK)
-    return folder if usable else temporary_folder()
+    made_by = f"{numba.__version__} {llvmlite.binding.get_host_cpu_name()} {sys.version_info[:2]} {np.__version__}"
+    digest = hashlib.sha256((text + made_by).encode()).hexdigest()[:20]
+    return (folder if usable else temporary_folder()) / f"string_{digest}.py"
 
 
 @cache

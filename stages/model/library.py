@@ -9,7 +9,6 @@ import sys
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 from stringcast.stages.model import effects as package
 from stringcast.stages.model.effect import Effect, numbered
@@ -77,7 +76,15 @@ def files() -> dict[str, Path]:
 @cache
 def _effect(path: Path) -> type[Effect]:
     """The one effect of a file."""
-    module = _module(path)
+    if path.parent == Path(package.__path__[0]).resolve():
+        module = importlib.import_module(f"{package.__name__}.{path.stem}")
+    else:
+        specification = importlib.util.spec_from_file_location(f"effects_elsewhere.{path.stem}", path)
+        assert specification is not None
+        assert specification.loader is not None
+        module = importlib.util.module_from_spec(specification)
+        sys.modules[module.__name__] = module  # inspect looks there for the text of laws
+        specification.loader.exec_module(module)
     mine = [c for c in vars(module).values() if isinstance(c, type) and c.__module__ == module.__name__]
     effects = [c for c in mine if issubclass(c, Effect)]
     if [getattr(e, "name", "") for e in effects] != [path.stem]:
@@ -86,15 +93,3 @@ def _effect(path: Path) -> type[Effect]:
         missing = ", ".join(sorted(effects[0].__abstractmethods__)) or "reference"
         raise ValueError(f"{path}: the effect lacks {missing}. See stages/model/effect.py.")
     return effects[0]
-
-
-def _module(path: Path) -> ModuleType:
-    if path.parent == Path(package.__path__[0]).resolve():
-        return importlib.import_module(f"{package.__name__}.{path.stem}")
-    specification = importlib.util.spec_from_file_location(f"effects_elsewhere.{path.stem}", path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[module.__name__] = module  # inspect looks there for the text of laws
-    specification.loader.exec_module(module)
-    return module

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -55,23 +55,22 @@ class Model(Parametrised):
         return (*self.hand_effects, *self.clock_effects, *self.camera_effects)
 
     def with_effects(self, *effects: type[Effect]) -> Model:
-        """The model with these effects too. Raises ValueError for one that is at work already."""
-        return reduce(Model._joined, effects, self)
-
-    def _joined(self, effect: type[Effect]) -> Model:
-        """The model with one more, in its world."""
-        if effect in self.effects:
-            raise ValueError(f"effect '{effect.name}' is at work already. Name it once.")
-        if issubclass(effect, ModelChange):
-            return self.divided(effect.points(self.string.points) - 1)
-        if issubclass(effect, StringEffect):
-            return replace(self, string=replace(self.string, effects=(*self.string.effects, effect)))
-        if issubclass(effect, HandEffect):
-            return replace(self, hand_effects=_in_turn(*self.hand_effects, effect))
-        if issubclass(effect, ClockEffect):
-            return replace(self, clock_effects=_in_turn(*self.clock_effects, effect))
-        assert issubclass(effect, CameraEffect)
-        return replace(self, camera_effects=_in_turn(*self.camera_effects, effect))
+        """The model with these effects too, each in its world. Raises ValueError for one that is at work already."""
+        model = self
+        for effect in effects:
+            if effect in model.effects:
+                raise ValueError(f"effect '{effect.name}' is at work already. Name it once.")
+            if issubclass(effect, ModelChange):
+                model = model.divided(effect.points(model.string.points) - 1)
+            elif issubclass(effect, StringEffect):
+                model = replace(model, string=replace(model.string, effects=(*model.string.effects, effect)))
+            elif issubclass(effect, HandEffect):
+                model = replace(model, hand_effects=_in_turn(*model.hand_effects, effect))
+            elif issubclass(effect, ClockEffect):
+                model = replace(model, clock_effects=_in_turn(*model.clock_effects, effect))
+            elif issubclass(effect, CameraEffect):
+                model = replace(model, camera_effects=_in_turn(*model.camera_effects, effect))
+        return model
 
     def divided(self, segments: int) -> Model:
         """The model with its string in so many segments."""

@@ -62,7 +62,11 @@ def simulate(
         begins = None if initial is None else initial.of(chosen)
         ticks = _run(string, material[chosen], pose, rate, hand, int(level), begins)
         asked_for, end = (position, last) if times.ndim == 1 else (position[chosen], last[chosen])
-        points = _as_stated(string, material[chosen], sampled(ticks, asked_for, end))
+        points = sampled(ticks, asked_for, end)
+        longer = string.longer(material[chosen])[:, None]
+        if np.any(longer != 1):  # of strings that begin elsewhere: points at the stated arc lengths
+            tip = string.points - 1
+            points = between(points, np.minimum((np.arange(string.points) + (longer - 1) * tip) / longer, tip))
         parts.append((chosen, points, stayed(ticks, end)))
     return _gathered(parts, (len(material), times.shape[-1], string.points, 2))
 
@@ -92,15 +96,6 @@ def _begun(string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndar
     return pose, rate
 
 
-def _as_stated(string: String, material: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points at the stated arc lengths, from those of the mass points of strings that begin elsewhere, (C, F, n, 2)."""
-    longer = string.longer(material)[:, None]
-    if np.all(longer == 1):
-        return points
-    last = string.points - 1
-    return between(points, np.minimum((np.arange(string.points) + (longer - 1) * last) / longer, last))
-
-
 def _run(
     string: String,
     material: np.ndarray,
@@ -119,8 +114,7 @@ def _run(
     # the loop loads a number of all candidates of a block at once: lanes stand last, side by side
     parameters = np.ascontiguousarray(filled[index].reshape(blocks, width, -1).transpose(0, 2, 1))
     own = pose if len(pose) == 1 else pose[index]
-    start = _at_rest(string, material, pose) if initial is None else _moving(string, material, pose, rate, initial)
-    angles, lengths, velocity, hung = (part[index] for part in start)
+    angles, lengths, velocity, hung = (part[index] for part in _laid(string, material, pose, rate, initial))
     working, acting = string.active(material[index])
     chain = (working.masses(acting)[0], working.segments(acting), partial(averaged, working, acting))
     constants = string.integrator.constants(*chain, hand.tick / steps)
@@ -128,9 +122,7 @@ def _run(
     further = {**constants, **_memory(string, material[index], own[:, 0, 2], angles, hung, let_back)}
     buffers = _buffers(string, material[index], own[:, 0], angles, lengths, velocity, further, width)
     shared = len(pose) == 1  # one hand for all: its cubics are stored once, and not once a block
-    cubic = _cubic(own, rate if shared else rate[index], hand.tick)
-    cubic = np.repeat(cubic, width, axis=2) if shared else cubic  # as wide as the lanes, so that it loads vectors
-    cubic = cubic.reshape(*cubic.shape[:2], -1, width).transpose(0, 2, 1, 3).reshape(len(cubic), -1, 12 * width)
+    cubic = _cubic(own, rate if shared else rate[index], hand.tick, width)
     out = np.empty((count, cubic.shape[0] + 1, string.points, 2))
     alive = np.ones((blocks, width), dtype=bool)
     run = partial(
@@ -144,20 +136,19 @@ def _run(
     return out
 
 
-def _at_rest(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Angles and lengths of the segments in equilibrium, velocities of the points: none, and angles. As `_moving`."""
-    angles, lengths = hanging(*string.active(material), pose[:, 0])
-    return angles, lengths, np.zeros((len(material), string.points, 2)), angles
-
-
-def _moving(
-    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, initial: State
+def _laid(
+    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, initial: State | None
 ) -> tuple[np.ndarray, ...]:
-    """Angles [rad] and lengths [m] of the segments, (C, n - 1) each, velocities of the points (C, n, 2) [m/s], and
-    the angles at which its hinges would hold nothing: where it would hang at rest, if they hold anything.
+    """How strings lie and move at first: angles [rad] and lengths [m] of the segments, (C, n - 1) each, velocities of
+    the points (C, n, 2) [m/s], and the angles at which hinges would hold nothing: where the string would hang at rest,
+    if they hold anything.
 
-    Each candidate is stretched as it would be if it hung there at rest: let go without strain, a string would ring.
+    In equilibrium, or as `initial` says; then each candidate is stretched as it would be if it hung there at rest: let
+    go without strain, a string would ring.
     """
+    if initial is None:
+        angles, lengths = hanging(*string.active(material), pose[:, 0])
+        return angles, lengths, np.zeros((len(material), string.points, 2)), angles
     shape = (len(material), string.points - 1)
     middles = string.middles()
     if np.any(hidden := (string.longer(material) - 1) * string.length):
@@ -270,10 +261,13 @@ def _memory(
     return dict(zip(("CURVED", *(f"HELD{i}" for i in range(count))), rows, strict=True))
 
 
-def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float) -> np.ndarray:
-    """Coefficients of the cubic in each tick: (K - 1, 12, B), for x, y, theta each a0..a3."""
+def _cubic(pose: np.ndarray, rate: np.ndarray, tick: float, width: int) -> np.ndarray:
+    """Coefficients of the cubic in each tick, for x, y, theta each a0..a3, as the loop reads them: of one hand for all,
+    (K - 1, 1, 12 width), as wide as the lanes so that it loads vectors, or of the hands of each block."""
     p0, p1 = pose[:, :-1], pose[:, 1:]
     v0, v1 = rate[:, :-1] * tick, rate[:, 1:] * tick
     coefficients = np.stack([p0, v0, 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1], axis=-1)
-    batch, count = coefficients.shape[:2]
-    return np.ascontiguousarray(coefficients.reshape(batch, count, 12).transpose(1, 2, 0))
+    hands, count = coefficients.shape[:2]
+    cubic = np.ascontiguousarray(coefficients.reshape(hands, count, 12).transpose(1, 2, 0))
+    cubic = np.repeat(cubic, width, axis=2) if hands == 1 else cubic
+    return cubic.reshape(count, 12, -1, width).transpose(0, 2, 1, 3).reshape(count, -1, 12 * width)

@@ -38,7 +38,18 @@ def steps_per_tick(string: String, material: np.ndarray, tick: float) -> tuple[n
     candidates can run side by side; a candidate's own depends on nothing but itself.
     """
     frequency2, damping = rates(string, material)
-    stable = string.integrator.largest_step(frequency2, damping, _drag(string, material))
+
+    # damping rate of the loads at the fastest speed covered, but of those that declare theirs: these depend on place,
+    # and what they are in one place says nothing
+    plain, own = string.only(tuple(e for e in string.effects if not hasattr(e, "bound")), material)
+    bit = 1e-3
+    fast, faster, no = FASTEST, FASTEST * (1.0 + bit), 0.0
+    pulls = load(plain, own, {"vx": np.array([[fast, faster, no, no]]), "vy": np.array([[no, no, fast, faster]])})
+    worst = np.abs(pulls[:, 1::2] - pulls[:, ::2]).max(axis=(1, 2)) / (bit * FASTEST)
+    masses, cells = plain.masses(own)
+    drag = np.asarray(worst * (cells / masses).max(axis=1))
+
+    stable = string.integrator.largest_step(frequency2, damping, drag)
     step = np.minimum(SAFETY * stable, string.largest_step)
     needed = tick / np.maximum(step, 1e-300)
     possible = np.isfinite(needed) & (needed <= MOST_STEPS)
@@ -51,7 +62,10 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Bounds of squared frequency [1/s^2] and damping rate [1/s], (3 or more, C) each: axial, bending, grasp, and
     those that loads declare. Of what the string's integrator leaves explicit.
     """
-    axial, bending, grasp = _operators(string, material)
+    masses, cells = string.masses(material)
+    longer = string.longer(material)
+    alike = masses / longer[:, None]  # in strings that differ in length alone
+    axial, bending, grasp = np.array([_operators(mass[1:].tobytes()) for mass in alike]).T / longer
     stiffness, damping = string.integrator.explicit(*slopes(string, material))
     explicit = [[slot in HELD and HELD[slot][1] not in string.integrator.averaged] for slot in SAMPLES]
     stiffness = stiffness + explicit * turning_back(string, material)
@@ -59,7 +73,6 @@ def rates(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     reach = np.stack([axial / length, bending / length**3, grasp / length**2])
     taut = np.array([[1 + TAUT], [1.0], [1.0]])
     stiff, damped = taut * stiffness * reach, damping * reach
-    masses, cells = string.masses(material)
     lightest = (cells / masses).max(axis=1)
     for effect in string.effects:
         if hasattr(effect, "bound"):
@@ -78,9 +91,14 @@ def slopes(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray
     [0]: with stretch, curvature, angle (stiffness); [1]: with their rates (damping). The
     steepest is the largest magnitude; the gentlest is what rises everywhere, at least 0.
     """
-    sampled = [_sampled_slopes(string, material, slot) for slot in SAMPLES]
-    steepest = [[np.abs(rise).max(axis=1) for rise in both] for both in sampled]
-    gentlest = [[np.maximum(rise.min(axis=1), 0.0) for rise in both] for both in sampled]
+    steepest, gentlest = [], []
+    for slot in SAMPLES:
+        around, da, db = _around(slot)
+        total = slot_sum(string, material, slot, around, string.integrator.averaged)
+        more, less, faster, slower = np.moveaxis(total.reshape(len(total), 4, -1), 1, 0)
+        rises = (more - less) / (2 * da), (faster - slower) / (2 * db)
+        steepest.append([np.abs(rise).max(axis=1) for rise in rises])
+        gentlest.append([np.maximum(rise.min(axis=1), 0.0) for rise in rises])
     return np.swapaxes(steepest, 0, 1), np.swapaxes(gentlest, 0, 1)
 
 
@@ -107,14 +125,6 @@ def turning_back(string: String, material: np.ndarray) -> np.ndarray:
             rises = [((new - old) / bit).max(axis=1) for new, old in zip(after, before, strict=True)]
             steepest[row] = np.maximum(steepest[row], sum(rises, np.zeros(len(material))))
     return steepest
-
-
-def _sampled_slopes(string: String, material: np.ndarray, slot: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rise of the slot's laws with their first and second argument over the samples, (C, M) each."""
-    around, da, db = _around(slot)
-    total = slot_sum(string, material, slot, around, string.integrator.averaged)
-    more, less, faster, slower = np.moveaxis(total.reshape(len(total), 4, -1), 1, 0)
-    return (more - less) / (2 * da), (faster - slower) / (2 * db)
 
 
 @cache
@@ -144,18 +154,6 @@ def slot_sum(
     return total
 
 
-def _drag(string: String, material: np.ndarray) -> np.ndarray:
-    """Damping rate of the loads at the fastest speed covered, (C,), but of those that declare theirs: these depend on
-    place, and what they are in one place says nothing."""
-    string, material = string.only(tuple(e for e in string.effects if not hasattr(e, "bound")), material)
-    step = 1e-3
-    fast, faster, no = FASTEST, FASTEST * (1.0 + step), 0.0
-    pulls = load(string, material, {"vx": np.array([[fast, faster, no, no]]), "vy": np.array([[no, no, fast, faster]])})
-    worst = np.abs(pulls[:, 1::2] - pulls[:, ::2]).max(axis=(1, 2)) / (step * FASTEST)
-    masses, cells = string.masses(material)
-    return np.asarray(worst * (cells / masses).max(axis=1))
-
-
 def load(string: String, material: np.ndarray, given: dict[str, np.ndarray]) -> np.ndarray:
     """Sum of the loads, (C, M, 2) [m/s^2]; arguments not given are 0, the tangent points right."""
     known = STILL | given
@@ -173,20 +171,10 @@ def vector_sum(string: String, material: np.ndarray, slot: str, known: dict[str,
     return total
 
 
-def _operators(string: String, material: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Largest eigenvalues of the chain's operators for unit segments, masses in metres: (C,) each.
-
-    axial: first differences, bending: second differences, grasp: the first segment's turn.
-    """
-    longer = string.longer(material)
-    masses = string.masses(material)[0] / longer[:, None]  # alike in strings that differ in length alone
-    axial, bending, grasp = np.array([_largest(mass[1:].tobytes()) for mass in masses]).T / longer
-    return axial, bending, grasp
-
-
 @lru_cache(4096)
-def _largest(masses: bytes) -> tuple[float, float, float]:
-    """The eigenvalues of one string whose free points have these masses, (n - 1,) float64 [m]."""
+def _operators(masses: bytes) -> tuple[float, float, float]:
+    """Largest eigenvalues of a chain's operators for unit segments: of first differences (axial), of second differences
+    (bending) and of the first segment's turn (grasp). masses: of its free points, (n - 1,) float64 [m]."""
     root = 1.0 / np.sqrt(np.frombuffer(masses))
     first = np.eye(len(root)) - np.eye(len(root), k=-1)
     second = (first - np.eye(len(root), k=-1) @ first)[1:]

@@ -51,11 +51,6 @@ class Chain:
         parts = (self.material, self.segment, self.s, self.masses, self.cells, self.curved, self.turned)
         return Chain(self.string, *(part[which] for part in parts))
 
-    @property
-    def rigid_weight(self) -> bool:
-        """Whether what pulls at the points is the same however the string lies."""
-        return not self.string.asks(("load", "flow", "acceleration"), ("x", "y", "tx", "ty"))
-
 
 def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """A first guess: from the grasp's direction to straight down, over the length on which weight bends the rod."""

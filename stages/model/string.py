@@ -202,7 +202,17 @@ class String(Parametrised):
         """Material properties from per-mass-point values, and what effects derive. (..., P) to (..., rows)."""
         reference = self.length / (self.reference_points - 1)
         material = values * reference ** np.array([p.per_length for p in self.parameters], dtype=float)
-        material = self._in_series(material)
+        names = ("grasp_stiffness", "grasp_damping", "bending_stiffness", "bending_damping")
+        if self.grasp_cell and set(names) <= set(self.names):
+            # The hinge at the grasp, softened by the bending of its share of the first segment. Of its angle the
+            # string's share is that of the compliances, and so it is of its rate: that is how springs in series divide
+            # it, as long as dampers beside them are slow. Moments follow by virtual work.
+            places = [self.names.index(name) for name in names]
+            stiffness, damping, own_stiffness, own_damping = (material[..., place] for place in places)
+            cell = self.grasp_cell * self.segments(material)
+            share = stiffness / (stiffness + own_stiffness / cell)
+            softened = share * own_stiffness / cell, (1 - share) ** 2 * damping + share**2 * own_damping / cell
+            material[..., places[0]], material[..., places[1]] = softened
         columns = [column for e in self.effects for column in e.derived(**self.own(e, material)).values()]
         if self._hides:
             columns += [self.longer(material), 1 / self.segments(material)]
@@ -212,24 +222,6 @@ class String(Parametrised):
         """An effect's own parameters, (...) each, by name. material: (..., P)."""
         places = {p.name: self.names.index(effect.qualified(p)) for p in effect.parameters}
         return {name: material[..., place] for name, place in places.items()}
-
-    def _in_series(self, material: np.ndarray) -> np.ndarray:
-        """The hinge at the grasp, softened by the bending of its share of the first segment.
-
-        Of its angle the string's share is that of the compliances, and so it is of its rate: that is how springs in
-        series divide it, as long as dampers beside them are slow. Moments follow by virtual work.
-        """
-        names = ("grasp_stiffness", "grasp_damping", "bending_stiffness", "bending_damping")
-        if self.grasp_cell == 0 or not set(names) <= set(self.names):
-            return material
-        places = [self.names.index(name) for name in names]
-        stiffness, damping, own_stiffness, own_damping = (material[..., place] for place in places)
-        cell = self.grasp_cell * self.segments(material)
-        share = stiffness / (stiffness + own_stiffness / cell)
-        softened = material.copy()
-        softened[..., places[0]] = share * own_stiffness / cell
-        softened[..., places[1]] = (1 - share) ** 2 * damping + share**2 * own_damping / cell
-        return softened
 
     def asks(self, slots: Sequence[str], names: Sequence[str]) -> bool:
         """Whether a law in one of these slots takes an argument of one of these names."""

@@ -26,7 +26,9 @@ class ArmLag(HandEffect):
         """y = u - e; in each interval e is a polynomial in the spline's derivatives and a decay from what it was."""
         spline = CubicSpline(t, angles, axis=1, bc_type="natural")
         third = np.diff(spline(t, 2), axis=1) / np.diff(t)[:, None]
-        at_start, at_end = (_forced(spline, some, third, time_constant) for some in (t[:-1], t[1:]))
+        tau = time_constant
+        # the part of e that does not decay: tau u' - tau^2 u'' + tau^3 u'''
+        at_start, at_end = (tau * (spline(u, 1) - tau * (spline(u, 2) - tau * third)) for u in (t[:-1], t[1:]))
         decay = np.exp(-np.diff(t)[:, None] / np.maximum(time_constant, 1e-12))
         behind = np.zeros(np.broadcast_shapes(angles.shape, np.shape(time_constant)))
         for k in range(len(t) - 1):
@@ -37,8 +39,3 @@ class ArmLag(HandEffect):
     def grasp(t: np.ndarray, pose: np.ndarray, time_constant: Quantity) -> np.ndarray:
         """The lag of position and direction, where no joints are known."""
         return ArmLag.joints(t, pose, time_constant)
-
-
-def _forced(spline: CubicSpline, t: np.ndarray, third: np.ndarray, tau: Quantity) -> np.ndarray:
-    """tau u' - tau^2 u'' + tau^3 u''', the part of e that does not decay."""
-    return tau * (spline(t, 1) - tau * (spline(t, 2) - tau * third))

@@ -11,11 +11,7 @@ class AxialDamper(StringEffect):
         Parameter("axial_damping", "N s/(m kg)", "damping force between mass points", 0.13, 1.3e3, 0.13, "c_s", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_d"
-    invariants = (
-        odd("tension", "rate"),
-        nothing_at_zero("tension", "rate"),
-        resists("tension"),
-    )
+    invariants = (odd("tension", "rate"), nothing_at_zero("tension", "rate"), resists("tension"))
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -11,10 +11,7 @@ class AxialSpring(StringEffect):
         Parameter("axial_stiffness", "N/(m kg)", "elastic force between mass points", 9.0e3, 9.0e5, 9.0e3, "k_s", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_s"
-    invariants = (
-        odd("tension", "stretch"),
-        nothing_at_zero("tension", "stretch"),
-    )
+    invariants = (odd("tension", "stretch"), nothing_at_zero("tension", "stretch"))
 
     @staticmethod
     def describe(values: Values) -> str:

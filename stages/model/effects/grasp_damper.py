@@ -11,11 +11,7 @@ class GraspDamper(StringEffect):
         Parameter("grasp_damping", "N m s/(rad kg)", "damper moment at the grasp", 1.1e-6, 0.37, 1.1e-6, "c_ph", 1),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_phc"
-    invariants = (
-        odd("grasp_moment", "rate"),
-        nothing_at_zero("grasp_moment", "rate"),
-        resists("grasp_moment"),
-    )
+    invariants = (odd("grasp_moment", "rate"), nothing_at_zero("grasp_moment", "rate"), resists("grasp_moment"))
 
     @staticmethod
     def describe(values: Values) -> str:

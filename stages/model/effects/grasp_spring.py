@@ -11,10 +11,7 @@ class GraspSpring(StringEffect):
         Parameter("grasp_stiffness", "N m/(rad kg)", "spring moment at the grasp", 1.0e-3, 5.0, 1.0e-3, "k_ph", 1),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_ph"
-    invariants = (
-        odd("grasp_moment", "angle"),
-        nothing_at_zero("grasp_moment", "angle"),
-    )
+    invariants = (odd("grasp_moment", "angle"), nothing_at_zero("grasp_moment", "angle"))
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -11,11 +11,7 @@ class HingeDamper(StringEffect):
         Parameter("bending_damping", "N m s/(rad kg)", "damper between segments", 3.0e-7, 0.67, 3.0e-7, "c_h", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_h"
-    invariants = (
-        odd("moment", "rate"),
-        nothing_at_zero("moment", "rate"),
-        resists("moment"),
-    )
+    invariants = (odd("moment", "rate"), nothing_at_zero("moment", "rate"), resists("moment"))
 
     @staticmethod
     def describe(values: Values) -> str:

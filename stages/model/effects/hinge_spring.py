@@ -11,10 +11,7 @@ class HingeSpring(StringEffect):
         Parameter("bending_stiffness", "N m/(rad kg)", "spring between segments", 8.0e-3, 4.0e2, 8.0e-3, "k_h", 2),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_b"
-    invariants = (
-        odd("moment", "curvature"),
-        nothing_at_zero("moment", "curvature"),
-    )
+    invariants = (odd("moment", "curvature"), nothing_at_zero("moment", "curvature"))
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -5,14 +5,8 @@ import numpy as np
 from stringcast.stages.model.effect import Axes, Parameter, Quantity, StringEffect, Values
 
 WAYS = (
-    "to the right",
-    "up to the right",
-    "up",
-    "up to the left",
-    "to the left",
-    "down to the left",
-    "down",
-    "down to the right",
+    *("to the right", "up to the right", "up", "up to the left"),
+    *("to the left", "down to the left", "down", "down to the right"),
 )
 
 
