@@ -50,7 +50,7 @@ MEASURED = Table(
         Column("tip_base", "m", "rms of the tip in released trials, fitted to all trials"),
         Column("tip_extended", "m", "rms of the tip in released trials, fitted to all trials"),
         Column("tip_authors", "m", "the same of the model of those who measured it"),
-        Column("seconds", "s", "on one core, which other work may have used too"),
+        Column("seconds", "s", "of the processor, by one core"),
         Column("code", "", "commit that said so", "text"),
     ),
 )
@@ -94,10 +94,10 @@ def answer(
 ) -> dict[str, Any]:
     """A row of the table but for the code; the diagnosis is left in `out`. without: effects that are no candidates."""
     family.write(measured, name, trials, out / "dataset", {"packages": software()["packages"]})
-    begun = time.perf_counter()
+    begun = time.process_time()
     settings = composed(["+experiment=diagnose", f"diagnose.without=[{','.join(without)}]"])
     found = diagnosis(out / "dataset", settings | {"string": family.settings["string"]})
-    seconds = time.perf_counter() - begun
+    seconds = time.process_time() - begun
     text = found.finding["diagnosis"].iloc[0]
     write_text(out / "diagnosis.json", text)
     write_text(out / "extended.yaml", found.finding["extended"].iloc[0])
