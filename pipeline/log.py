@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from stringcast.data.errors import printable
 from stringcast.pipeline.layout import LOG
@@ -76,9 +76,9 @@ class _Kept(logging.FileHandler):
 
     def _open(self) -> TextIOWrapper:
         """The file itself: through a link in a folder of others, lines would go into any file of ours."""
-        return cast(
-            TextIOWrapper, open(self.baseFilename, self.mode, encoding=self.encoding, opener=_not_through_links)
-        )
+        no_link = getattr(os, "O_NOFOLLOW", 0)
+        how: dict[str, Any] = {"opener": lambda path, flags: os.open(path, flags | no_link, 0o666)}
+        return cast(TextIOWrapper, open(self.baseFilename, self.mode, encoding=self.encoding, **how))
 
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):
@@ -90,10 +90,6 @@ class _Kept(logging.FileHandler):
     def close(self) -> None:
         with suppress(OSError):
             super().close()
-
-
-def _not_through_links(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _heard(handler: logging.Handler) -> None:

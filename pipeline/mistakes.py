@@ -65,12 +65,6 @@ class Word:
         """The word behind it, empty for the last."""
         return self.following[0] if self.following else ""
 
-    @property
-    def belongs_before(self) -> bool:
-        """Whether it is answered with the word before it: `--experiment stringB`, `seed = 3`, `seed: 3`."""
-        apart = self.text == "=" or self.before == "=" or (self.before.endswith(":") and "=" not in self.before)
-        return apart or bool(_named_as_option(self.before) and "=" not in self.before)
-
 
 def refuse_mistakes(words: Sequence[str]) -> None:
     """Raise UserError for the first word that is not what it is meant for, with the command to paste instead."""
@@ -93,9 +87,12 @@ def _answers(words: Sequence[str]) -> Iterator[Answer]:
     for place, text in enumerate(words):
         word = Word(text, words[place - 1] if place else "", words[place + 1 :])
         right = Answer("", [text])
+        # answered with the word before it: `--experiment stringB`, `seed = 3`, `seed: 3`
+        alone = "=" not in word.before and (word.before.endswith(":") or bool(_named_as_option(word.before)))
+        second = text == "=" or word.before == "=" or alone
         if command:
             yield right
-        elif not word.belongs_before:
+        elif not second:
             # of several mistakes that a word may be, the first that fits
             faults = _of_option if text.startswith(("-", "~")) else _of_setting if "=" in text else _of_bare_word
             answer = next(faults(word), right)

@@ -83,13 +83,23 @@ def _group(group: str, chosen: str, block: Mapping[str, Any]) -> Iterator[str]:
     known: set[str] = set()
     rows = []
     for option, settings in ((file.stem, block if file.stem == chosen else _read(file)) for file in listed):
-        own, kinds = dict(of_file(CONF / group / f"{option}.yaml")), dict(_kinds(group, settings))
+        hints: Mapping[str, Any] = {}  # of what takes the settings
+        if "_target_" in settings:
+            hints = taken(loaded(settings["_target_"], group, str(CONF / group)))
+        elif group in BUILT:
+            hints = get_type_hints(BUILT[group], include_extras=True)
+        own, kinds = dict(of_file(CONF / group / f"{option}.yaml")), dict(_of_fields(group, hints))
         for name, value in leaves(_folded(settings), group).items():
             if any(name == one or name.startswith(f"{one}.") for one in known) or {*name.split(".")} & UNTOLD:
                 continue
             known.add(name)
             where = "" if option == chosen else f" (`{group}={option}`)"
-            rows.append((f"`{name}`", _value(value) + where, kinds.get(name, ""), own.get(name) or _meaning(name)))
+            # without a comment of its own, that of a setting called alike elsewhere, or of the block that it is in
+            parts = name.split(".")
+            alike = [one for one in meanings() if len(parts) > 2 and one.endswith(f".{'.'.join(parts[-2:])}")]
+            names = [name, *alike, *(".".join(parts[:end]) for end in range(len(parts) - 1, 1, -1))]
+            said = own.get(name) or next((meanings()[one] for one in names if one in meanings()), "")
+            rows.append((f"`{name}`", _value(value) + where, kinds.get(name, ""), said))
     if rows:
         yield _table(("setting", "default", "", "what it means"), rows)
 
@@ -120,22 +130,6 @@ def _options(group: str, chosen: str) -> str:
         heading = " ".join(line.strip("# ") for line in (top[0] if top else "").splitlines())
         rows.append((f"`{file.stem}`{', by default' * (file.stem == chosen)}", heading))
     return f"## `{'+' * (group == 'experiment')}{group}=`\n{_table(('option', 'what it is'), rows)}"
-
-
-def _meaning(name: str) -> str:
-    """The meaning of a setting, or of one called alike in another group, or else of the block that it is in."""
-    parts = name.split(".")
-    alike = [one for one in meanings() if len(parts) > 2 and one.endswith(f".{'.'.join(parts[-2:])}")]
-    names = [name, *alike, *(".".join(parts[:end]) for end in range(len(parts) - 1, 1, -1))]
-    return next((meanings()[one] for one in names if one in meanings()), "")
-
-
-def _kinds(group: str, block: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """The allowed values of each setting of a block, by its full name."""
-    if "_target_" in block:
-        yield from _of_fields(group, taken(loaded(block["_target_"], group, str(CONF / group))))
-    elif group in BUILT:
-        yield from _of_fields(group, get_type_hints(BUILT[group], include_extras=True))
 
 
 def _of_fields(place: str, hints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

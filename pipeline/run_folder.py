@@ -81,7 +81,12 @@ class RunFolder:
         """Keep the run a dataset that others can read. One that holds these trials already stays: no reader of a
         finished run is to see fewer of them."""
         made_of = trial_hashes(self.folder, iterations)
-        if not published(self.folder, made_of):
+        try:
+            files = [self.folder / f"{table.name}.parquet" for table in dataset.PUBLISHED]
+            holds = all(made_of.items() <= store.origin_of(file)["inputs"].items() for file in files)
+        except (*store.UNREADABLE, KeyError):
+            holds = False
+        if not (holds and (self.folder / "dataset.yaml").exists()):
             publish(self.experiment, made_of, self.folder, iterations)
 
 
@@ -192,15 +197,6 @@ def publish(experiment: Experiment, made_of: Mapping[str, str], to: Path, iterat
     about |= {"trials": refused} if refused else {}
     places = {i.name: place_of(i.number, "trial") for i in iterations}
     dataset.publish(to, trials, places, about, origin(experiment.config, "dataset", experiment.seed, made_of))
-
-
-def published(folder: Path, made_of: Mapping[str, str]) -> bool:
-    """Whether the dataset in a run's folder holds the trials of these `trial_hashes` as they are."""
-    try:
-        tables = [store.origin_of(folder / f"{table.name}.parquet")["inputs"] for table in dataset.PUBLISHED]
-    except (*store.UNREADABLE, KeyError):
-        return False
-    return (folder / "dataset.yaml").exists() and all(made_of.items() <= inputs.items() for inputs in tables)
 
 
 def trial_hashes(folder: Path, iterations: list[Iteration]) -> dict[str, str]:

@@ -126,22 +126,16 @@ def show(found: Mapping[str, Any], console: Terminal) -> None:
         console.print(f"[{colour}]{severity}[/] {escape(as_called(words + remedy))}", highlight=False, soft_wrap=True)
     if found.get("effects"):
         console.print(effects(found["effects"]), EFFECTS, highlight=False)
-    console.print(conclusion(found), soft_wrap=True)
+    count = {s: sum(f["severity"] == s for f in found["findings"]) for s in COLOURS}
+    counted = ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n) or "nothing looks wrong"
+    usable = f"{len(found['trials'])} trial{'s' if len(found['trials']) > 1 else ''}; {counted}"
+    said = f"[bold green]Usable[/]: {usable}." if found["usable"] else f"[bold red]Not usable[/]: {counted}."
+    console.print(said, soft_wrap=True)
 
 
 def listed(names: Sequence[str]) -> str:
     """The first few names, and how many more there are."""
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-
-
-def conclusion(found: Mapping[str, Any]) -> str:
-    """The last line: whether the data can be used, and how many findings of each severity there are."""
-    count = {s: sum(f["severity"] == s for f in found["findings"]) for s in COLOURS}
-    counted = ", ".join(f"{n} {s}{'s' if n > 1 else ''}" for s, n in count.items() if n) or "nothing looks wrong"
-    if not found["usable"]:
-        return f"[bold red]Not usable[/]: {counted}."
-    trials = f"{len(found['trials'])} trial{'s' if len(found['trials']) > 1 else ''}"
-    return f"[bold green]Usable[/]: {trials}; {counted}."
 
 
 def trials(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -24,8 +24,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--mass", type=float, help="of the string [kg], which its motion does not tell; for .xml")
     parser.add_argument("--step", type=float, default=5e-4, help="of the simulation [s]; for .xml")
     asked = parser.parse_args(arguments)
-    string = KnownString.of_run(asked.run)
-    text = {".xml": mjcf, ".csv": card}.get(asked.file.suffix, unknown)(string, asked)
+    string, forms = KnownString.of_run(asked.run), {".xml": mjcf, ".csv": card}
+    if asked.file.suffix not in forms:
+        raise UserError(f"{asked.file}: its ending names no form. Give it .xml for MuJoCo, or .csv for a card.")
+    text = forms[asked.file.suffix](string, asked)
     asked.file.parent.mkdir(parents=True, exist_ok=True)
     write_text(asked.file, text)
     print(printable(str(asked.file)))
@@ -51,8 +53,3 @@ def card(string: KnownString, asked: argparse.Namespace) -> str:
         for low, high in [model.measured.get(p.name, (None, None))]
     ]
     return pd.DataFrame(rows).to_csv(index=False)
-
-
-def unknown(string: KnownString, asked: argparse.Namespace) -> str:
-    """Refuse a file whose ending names no form."""
-    raise UserError(f"{asked.file}: its ending names no form. Give it .xml for MuJoCo, or .csv for a card.")

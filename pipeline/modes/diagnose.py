@@ -40,7 +40,12 @@ class Diagnose(Batch):
             trials = performed(history, trials)
             made = history.make(self.stage, trials=trials)
             executor.publish(history.iterations[stored:])
-        return Result(folder, tuple(history.iterations), concluded(made), stages()[self.stage])
+        # the verdict, what was left out, and what to do next
+        found = json.loads(made.finding["diagnosis"].iloc[0])
+        rejected, following = found["trials"]["rejected"], found["next_experiment"]
+        left = f"Left out: {listed(rejected)}." if rejected else ""
+        sentence = " ".join(filter(None, (made.sentence, left, following and following["sentence"])))
+        return Result(folder, tuple(history.iterations), sentence, stages()[self.stage])
 
 
 def performed(history: History, trials: TrialSet) -> TrialSet:
@@ -59,11 +64,3 @@ def unusable(current: Iteration) -> str:
     """The reason why a trial just performed cannot be used; empty if it can."""
     read = current.done["points"].readings["valid"].any()
     return current.refused or ("" if read else "the string could not be read in any frame")
-
-
-def concluded(made: Diagnosis) -> str:
-    """The verdict, what was left out, and what to do next."""
-    found = json.loads(made.finding["diagnosis"].iloc[0])
-    rejected, following = found["trials"]["rejected"], found["next_experiment"]
-    left = f"Left out: {listed(rejected)}." if rejected else ""
-    return " ".join(filter(None, (made.sentence, left, following and following["sentence"])))
