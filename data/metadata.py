@@ -147,19 +147,16 @@ def metadata(folder: Path) -> dict[str, Any]:
     try:
         Metadata.model_validate(known)
     except ValidationError as error:
-        raise DataError(f"{path}: {_first(error)}. Correct it; all is in metres, seconds and radians.") from error
+        # the first thing that is wrong: field, value and what it must be
+        fault = error.errors()[0]
+        place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+        said = f"{place} is missing"
+        if fault["type"] != "missing":
+            must = MUST.get(fault["type"], fault["msg"][:1].lower() + fault["msg"][1:])
+            given = repr(fault["input"])
+            given = given if len(given) <= SHOWN else f"{given[:SHOWN]}..."
+            said = f"{place} is {given}; {must.format(**fault.get('ctx', {}))}"
+        raise DataError(f"{path}: {said}. Correct it; all is in metres, seconds and radians.") from error
     if "trials" in known:
         known["trials"] = {str(name): block or {} for name, block in known["trials"].items()}
     return known
-
-
-def _first(error: ValidationError) -> str:
-    """The first thing that is wrong: field, value and what it must be."""
-    fault = error.errors()[0]
-    place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
-    if fault["type"] == "missing":
-        return f"{place} is missing"
-    must = MUST.get(fault["type"], fault["msg"][:1].lower() + fault["msg"][1:])
-    given = repr(fault["input"])
-    given = given if len(given) <= SHOWN else f"{given[:SHOWN]}..."
-    return f"{place} is {given}; {must.format(**fault.get('ctx', {}))}"

@@ -70,24 +70,24 @@ class Table:
             )
         known = [c for c in self.columns if c.name in frame]
         extra = [name for name in frame.columns if name not in {c.name for c in known}]
-        typed = {c.name: self._typed(frame[c.name], c, source) for c in known}
+        typed: dict[str, pd.Series] = {}
+        for column in known:
+            series = frame[column.name]
+            try:
+                if column.kind == "bool" and series.dtype != bool:
+                    if any(isinstance(value, str) for value in series):
+                        raise ValueError("give true or false")  # else any text counts as true
+                    series = series.where(series.notna(), False)  # what is missing is false
+                typed[column.name] = series.astype(PANDAS_TYPES[column.kind])
+            except (ValueError, TypeError) as error:
+                no_number = pd.to_numeric(series, errors="coerce").isna() & series.notna()
+                bad = series[no_number].iloc[0] if no_number.any() else series.iloc[0]
+                raise DataError(
+                    f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
+                    f"found {bad!r} ({error}). Correct the value or remove the row."
+                ) from error
         return pd.DataFrame({**typed, **{name: frame[name] for name in extra}}).reset_index(drop=True)
 
     def empty(self) -> pd.DataFrame:
         """A table of no rows."""
         return pd.DataFrame({c.name: pd.Series(dtype=PANDAS_TYPES[c.kind]) for c in self.columns if not c.optional})
-
-    def _typed(self, series: pd.Series, column: Column, source: str) -> pd.Series:
-        try:
-            if column.kind == "bool" and series.dtype != bool:
-                if any(isinstance(value, str) for value in series):
-                    raise ValueError("give true or false")  # else any text counts as true
-                series = series.where(series.notna(), False)  # what is missing is false
-            return series.astype(PANDAS_TYPES[column.kind])
-        except (ValueError, TypeError) as error:
-            no_number = pd.to_numeric(series, errors="coerce").isna() & series.notna()
-            bad = series[no_number].iloc[0] if no_number.any() else series.iloc[0]
-            raise DataError(
-                f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
-                f"found {bad!r} ({error}). Correct the value or remove the row."
-            ) from error

@@ -17,7 +17,7 @@ from stringcast.pipeline.result import Result
 from stringcast.pipeline.terminal import called_as
 from stringcast.stages.report.page import HERE_IN_WORDS as HERE
 from stringcast.stages.report.pages.cast import cast_page
-from stringcast.stages.report.records import Cast, Facts, Record, cast_record
+from stringcast.stages.report.records import Facts, Record, cast_record
 from stringcast.stages.spec import StageSpec
 
 
@@ -40,6 +40,13 @@ def write_page(experiment: Experiment, stage: StageSpec, made: Any, sentence: st
 def casting(experiment: Experiment, result: Result) -> Record:
     """The data of the page of casts."""
     estimates = [i.done.get("estimate") for i in result.iterations]
+    casts, previous = [], None
+    for iteration in result.iterations:
+        if iteration.verdict is not None:  # else only estimation ran
+            done = iteration.done
+            made = (done["motion"], done["trial"], done["points"], done.get("estimate"))
+            casts.append(cast_record(experiment.model, iteration.observation, made, iteration.verdict, previous))
+            previous = done.get("estimate", previous)
     return Record(
         experiment.config["name"],
         result.sentence,
@@ -47,7 +54,7 @@ def casting(experiment: Experiment, result: Result) -> Record:
         experiment.model,
         experiment.target,
         experiment.obstacles,
-        tuple(_casts(experiment, result)),
+        tuple(casts),
         tuple(e for e in estimates if e is not None),
         experiment.config,
         made_by(experiment),
@@ -92,17 +99,3 @@ AFTER = {"diagnose": after_diagnosis}  # what can be done after a stage, by its 
 def made_by(experiment: Experiment) -> dict[str, Any]:
     """The provenance that a page shows."""
     return {"seed": experiment.seed} | software()
-
-
-def _casts(experiment: Experiment, result: Result) -> list[Cast]:
-    """The casts of a run; none where only estimation ran."""
-    casts = []
-    previous = None
-    for iteration in result.iterations:
-        if iteration.verdict is None:
-            return []
-        done = iteration.done
-        made = (done["motion"], done["trial"], done["points"], done.get("estimate"))
-        casts.append(cast_record(experiment.model, iteration.observation, made, iteration.verdict, previous))
-        previous = done.get("estimate", previous)
-    return casts

@@ -185,20 +185,19 @@ class Reader:
         if len({"x", "y", "z"} & {*hand}) < 2 or not turned:  # such a hand is a place that a tracker saw
             return None
         right, up = self.plane(columns)
-        places = {name: axis.sign * self.length(hand[axis.name], name) for name, axis in (("x", right), ("y", up))}
-        return pd.DataFrame({**places, "theta": self._theta(hand, right, up)}, index=self.recording.table.index)
-
-    def _theta(self, hand: Mapping[str, Column], right: Axis, up: Axis) -> np.ndarray:
-        """Direction in which the string leaves the hand [rad]: of a column, or where a quaternion turns x."""
+        pose = {name: axis.sign * self.length(hand[axis.name], name) for name, axis in (("x", right), ("y", up))}
+        # the direction in which the string leaves the hand: of a column, or where a quaternion turns x
         if "angle" in hand:
-            return self.angle(hand["angle"], "theta")
-        w = {name: self.numbers(hand[name], name, "1", 1.0, "name") for name in QUATERNION}
-        axis = {
-            "x": 1 - 2 * (w["qy"] ** 2 + w["qz"] ** 2),
-            "y": 2 * (w["qx"] * w["qy"] + w["qw"] * w["qz"]),
-            "z": 2 * (w["qx"] * w["qz"] - w["qw"] * w["qy"]),
-        }
-        return np.unwrap(np.arctan2(up.sign * axis[up.name], right.sign * axis[right.name]))
+            pose["theta"] = self.angle(hand["angle"], "theta")
+        else:
+            w = {name: self.numbers(hand[name], name, "1", 1.0, "name") for name in QUATERNION}
+            axis_of = {
+                "x": 1 - 2 * (w["qy"] ** 2 + w["qz"] ** 2),
+                "y": 2 * (w["qx"] * w["qy"] + w["qw"] * w["qz"]),
+                "z": 2 * (w["qx"] * w["qz"] - w["qw"] * w["qy"]),
+            }
+            pose["theta"] = np.unwrap(np.arctan2(up.sign * axis_of[up.name], right.sign * axis_of[right.name]))
+        return pd.DataFrame(pose, index=self.recording.table.index)
 
     def plane(self, columns: Sequence[Column]) -> tuple[Axis, Axis]:
         """The directions of x and y: those that are there, or of three those that the user gave, or y up."""

@@ -25,24 +25,17 @@ def reads(path: Path) -> bool:
 
 
 def read(path: Path) -> list[Recording]:
-    """The table of a file, one recording; raises DataError naming the file and the remedy."""
-    return [Recording(path, _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path))]
-
-
-def _parquet(path: Path) -> pd.DataFrame:
-    """The plain columns of a Parquet file."""
-    try:
-        columns, texts = parquet(path, [])
-        with pq.ParquetFile(path, read_dictionary=texts) as file:
-            return file.read(columns).to_pandas().astype(dict.fromkeys(texts, object))
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise DataError(f"{path}: not a whole Parquet file ({error}). Write it again.") from error
-
-
-def _csv(path: Path) -> pd.DataFrame:
-    """Numbers and texts of a text file whose first line that is no comment names its columns."""
-    with csv(path).open(encoding="utf-8-sig", errors="replace") as file:
-        head = file.read(HEAD).splitlines()
+    """The table of a file, one recording: the plain columns of Parquet, or numbers and texts of a text file whose first
+    line that is no comment names its columns. Raises DataError naming the file and the remedy."""
+    if path.suffix.lower() == ".parquet":
+        try:
+            columns, texts = parquet(path, [])
+            with pq.ParquetFile(path, read_dictionary=texts) as file:
+                return [Recording(path, file.read(columns).to_pandas().astype(dict.fromkeys(texts, object)))]
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise DataError(f"{path}: not a whole Parquet file ({error}). Write it again.") from error
+    with csv(path).open(encoding="utf-8-sig", errors="replace") as text:
+        head = text.read(HEAD).splitlines()
     skipped = next((n for n, line in enumerate(head) if line.strip() and not line.lstrip().startswith(("#", "%"))), 0)
     separator, decimal = separated(head[skipped:])
     how = {"sep": separator, "decimal": decimal, "skipinitialspace": separator != r"\s+", "index_col": False}
@@ -58,7 +51,7 @@ def _csv(path: Path) -> pd.DataFrame:
             f"{path}: its first line names no columns, it holds numbers: {', '.join(names[:4])}. Put a line above it "
             "such as time_s,joint1_deg,joint2_deg,joint3_deg or time_s,tip_x_mm,tip_y_mm."
         )
-    return frame.set_axis(names, axis=1)
+    return [Recording(path, frame.set_axis(names, axis=1))]
 
 
 def separated(head: list[str]) -> tuple[str, str]:

@@ -48,7 +48,17 @@ class Device(Source):
 
     def open(self, camera: Camera) -> Stream:
         """Set everything, and see that it obeys and gives what it should; nothing of that is left to the first cast."""
-        capture = self._capture()
+        interface = getattr(cv2, f"CAP_{self.backend}", None)
+        if interface is None:
+            raise HardwareError(
+                f"{self.name}: OpenCV has no backend '{self.backend}'. Set source.backend to ANY, V4L2, DSHOW, MSMF or "
+                "AVFOUNDATION."
+            )
+        capture = cv2.VideoCapture(self.number, interface)
+        if not capture.isOpened():
+            raise HardwareError(
+                f"{self.name}: it cannot be opened. Check source.number, the cable, and that no other program uses it."
+            )
         try:
             wanted = {"FRAME_WIDTH": camera.width, "FRAME_HEIGHT": camera.height, "FPS": camera.fps}
             remarks = obeyed(capture, self.name, wanted, self.controls)
@@ -72,20 +82,6 @@ class Device(Source):
                     yield frame.image
         finally:
             stream.close()
-
-    def _capture(self) -> cv2.VideoCapture:
-        interface = getattr(cv2, f"CAP_{self.backend}", None)
-        if interface is None:
-            raise HardwareError(
-                f"{self.name}: OpenCV has no backend '{self.backend}'. Set source.backend to ANY, V4L2, DSHOW, MSMF or "
-                "AVFOUNDATION."
-            )
-        capture = cv2.VideoCapture(self.number, interface)
-        if not capture.isOpened():
-            raise HardwareError(
-                f"{self.name}: it cannot be opened. Check source.number, the cable, and that no other program uses it."
-            )
-        return capture
 
 
 class DeviceStream(Stream):

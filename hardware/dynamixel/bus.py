@@ -217,20 +217,17 @@ class DynamixelBus:
         self.handler.setPacketTimeout = lambda length: self.handler.setPacketTimeoutMillis(self.reply * 1e3)
         self.packets = self.sdk.PacketHandler(2.0)
         try:
-            opened = self.handler.setBaudRate(self.baud)
+            opened, why = self.handler.setBaudRate(self.baud), f"the library knows no rate of {self.baud} baud"
         except BROKEN as error:
-            raise self._unopened(str(error)) from error
+            opened, why = False, str(error)
         if not opened:
-            raise self._unopened(f"the library knows no rate of {self.baud} baud")
+            raise HardwareError(f"arm on {self.port}: cannot be opened ({why}). Check hardware.port and the cable.")
         self.handler.ser.timeout = BLOCK
         self.reader = self.sdk.GroupSyncRead(self.handler, self.packets, *STATE)
         self.writer = self.sdk.GroupSyncWrite(self.handler, self.packets, *GOAL_VELOCITY)
         for servo in self.servos:
             self.reader.addParam(servo.id)
             self.writer.addParam(servo.id, [0, 0, 0, 0])
-
-    def _unopened(self, reason: str) -> HardwareError:
-        return HardwareError(f"arm on {self.port}: cannot be opened ({reason}). Check hardware.port and the cable.")
 
     def _check(self, servo: Servo, speed: float) -> None:
         """Refuse a servo that is latched, ill or too slow. speed: what the arm's limits ask of it [rad/s]."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +21,10 @@ CELLS = 7 * 4  # pixels of a square: a multiple of a marker's cells and its bord
 
 def main(arguments: Sequence[str]) -> int:
     """Draw the board as configured; the exit status."""
-    asked = parser().parse_args(arguments)
+    parser = Arguments("python -m pipeline board", description=__doc__, allow_abbrev=False)
+    parser.add_argument("file", type=Path, help="PDF to write")
+    parser.add_argument("settings", nargs="*", help="as for a run, such as board=a1 or board.square=0.03")
+    asked = parser.parse_args(arguments)
     board = build(Board, composed(asked.settings)["board"], "board", "conf/board")
     asked.file.parent.mkdir(parents=True, exist_ok=True)
     asked.file.write_bytes(sheet(board))
@@ -33,14 +35,6 @@ def main(arguments: Sequence[str]) -> int:
         soft_wrap=True,
     )
     return 0
-
-
-def parser() -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
-    made = Arguments("python -m pipeline board", description=__doc__, allow_abbrev=False)
-    made.add_argument("file", type=Path, help="PDF to write")
-    made.add_argument("settings", nargs="*", help="as for a run, such as board=a1 or board.square=0.03")
-    return made
 
 
 def sheet(board: Board) -> bytes:

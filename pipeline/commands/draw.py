@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,7 +15,11 @@ from stringcast.stages.model.camera import Camera
 
 def main(arguments: Sequence[str]) -> int:
     """Draw the bench of a seed; its data go into a folder, what it hides into a file elsewhere. The exit status."""
-    asked = parser().parse_args(arguments)
+    parser = Arguments("python -m pipeline draw", description=__doc__, allow_abbrev=False)
+    parser.add_argument("seed", type=natural, help="from which string, casts and cause are drawn")
+    parser.add_argument("folder", type=Path, help="for the measured data")
+    parser.add_argument("envelope", type=Path, help="file for what is really so; keep it out of the folder")
+    asked = parser.parse_args(arguments)
     console = Terminal(stderr=True)
     with console.status("drawing a bench"):
         blocks = composed()
@@ -33,15 +36,6 @@ def main(arguments: Sequence[str]) -> int:
         soft_wrap=True,
     )
     return 0
-
-
-def parser() -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
-    made = Arguments("python -m pipeline draw", description=__doc__, allow_abbrev=False)
-    made.add_argument("seed", type=natural, help="from which string, casts and cause are drawn")
-    made.add_argument("folder", type=Path, help="for the measured data")
-    made.add_argument("envelope", type=Path, help="file for what is really so; keep it out of the folder")
-    return made
 
 
 def natural(text: str) -> int:

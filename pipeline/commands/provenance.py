@@ -132,7 +132,12 @@ def states_of(settings: Mapping[str, Any], folder: Path) -> dict[str, tuple[str,
     known = {stage.folder for stage in stages().values()}
     places = sorted(place for place in folder.glob("iterations/*/*") if place.is_dir() and place.name in known)
     names = {place.relative_to(folder).as_posix(): place for place in places}
-    inputs = {name: [one for one in _inputs(place) if one in names] for name, place in names.items()}
+    inputs: dict[str, list[str]] = {}  # as their footers have them; none where a footer cannot be read
+    for name, place in names.items():
+        try:
+            inputs[name] = [one for one in store.origin_of(place).get("inputs", {}) if one in names]
+        except (DataError, *store.UNREADABLE):
+            inputs[name] = []
     states: dict[str, tuple[str, tuple[str, ...]]] = {}
     for name in TopologicalSorter(inputs).static_order():
         stale = (f"{one}, an input, is stale" for one in inputs[name] if states[one][0] == STALE)
@@ -145,14 +150,6 @@ def states_of(settings: Mapping[str, Any], folder: Path) -> dict[str, tuple[str,
     if lacking and not (folder / ENDED).exists():
         states[lacking[0].as_posix()] = MISSING, ("it has not been made yet",)
     return states
-
-
-def _inputs(place: Path) -> Mapping[str, str]:
-    """Content hashes of a step's inputs by path, as its footer has them; empty where that cannot be read."""
-    try:
-        return store.origin_of(place).get("inputs", {})
-    except (DataError, *store.UNREADABLE):
-        return {}
 
 
 # --- diff ---------------------------------------------------------------------------------------

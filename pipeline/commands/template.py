@@ -54,7 +54,8 @@ def main(arguments: Sequence[str]) -> int:
     with whole(asked.folder) as aside:
         disk.make_folder(aside)
         for table in (hand, POINTS):
-            disk.write(aside / f"{table.name}.csv", (",".join(needed(table)) + "\n").encode())
+            needed = [column.name for column in with_trial(table).columns if not column.optional]
+            disk.write(aside / f"{table.name}.csv", (",".join(needed) + "\n").encode())
         disk.write(aside / NAME, about(asked.folder.name, hand).encode())
     console = Terminal()
     console.print(
@@ -68,11 +69,6 @@ def about(name: str, hand: Table) -> str:
     """The text of dataset.yaml. hand: the table of the hand's motion."""
     motion, points = (f"{table.name}.csv: {columns(table)}." for table in (hand, POINTS))
     return ABOUT.format(name=name, hand="" if hand is GRASP else ARM_LINES, motion=motion, points=points)
-
-
-def needed(table: Table) -> list[str]:
-    """Names of the columns of a table that must be there."""
-    return [column.name for column in with_trial(table).columns if not column.optional]
 
 
 def columns(table: Table) -> str:

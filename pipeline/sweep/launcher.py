@@ -53,7 +53,13 @@ class LedgerLauncher:
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run what is missing of these jobs. Each returns E after its last estimation, NaN if there is none."""
         ledger = Ledger(Path(self.config.hydra.sweep.dir).absolute())
-        jobs = [self._job(overrides, initial_job_idx + i) for i, overrides in enumerate(job_overrides)]
+        jobs = []
+        for number, overrides in enumerate(job_overrides, start=initial_job_idx):
+            # with its settings composed and resolved as its own run will
+            config = self.loader.load_sweep_config(self.config, list(overrides))
+            settings = OmegaConf.masked_copy(config, [str(name) for name in config if name != "hydra"])
+            plain: Any = OmegaConf.to_container(settings, resolve=True)
+            jobs.append(Job(number, tuple(overrides), plain))
         for job in jobs:
             ledger.add(job)
         self.launched = ledger.folder, loaded(self.finish, "hydra.launcher.finish", WHERE)
@@ -71,13 +77,6 @@ class LedgerLauncher:
                     console.print(line(ledger.read(key), said), soft_wrap=True, highlight=False)
         ledger.settle(keys)  # not after an interruption, which is no failure
         return [_returned(ledger, job) for job in jobs]
-
-    def _job(self, overrides: Sequence[str], number: int) -> Job:
-        """A job with its settings, composed and resolved as its own run will."""
-        config = self.loader.load_sweep_config(self.config, list(overrides))
-        settings = OmegaConf.masked_copy(config, [str(name) for name in config if name != "hydra"])
-        plain: Any = OmegaConf.to_container(settings, resolve=True)
-        return Job(number, tuple(overrides), plain)
 
     def ended(self) -> int:
         """Write table and page of the sweep, if it was begun, and say how it stands: 0 if all its jobs are done."""

@@ -45,16 +45,17 @@ def _probed(scene: Scene, now: np.ndarray) -> Iterator[np.ndarray]:
 def _probes(effect: type[Effect], scene: Scene) -> list[list[dict[str, float]]]:
     """Small amounts of a library effect, in each of its directions; another plane is another contact."""
     if effect is Contact:
-        return [[_plane(scene, float(tilt))] for tilt in PLANES]
+        plain = scene.model(scene.second_order(21))
+        values = plain.values(scene.base)[None]
+        strings = [plain.true(cast.happened, values, cast.frames).points[0] for cast in scene.casts]
+        probes = []
+        for tilt in map(float, PLANES):
+            normal = np.array([-np.sin(tilt), np.cos(tilt)])
+            height = (
+                float(min((points @ normal).min() for points in strings)) + 0.01
+            )  # where the string just touches it
+            probes.append([{"contact.tilt": tilt, "contact.stiffness": 2e4, "contact.height": height}])
+        return probes
     if effect is GraspSlip:
         return [[{"grasp_slip.speed": 0.02, "grasp_slip.onset": onset} for onset in ONSETS]]
     return [[{effect.qualified(p): p.start + LITTLE * (p.high - p.start)} for p in components(effect)]]
-
-
-def _plane(scene: Scene, tilt: float) -> dict[str, float]:
-    """A plane that the string just touches."""
-    plain = scene.model(scene.second_order(21))
-    values = plain.values(scene.base)[None]
-    normal = np.array([-np.sin(tilt), np.cos(tilt)])
-    reached = [(plain.true(c.happened, values, c.frames).points[0] @ normal).min() for c in scene.casts]
-    return {"contact.tilt": tilt, "contact.stiffness": 2e4, "contact.height": float(min(reached)) + 0.01}
