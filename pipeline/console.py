@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -22,7 +21,6 @@ from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import CONF
 from stringcast.pipeline.terminal import Terminal, called_as
 from stringcast.stages.common import Progress as Report
-from stringcast.stages.spec import StageSpec
 
 Bar = Callable[[str], AbstractContextManager[Report]]
 TITLE = 74  # characters of a panel's title in 80 columns; a longer one would be cut
@@ -47,13 +45,25 @@ def bars(console: Terminal) -> Iterator[Bar]:
 
 def show(result: Result, config: Mapping[str, Any], console: Terminal) -> None:
     """A summary of the run, what was at fault, and what comes next: commands and paths whole, to be pasted."""
-    console.print(casts(result) if result.stage is None else answer(result, result.stage))
-    for words in faults(result):
-        console.print(words, markup=False, highlight=False)
+    if result.stage is None:
+        console.print(casts(result))
+    else:
+        summary = result.stage.summary(result.answer)
+        title = f"[bold]{escape(summary.title)}"
+        console.print(Panel(Group(Text(result.sentence), "", listed(summary.table)), title=title))
+    # faults cast by cast: on the way to the arm, and with obstacles
+    links = {i.number: i.done["trial"].link.iloc[0] for i in result.iterations if "trial" in i.done}
+    late = {n: f"it is not to be trusted: {link['reason']}" for n, link in links.items() if not link["valid"]}
+    touched = {i.number: i.verdict.touched for i in result.iterations if i.verdict is not None and i.verdict.touched}
+    lay = {n: f"the string lay in an obstacle in {frames} frame(s)" for n, frames in touched.items()}
+    for number, words in (*late.items(), *lay.items()):
+        console.print(f"Cast {number}: {words}.", markup=False, highlight=False)
     if other := by_the_other_method(config):
         words = f"By the method `{config['other_method']}`: {called_as()} {other}"
         console.print(words, soft_wrap=True, markup=False, highlight=False)
-    console.print(str(page(result)), soft_wrap=True, markup=False, highlight=False)
+    report = result.folder / "report.html"
+    place = report if report.exists() else result.folder
+    console.print(str(place), soft_wrap=True, markup=False, highlight=False)
 
 
 def casts(result: Result) -> Panel:
@@ -72,7 +82,14 @@ def casts(result: Result) -> Panel:
         table.add_row(*(row[n] for n in kept))
     parts += [table] if rows else []
     if result.estimate is not None:
-        parts += ["", Text(str(result.estimate.fit["sentence"].iloc[0])), *learned(result)]
+        parts += ["", Text(str(result.estimate.fit["sentence"].iloc[0]))]
+        # the parameters that the casts determine, with their intervals
+        known = result.estimate.parameters
+        known = known[known["determined"] & known["low"].notna()]
+        if len(known):
+            ends = known[["low", "high"]].map("{:.4g}".format).agg(" to ".join, axis=1)
+            values = {"parameter": known["name"], "value": known["value"].map("{:.4g}".format)}
+            parts += ["", listed(pd.DataFrame({**values, "95 % interval": ends, "unit": known["unit"]}))]
     if more:
         parts += ["", Text(more)]
     title = f"[bold {colour}]{escape(ended)}" if len(ended) <= TITLE else None
@@ -87,24 +104,6 @@ def by_the_other_method(config: Mapping[str, Any]) -> str:
     return f"+experiment={name} method={other}"
 
 
-def learned(result: Result) -> list[RenderableType]:
-    """The parameters that the casts determine, with their intervals."""
-    if result.estimate is None:
-        return []
-    known = result.estimate.parameters
-    known = known[known["determined"] & known["low"].notna()]
-    ends = known[["low", "high"]].map("{:.4g}".format).agg(" to ".join, axis=1)
-    names = ("parameter", "value", "95 % interval", "unit")
-    rows = zip(known["name"], known["value"].map("{:.4g}".format), ends, known["unit"], strict=True)
-    return ["", listed(pd.DataFrame(list(rows), columns=names))] if len(known) else []
-
-
-def answer(result: Result, stage: StageSpec) -> Panel:
-    """The sentence and the table of a stage's result."""
-    summary = stage.summary(result.answer)
-    return Panel(Group(Text(result.sentence), "", listed(summary.table)), title=f"[bold]{escape(summary.title)}")
-
-
 def listed(frame: pd.DataFrame) -> Table:
     """A table for the terminal, of texts."""
     table = Table(box=None, pad_edge=False)
@@ -113,21 +112,6 @@ def listed(frame: pd.DataFrame) -> Table:
     for row in frame.itertuples(index=False):
         table.add_row(*(Text(str(cell)) for cell in row))
     return table
-
-
-def page(result: Result) -> Path:
-    """The file of a run's page; its folder where there is none."""
-    report = result.folder / "report.html"
-    return report if report.exists() else result.folder
-
-
-def faults(result: Result) -> list[str]:
-    """Faults cast by cast: on the way to the arm, and with obstacles."""
-    links = {i.number: i.done["trial"].link.iloc[0] for i in result.iterations if "trial" in i.done}
-    late = {n: f"it is not to be trusted: {link['reason']}" for n, link in links.items() if not link["valid"]}
-    touched = {i.number: i.verdict.touched for i in result.iterations if i.verdict is not None and i.verdict.touched}
-    lay = {n: f"the string lay in an obstacle in {frames} frame(s)" for n, frames in touched.items()}
-    return [f"Cast {number}: {words}." for fault in (late, lay) for number, words in fault.items()]
 
 
 def _row(iteration: Iteration) -> list[str]:

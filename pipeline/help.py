@@ -5,7 +5,7 @@ Hydra's own help takes a second to list the options of all groups, for it reads 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import yaml
 
@@ -48,15 +48,12 @@ Settings of this call:
 
 def page(overrides: Sequence[str]) -> str:
     """The help, with the settings as these overrides make them."""
-    settings = "\n".join(explained(yaml.safe_dump(composed(overrides), sort_keys=False, allow_unicode=True)))
-    return as_called(PAGE).format(
-        commands=listed(), groups="\n".join(groups()), effects=", ".join(files()), settings=settings
-    )
-
-
-def groups() -> Iterator[str]:
-    """Each group of settings but Hydra's own, with its options."""
+    groups = []  # each group of settings but Hydra's own, with its options
     for folder in sorted(path for path in CONF.rglob("*") if path.is_dir() and path != CONF / "hydra"):
         options = sorted(file.stem for file in folder.glob("*.yaml"))
         if options and CONF / "hydra" not in folder.parents:
-            yield f"{folder.relative_to(CONF).as_posix()}: {', '.join(options)}"
+            groups.append(f"{folder.relative_to(CONF).as_posix()}: {', '.join(options)}")
+    settings = "\n".join(explained(yaml.safe_dump(composed(overrides), sort_keys=False, allow_unicode=True)))
+    return as_called(PAGE).format(
+        commands=listed(), groups="\n".join(groups), effects=", ".join(files()), settings=settings
+    )

@@ -197,19 +197,18 @@ def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]
     if "sources" not in made:
         yield "its files do not say of which sources they were made"
         return
-    as_stored = json.loads(json.dumps(now))  # JSON knows no tuples
-    for name, one, other in pairs(_decides(made, uses), _decides(as_stored, uses)):
-        became = "is new" if one == ABSENT else "is gone" if other == ABSENT else "has changed"
-        yield f"{name} {became}" if name.startswith(HASHED) else f"{name} {one} -> {other}"
-
-
-def _decides(made: Mapping[str, Any], uses: Sequence[str]) -> dict[str, Any]:
-    """All of an origin that decides what comes out, by name. uses: the settings that count."""
-    config = modern(made["config"])
-    inputs, sources, packages = (
-        {f"{kind} {name}": value for name, value in made[f"{kind}s"].items()} for kind in ("input", "source", "package")
-    )
-    return inputs | leaves({key: config.get(key) for key in uses}) | sources | packages | {"Python": made["python"]}
+    decisive = []  # all of either that decides what comes out, by name
+    for one in (made, json.loads(json.dumps(now))):  # as stored: JSON knows no tuples
+        config = modern(one["config"])
+        inputs, sources, packages = (
+            {f"{kind} {name}": value for name, value in one[f"{kind}s"].items()}
+            for kind in ("input", "source", "package")
+        )
+        settings = leaves({key: config.get(key) for key in uses})
+        decisive.append(inputs | settings | sources | packages | {"Python": one["python"]})
+    for name, before, after in pairs(*decisive):
+        became = "is new" if before == ABSENT else "is gone" if after == ABSENT else "has changed"
+        yield f"{name} {became}" if name.startswith(HASHED) else f"{name} {before} -> {after}"
 
 
 def pairs(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:

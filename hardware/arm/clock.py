@@ -23,25 +23,16 @@ def wait_until(moment: float) -> None:
 @contextmanager
 def undisturbed(priority: int) -> Iterator[None]:
     """No garbage collection inside, and SCHED_FIFO at `priority` (1 to 99; 0: as usual) where the system allows it."""
-    collecting = gc.isenabled()
+    collecting, known = gc.isenabled(), priority and hasattr(os, "sched_setscheduler")
+    before = (os.sched_getscheduler(0), os.sched_getparam(0)) if known else None
     gc.disable()
     try:
-        with _priority(priority):
-            yield
+        if before:
+            with suppress(PermissionError):  # needs CAP_SYS_NICE or an rtprio limit; the record tells the jitter anyway
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        yield
     finally:
+        if before:
+            os.sched_setscheduler(0, *before)
         if collecting:
             gc.enable()
-
-
-@contextmanager
-def _priority(priority: int) -> Iterator[None]:
-    if not priority or not hasattr(os, "sched_setscheduler"):
-        yield
-        return
-    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    with suppress(PermissionError):  # needs CAP_SYS_NICE or an rtprio limit; the jitter is in the record either way
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, before, parameters)

@@ -123,7 +123,10 @@ class Filming:
                 if frame is None:
                     self.died = "it gives no more frames"
                     break
-                self._hand_over(frame)
+                try:
+                    self.waiting.put_nowait(frame)
+                except queue.Full:
+                    self.overrun += 1
         except Exception as error:  # whatever it is: nobody else would hear of it
             self.died = str(error) or type(error).__name__
         finally:
@@ -132,12 +135,6 @@ class Filming:
                 if self.left:  # `close` could not let go of the stream while it was read
                     self.stream.close()
             self.waiting.put(None)
-
-    def _hand_over(self, frame: Frame) -> None:
-        try:
-            self.waiting.put_nowait(frame)
-        except queue.Full:
-            self.overrun += 1
 
     def _keep(self) -> None:
         """Make frames grey and keep them, until there are no more, or one that cannot be."""

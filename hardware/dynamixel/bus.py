@@ -164,8 +164,10 @@ class DynamixelBus:
         states = self._read_all()
         if not states:
             return []
-        clock = self._clock(taken(states[0], REALTIME_TICK))
-        return [Answer(self.number, clock, self._held(states), self._angles(states))]
+        # the first servo's clock, unwrapped: it goes round every 33 seconds
+        millis = taken(states[0], REALTIME_TICK)
+        self.millis = millis if self.millis is None else self.millis + (millis - self.millis) % TICKS
+        return [Answer(self.number, self.millis * 1e-3, self._held(states), self._angles(states))]
 
     def stop(self) -> None:
         """Velocity zero, then the watchdogs that we armed may rest; one that has acted stays as it is."""
@@ -322,8 +324,3 @@ class DynamixelBus:
             servo.direction * (taken(state, PRESENT_POSITION) - servo.zero) * POSITION_UNIT
             for servo, state in zip(self.servos, states, strict=True)
         )
-
-    def _clock(self, millis: int) -> float:
-        """The first servo's clock [s], unwrapped: it goes round every 33 seconds."""
-        self.millis = millis if self.millis is None else self.millis + (millis - self.millis) % TICKS
-        return self.millis * 1e-3

@@ -119,7 +119,8 @@ def show(found: Mapping[str, Any], console: Terminal) -> None:
         console.print(trials(found["trials"]))
     for finding in found["findings"]:
         place = " ".join(filter(None, (finding["file"], finding["field"])))
-        where = f" (trial {listed(finding['trials'])})" if finding["trials"] else ""
+        named, more = ", ".join(finding["trials"][:4]), len(finding["trials"]) - 4
+        where = f" (trial {named}{f' and {more} more' if more > 0 else ''})" if named else ""
         remedy = f" {finding['remedy']}{full_stop(finding['remedy'])}" if finding["remedy"] else ""
         words = f"{place}{where}: {finding['said']}." if place or where else finding["said"] + "."
         colour, severity = COLOURS[finding["severity"]], finding["severity"]
@@ -131,11 +132,6 @@ def show(found: Mapping[str, Any], console: Terminal) -> None:
     usable = f"{len(found['trials'])} trial{'s' if len(found['trials']) > 1 else ''}; {counted}"
     said = f"[bold green]Usable[/]: {usable}." if found["usable"] else f"[bold red]Not usable[/]: {counted}."
     console.print(said, soft_wrap=True)
-
-
-def listed(names: Sequence[str]) -> str:
-    """The first few names, and how many more there are."""
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
 def trials(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -80,19 +80,12 @@ def write(runs: pd.DataFrame, to: Path, folder: Path) -> None:
     elif to.suffix == ".parquet":
         store.write_table(RUNS, runs, to, {"step": "index"} | software())
     elif to.suffix == ".html":
-        store.write_text(to, page(runs, to, folder))
+        index_page = import_module("stringcast.stages.report.pages.index").index_page  # which takes a second to load
+        own = [folder / run / "report.html" for run in runs["run"]]
+        links = [Path(os.path.relpath(path, to.parent)).as_posix() if path.is_file() else "" for path in own]
+        store.write_text(to, index_page(runs.assign(page=links), str(folder), {"seed": "of each run"} | software()))
     else:
         raise UserError(f"--to {to}: it must end in .html, .parquet or .csv. Change it.")
-
-
-def page(runs: pd.DataFrame, to: Path, folder: Path) -> str:
-    """The list as a page, with links to the runs' own."""
-    index_page = import_module("stringcast.stages.report.pages.index").index_page  # which takes a second to load
-    own = [folder / run / "report.html" for run in runs["run"]]
-    links = [Path(os.path.relpath(path, to.parent)).as_posix() if path.is_file() else "" for path in own]
-    origin = {"seed": "of each run"} | software()
-    text: str = index_page(runs.assign(page=links), str(folder), origin)
-    return text
 
 
 def row(run: Path) -> dict[str, Any]:

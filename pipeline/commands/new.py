@@ -143,7 +143,8 @@ def main(arguments: Sequence[str]) -> int:
         write_text(path, text)
     console = Terminal()
     for path in files:
-        console.print(f"Written: {shown(path)}", highlight=False, markup=False, soft_wrap=True)
+        shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+        console.print(f"Written: {shown}", highlight=False, markup=False, soft_wrap=True)
     console.print(f"Try it: {called_as()} {use}", highlight=False, markup=False, soft_wrap=True)
     return 0
 
@@ -194,8 +195,3 @@ KINDS: dict[str, Callable[[str], tuple[Files, str]]] = {"arm": arm, "camera": ca
 def filled(text: str, name: str) -> str:
     """A template with a name put in, as it is and as a class is called."""
     return text.format(name=name, Name="".join(part.capitalize() for part in name.split("_")))
-
-
-def shown(path: Path) -> Path:
-    """A path relative to this folder where it lies in it."""
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

@@ -56,19 +56,16 @@ def main(arguments: Sequence[str]) -> int:
         for table in (hand, POINTS):
             needed = [column.name for column in with_trial(table).columns if not column.optional]
             disk.write(aside / f"{table.name}.csv", (",".join(needed) + "\n").encode())
-        disk.write(aside / NAME, about(asked.folder.name, hand).encode())
+        motion, points = (f"{table.name}.csv: {columns(table)}." for table in (hand, POINTS))
+        lines = "" if hand is GRASP else ARM_LINES
+        about = ABOUT.format(name=asked.folder.name, hand=lines, motion=motion, points=points)
+        disk.write(aside / NAME, about.encode())
     console = Terminal()
     console.print(
         f"{asked.folder}: {hand.name}.csv, {POINTS.name}.csv, {NAME}. Fill them in.", highlight=False, markup=False
     )
     console.print(f"Then: {called_as()} check {asked.folder}", highlight=False, markup=False, soft_wrap=True)
     return 0
-
-
-def about(name: str, hand: Table) -> str:
-    """The text of dataset.yaml. hand: the table of the hand's motion."""
-    motion, points = (f"{table.name}.csv: {columns(table)}." for table in (hand, POINTS))
-    return ABOUT.format(name=name, hand="" if hand is GRASP else ARM_LINES, motion=motion, points=points)
 
 
 def columns(table: Table) -> str:

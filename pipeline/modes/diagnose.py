@@ -10,7 +10,7 @@ from typing import Any
 
 from stringcast.data.artifacts import Diagnosis, TrialSet
 from stringcast.pipeline.experiment import Experiment
-from stringcast.pipeline.iterations import Executor, History, Iteration
+from stringcast.pipeline.iterations import Executor, History
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.stored import listed
 from stringcast.pipeline.registry import stages
@@ -53,14 +53,9 @@ def performed(history: History, trials: TrialSet) -> TrialSet:
     for name in ("execute", "extract"):
         history.make(name)
     current = history.iterations[-1]
-    fault = unusable(current)
+    read = current.done["points"].readings["valid"].any()
+    fault = current.refused or ("" if read else "the string could not be read in any frame")
     if fault:
         return replace(trials, rejected={**trials.rejected, current.name: fault})
     seen = (*trials.observations, current.observation)
     return replace(trials, observations=seen, numbers=(*trials.numbers, current.number))
-
-
-def unusable(current: Iteration) -> str:
-    """The reason why a trial just performed cannot be used; empty if it can."""
-    read = current.done["points"].readings["valid"].any()
-    return current.refused or ("" if read else "the string could not be read in any frame")

@@ -69,7 +69,11 @@ class ExtractionStudy(Study):
         for name, block in asked.strings.items():
             specimen = build(Specimen, block, f"extraction_study.strings.{name}", WHERE)
             takes += [take(name, specimen, experiment.arm, experiment.camera, asked.frames, seed) for seed in seeds]
-        return [OneCondition(cell, takes, experiment.stages["extract"]) for cell in cells()]
+        return [
+            OneCondition(Cell(name, severity, parts), takes, experiment.stages["extract"])
+            for name, severities in CONDITIONS.items()
+            for severity, parts in enumerate(severities, start=1)
+        ]
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
         frames = FRAMES.check(pd.DataFrame([row for _, rows in made for row in rows]))
@@ -82,15 +86,6 @@ class ExtractionStudy(Study):
         frames = tables["frames"]
         read, wrong = frames["read"].mean(), frames["wrong"].mean()
         return f"{len(frames)} frames: {read:.1%} read, {wrong:.2%} wrong, {1 - read:.1%} refused with the reason."
-
-
-def cells() -> list[Cell]:
-    """Every condition at every severity."""
-    return [
-        Cell(name, severity, parts)
-        for name, severities in CONDITIONS.items()
-        for severity, parts in enumerate(severities, start=1)
-    ]
 
 
 def overview(shares: pd.DataFrame, path: Path) -> None:
