@@ -39,21 +39,14 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Word:
-    """A word of the command line. before: the word before it, empty for the first. following: those behind it."""
+    """A word of the command line. name, value: the text before and behind the equals sign; all of it is name where
+    there is none. before: the word before it, empty for the first. following: those behind it."""
 
     text: str
+    name: str
+    value: str
     before: str
     following: Sequence[str]
-
-    @property
-    def name(self) -> str:
-        """The text before the equals sign; all of it where there is none."""
-        return self.text.partition("=")[0]
-
-    @property
-    def value(self) -> str:
-        """The text behind the equals sign."""
-        return self.text.partition("=")[2]
 
     @property
     def setting(self) -> str:
@@ -85,7 +78,8 @@ def _answers(words: Sequence[str]) -> Iterator[Answer]:
     """The answer to each word that stands for itself. The words behind a command are the command's own."""
     command = False
     for place, text in enumerate(words):
-        word = Word(text, words[place - 1] if place else "", words[place + 1 :])
+        name, _, value = text.partition("=")
+        word = Word(text, name, value, words[place - 1] if place else "", words[place + 1 :])
         right = Answer("", [text])
         # answered with the word before it: `--experiment stringB`, `seed = 3`, `seed: 3`
         alone = "=" not in word.before and (word.before.endswith(":") or bool(_named_as_option(word.before)))

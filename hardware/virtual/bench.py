@@ -54,10 +54,6 @@ class Specimen:
                 known = ", ".join(p.name for p in effect.parameters)
                 raise ValueError(f"effect '{effect.name}' has no parameter '{unknown.pop()}'. Known are: {known}")
 
-    def model(self, arm: Arm, camera: Camera) -> Model:
-        """The true model: the fine string, and all that is hidden."""
-        return Model(self.string(), arm, camera).with_effects(*named(list(self.hidden)))
-
     @property
     def sizes(self) -> dict[str, float]:
         """Values of the string's and of the hidden effects' parameters, by qualified name."""
@@ -93,8 +89,9 @@ class Bench:
 
     @property
     def model(self) -> Model:
-        """The true model: the specimen in this arm's hand, among the obstacles."""
-        return self.specimen.model(self.arm, self.camera).with_effects(*self.obstacles.effects)
+        """The true model: the fine string in this arm's hand, with all that is hidden, among the obstacles."""
+        hidden = Model(self.specimen.string(), self.arm, self.camera).with_effects(*named(list(self.specimen.hidden)))
+        return hidden.with_effects(*self.obstacles.effects)
 
     @property
     def values(self) -> np.ndarray:

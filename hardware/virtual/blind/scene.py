@@ -16,7 +16,7 @@ from stringcast.stages.model.effect import Effect, StringEffect
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.stability import steps_per_tick
-from stringcast.stages.model.string import String
+from stringcast.stages.model.string import BASE, String
 
 POINTS = 160  # of what really hangs there: a tip that cracks is then a quarter of a sigma off, with 40 points four
 LARGEST_STEP = 1e-4  # [s] of what really hangs there
@@ -56,8 +56,10 @@ class Scene:
         """A string in this scene with effects. With one on the string come all that there are, mostly at zero, so that
         there is one loop to compile whatever a seed draws, and no other bits when the library grows."""
         elsewhere = [e for e in hidden if not issubclass(e, StringEffect)]
-        full = string if len(elsewhere) == len(hidden) else replace(string, effects=self.version.on_strings())
-        return Model(full, self.arm, self.camera).with_effects(*elsewhere)
+        if len(elsewhere) < len(hidden):
+            causes = (*self.version.library(), *self.version.causes())
+            string = replace(string, effects=(*BASE, *(e for e in causes if issubclass(e, StringEffect))))
+        return Model(string, self.arm, self.camera).with_effects(*elsewhere)
 
     def performing(self, casts: tuple[Cast, ...]) -> Scene:
         """The same scene in which these casts are performed."""

@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stringcast.hardware.virtual.outside import Outside, causes
-from stringcast.stages.model.effect import Effect, StringEffect
+from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import named
-from stringcast.stages.model.string import BASE
 
 NONE, RESOLUTION, PAIR = "none", "resolution", "pair"
 
@@ -41,10 +40,6 @@ class Version:
         """The causes outside the library, in their order."""
         known = {cause.name: cause for cause in causes()}
         return tuple(known[name] for name in self.outside)
-
-    def on_strings(self) -> tuple[type[StringEffect], ...]:
-        """All that act on the string: the paper's own, and those that may be hidden."""
-        return (*BASE, *(e for e in (*self.library(), *self.causes()) if issubclass(e, StringEffect)))
 
 
 FIRST = Version(

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stringcast.hardware.virtual.conditions.camera import Closer, Exposure, HotPixels, Noise, Shake
+from stringcast.hardware.virtual.conditions.camera import Closer, Exposure, HotPixels, Jpeg, Noise, Shake, Video
 from stringcast.hardware.virtual.conditions.clutter import ArmCable, Cables
-from stringcast.hardware.virtual.conditions.coding import Jpeg, Video
 from stringcast.hardware.virtual.conditions.condition import Condition, Shot, film, shot_of
 from stringcast.hardware.virtual.conditions.light import Blobs, Contrast, Flicker, Gradient, Shadow
 from stringcast.hardware.virtual.conditions.pose import Across, Behind, Loop

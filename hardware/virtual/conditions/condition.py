@@ -75,22 +75,19 @@ def shot_of(bench: Bench, t: np.ndarray) -> Shot:
 
 def film(shot: Shot, conditions: Sequence[Condition], seed: int) -> Sequence[np.ndarray]:
     """Frames of a staged shot, F uint8 images (height, width). seed: of all chance in them."""
-    images = [frame(shot, conditions, number, seed) for number in range(len(shot.t))]
+    images = []
+    for number in range(len(shot.t)):
+        moment = exposed(shot, number, seed)
+        wall = shot.wall
+        for condition in conditions:
+            wall = condition.behind(wall, moment)
+        light = render(shot.camera, shot.look, moment.joints, moment.strings, wall)
+        for condition in conditions:
+            light = condition.seen(light, moment)
+        images.append(noisy(light, shot.look, moment.rng))
     for condition in conditions:
         images = list(condition.stored(images, shot.camera.fps))
     return images
-
-
-def frame(shot: Shot, conditions: Sequence[Condition], number: int, seed: int) -> np.ndarray:
-    """One frame of a staged shot, as the sensor reports it, uint8."""
-    moment = exposed(shot, number, seed)
-    wall = shot.wall
-    for condition in conditions:
-        wall = condition.behind(wall, moment)
-    light = render(shot.camera, shot.look, moment.joints, moment.strings, wall)
-    for condition in conditions:
-        light = condition.seen(light, moment)
-    return noisy(light, shot.look, moment.rng)
 
 
 def exposed(shot: Shot, number: int, seed: int) -> Moment:

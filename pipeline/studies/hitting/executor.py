@@ -36,13 +36,24 @@ class PointExecutor:
 
     def obtain(self, step: Step) -> Any:
         """The artifact of a step."""
-        if step.stage.name == "execute":
-            return self._execute(step)
-        if step.stage.name == "extract":
-            return self._extract(step)
+        here, stage = self.experiment, step.stage.name
+        if stage == "execute":
+            rest = here.config["execute"]
+            arm: Any = here.lab(step.number).arm
+            commands = padded(step.inputs["motion"].commands, rest["before"], rest["after"])
+            arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
+            performance = arm.perform(commands)
+            self.benches[step.number] = arm.bench
+            return Trial(performance.arm, performance.ticks, FRAMES.empty(), performance.link, [])
+        if stage == "extract":  # as from the frames of a camera that films throughout
+            first, last = step.inputs["trial"].arm["t"].iloc[[0, -1]]
+            rate = here.camera.fps
+            t = np.arange(np.ceil(first * rate), np.floor(last * rate) + 1) / rate
+            chance = np.random.default_rng([here.seed, step.number])
+            return measured(self.benches[step.number], t, self.noise, chance)
         begun = time.process_time()
-        made = self.experiment.run(step, lambda share: None)
-        if step.stage.name == "generate":
+        made = here.run(step, lambda share: None)
+        if stage == "generate":
             self.seconds[step.number] = time.process_time() - begun
         return made
 
@@ -55,22 +66,6 @@ class PointExecutor:
 
     def publish(self, iterations: list[Iteration]) -> None:
         """Do nothing: a job's casts are no dataset."""
-
-    def _execute(self, step: Step) -> Trial:
-        rest = self.experiment.config["execute"]
-        arm: Any = self.experiment.lab(step.number).arm
-        commands = padded(step.inputs["motion"].commands, rest["before"], rest["after"])
-        arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
-        performance = arm.perform(commands)
-        self.benches[step.number] = arm.bench
-        return Trial(performance.arm, performance.ticks, FRAMES.empty(), performance.link, [])
-
-    def _extract(self, step: Step) -> Points:
-        bench = self.benches[step.number]
-        first, last = step.inputs["trial"].arm["t"].iloc[[0, -1]]
-        rate = self.experiment.camera.fps
-        t = np.arange(np.ceil(first * rate), np.floor(last * rate) + 1) / rate
-        return measured(bench, t, self.noise, np.random.default_rng([self.experiment.seed, step.number]))
 
 
 def measured(bench: Bench, t: np.ndarray, noise: float, rng: np.random.Generator) -> Points:
