@@ -177,6 +177,7 @@ def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict
             if effect in files():
                 remedy = f"Model it: 'effects=[{effect}]' '+known.{effect}.<parameter>=<number>'"
             raise UserError(f"known.{name} ({where}): there is no such parameter of what is modelled. {remedy}.")
+        # a number, or a value with its interval where it was measured
         measured = isinstance(given, Mapping) and set(given) == {"value", "low", "high"}
         parts = [given["value"], given["low"], given["high"]] if measured else [given]
         if not all(isinstance(part, float | int) and math.isfinite(part) for part in parts):

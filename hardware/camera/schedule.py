@@ -33,7 +33,13 @@ class Schedule:
 
 def fitted(t: np.ndarray, period: float) -> Schedule:
     """The schedule of frames noted at times t (F,) [s], sorted, with about this period [s]."""
-    turns = _in_step(t - t[0], period)
+    # in turns of the rate near 1 / period with which the times are most in step, about whole numbers
+    since = t - t[0]
+    steps = int(np.ceil(16 * RANGE * (since[-1] / period + 1)))  # eight to the width of a peak
+    rates = np.linspace(1 - RANGE, 1 + RANGE, 2 * steps + 1) / period
+    waves = np.array([np.exp(2j * np.pi * rate * since).sum() for rate in rates])
+    best = int(np.argmax(np.abs(waves)))
+    turns = since * rates[best] - np.angle(waves[best]) / (2 * np.pi)
     late = turns - np.rint(turns)
     numbers = np.floor(turns - np.percentile(late, QUICK) + EARLY).astype(int)
     # no number twice: of two frames on one moment the earlier was late, and so are those that it pushes
@@ -51,12 +57,3 @@ def fitted(t: np.ndarray, period: float) -> Schedule:
     late = t - slope * numbers
     quickest = np.percentile(late, QUICK)
     return Schedule(slope, numbers, quickest + slope * numbers, late - quickest)
-
-
-def _in_step(t: np.ndarray, period: float) -> np.ndarray:
-    """Times (F,) [s] in turns of the rate near 1 / period with which they are most in step, about whole numbers."""
-    steps = int(np.ceil(16 * RANGE * (t[-1] / period + 1)))  # eight to the width of a peak
-    rates = np.linspace(1 - RANGE, 1 + RANGE, 2 * steps + 1) / period
-    waves = np.array([np.exp(2j * np.pi * rate * t).sum() for rate in rates])
-    best = int(np.argmax(np.abs(waves)))
-    return np.asarray(t * rates[best] - np.angle(waves[best]) / (2 * np.pi))

@@ -43,7 +43,13 @@ def random_cast(arm: Arm, rng: np.random.Generator, fps: float, speeds: tuple[fl
         scale = wanted / hand  # roughly: the lever changes with the angles
         ticks = np.arange(-round(BEFORE / arm.tick), round((duration + AFTER) / arm.tick) + 1) * arm.tick
         angles = start + scale * curve.antiderivative()(np.clip(ticks, 0.0, duration))
-        if _possible(arm, angles, speeds):
+        # within the arm's ranges, joint speeds and accelerations, and the hand about as fast as wanted
+        commanded = arm.commanded(angles)
+        hand = np.linalg.norm(arm.grasp_velocity(angles, commanded)[:, :2], axis=-1).max()
+        inside = (angles > arm.lowest).all() and (angles < arm.highest).all()
+        changes = np.abs(np.diff(commanded, axis=0)) / arm.tick
+        gentle = (np.abs(commanded) <= arm.speed).all() and (changes <= arm.acceleration).all()
+        if inside and gentle and 0.8 * speeds[0] <= hand <= min(1.2 * speeds[1], arm.hand_speed):
             return performed(arm, ticks, angles, rng, fps)
 
 
@@ -56,16 +62,3 @@ def performed(arm: Arm, ticks: np.ndarray, angles: np.ndarray, rng: np.random.Ge
     frames = np.arange(np.ceil(ticks[0] * fps - 1e-6), np.floor(ticks[-1] * fps + 1e-6) + 1) / fps
     kept = rng.uniform(size=len(frames)) > 0.02
     return Cast(ticks, servo.encoder(at_ticks), joint_motion(fine, happened, FINE), frames[kept])
-
-
-def _possible(arm: Arm, angles: np.ndarray, speeds: tuple[float, float]) -> bool:
-    """Within the arm's ranges, joint speeds and accelerations, and with the hand about as fast as wanted."""
-    commanded = arm.commanded(angles)
-    hand = np.linalg.norm(arm.grasp_velocity(angles, commanded)[:, :2], axis=-1).max()
-    return bool(
-        (angles > arm.lowest).all()
-        and (angles < arm.highest).all()
-        and (np.abs(commanded) <= arm.speed).all()
-        and (np.abs(np.diff(commanded, axis=0)) / arm.tick <= arm.acceleration).all()
-        and 0.8 * speeds[0] <= hand <= min(1.2 * speeds[1], arm.hand_speed)
-    )
