@@ -22,7 +22,7 @@ import yaml
 from stringcast.data.artifacts import ARM, FRAMES, GRASP, MASKS, POINTS, READINGS, Film, Observation, Points, Trial
 from stringcast.data.errors import printable
 from stringcast.data.foreign import inside, leaves, own
-from stringcast.data.images import ImageFiles, Shots, filmed, listed, videos
+from stringcast.data.images import ImageFiles, Shots, Video, videos
 from stringcast.data.metadata import FORMAT, NAME, metadata
 from stringcast.data.rows import Rows, cleaned, from_csv
 from stringcast.data.schema import Column, DataError, Table
@@ -190,8 +190,13 @@ def _shots(folder: Path, known: Mapping[str, Any], rows: dict[str, Rows]) -> dic
             "camera had: fps as filmed (a video may be played slower), px_per_m, and the pixel of the origin."
         )
     if _find(folder, FRAMES.name):
-        return listed(folder, _read(FRAMES, folder, rows))
-    return filmed(folder, float(camera["fps"])) if found and "fps" in camera else {}
+        frames = _read(FRAMES, folder, rows).groupby("trial")
+        return {str(name): (one["t"].to_numpy(), ImageFiles(folder, tuple(one["file"]))) for name, one in frames}
+    shots: dict[str, Shots] = {}
+    for path in found if "fps" in camera else ():  # as filmed, not as played
+        video = Video(path)
+        shots[path.stem] = np.arange(len(video)) / float(camera["fps"]), video
+    return shots
 
 
 def _find(folder: Path, name: str) -> Path | None:

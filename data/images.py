@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from PIL import Image
 
 from stringcast.data.foreign import MOST_PIXELS, own, regular
@@ -179,23 +178,6 @@ def png(image: np.ndarray) -> bytes:
 
 
 Shots = tuple[np.ndarray, Images]
-
-
-def listed(folder: Path, frames: pd.DataFrame) -> dict[str, Shots]:
-    """Times (F,) [s] and images by trial. frames: columns trial, t, file, in the order of time."""
-    return {
-        str(name): (rows["t"].to_numpy(), ImageFiles(folder, tuple(rows["file"])))
-        for name, rows in frames.groupby("trial")
-    }
-
-
-def filmed(folder: Path, fps: float) -> dict[str, Shots]:
-    """Times (F,) [s] and images by trial, from `videos/<trial>.mp4`. fps: as filmed [1/s], not as played."""
-    shots: dict[str, Shots] = {}
-    for path in videos(folder):
-        video = Video(path)
-        shots[path.stem] = (np.arange(len(video)) / fps, video)
-    return shots
 
 
 def videos(folder: Path) -> list[Path]:
