@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 STEP = 0.0005  # [s]
 LAG = 0.004  # [s] time constant of the motor's velocity loop
@@ -40,25 +40,3 @@ class Joint:
     def still(self) -> bool:
         """Whether it stands, its wire at rest."""
         return abs(self.speed) < STILL and abs(self.drive) < STILL
-
-
-@dataclass
-class Joints:
-    """All of them."""
-
-    joints: list[Joint] = field(default_factory=lambda: [Joint() for _ in range(3)])
-
-    def step(self, target: tuple[float, ...]) -> None:
-        """Let one step pass for all joints. target: velocities commanded [rad/s]."""
-        for joint, speed in zip(self.joints, target, strict=True):
-            joint.step(speed)
-
-    @property
-    def measured(self) -> tuple[float, ...]:
-        """Encoders, (J,) [rad]."""
-        return tuple(joint.encoder for joint in self.joints)
-
-    @property
-    def still(self) -> bool:
-        """Whether all of them stand."""
-        return all(joint.still for joint in self.joints)

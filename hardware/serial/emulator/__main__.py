@@ -28,9 +28,9 @@ def main() -> None:
 
 def line(event: str, device: Device) -> str:
     """An event with what the device is about, as JSON: time [s], angles [rad], speeds [rad/s]."""
-    joints = device.joints.joints
     row = {"event": event, "t": device.clock, "state": device.firmware.state.name.lower()}
-    return json.dumps(row | {"angles": [j.angle for j in joints], "speeds": [j.speed for j in joints]}) + "\n"
+    row |= {"angles": [joint.angle for joint in device.joints], "speeds": [joint.speed for joint in device.joints]}
+    return json.dumps(row) + "\n"
 
 
 if __name__ == "__main__":

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from stringcast.hardware.emulated.joints import Joints
+from stringcast.hardware.emulated.joints import Joint
 from stringcast.hardware.emulated.terminal import Emulated, UnpluggedError
 from stringcast.hardware.serial.firmware import Firmware
-from stringcast.hardware.serial.protocol import Deframer, FrameError, Kind, decode_command
+from stringcast.hardware.serial.protocol import JOINTS, Deframer, FrameError, Kind, decode_command
 
 LATE = 0.03  # [s] of a delayed frame: several ticks
 PAST_NEXT = 0.0075  # [s] after which the next frame, a tick behind, has arrived
@@ -54,7 +54,7 @@ class Device(Emulated):
 
     firmware: Firmware
     since: int = 0
-    joints: Joints = field(default_factory=Joints)
+    joints: list[Joint] = field(default_factory=lambda: [Joint() for _ in range(JOINTS)])
     booted: float = 0.0
     coming: list[Arrival] = field(default_factory=list)
     going: list[Arrival] = field(default_factory=list)
@@ -77,15 +77,22 @@ class Device(Emulated):
             self.coming += self._sent(frame, fault, LINE.get(fault, _whole))
 
     def step(self) -> bytes:
-        """Timer, joints, and what arrives meanwhile."""
+        """Timer, joints, and the frames that arrive meanwhile, which are obeyed; the bytes that are due to leave."""
         self.firmware.tick(self.micros)
-        self.joints.step(self.firmware.target)
-        return self._exchange() if self.clock >= self.deaf else b""
+        for joint, speed in zip(self.joints, self.firmware.target, strict=True):
+            joint.step(speed)
+        if self.clock < self.deaf:
+            return b""
+        for _, frame, fault in _taken(self.coming, self.clock):
+            answer = self.firmware.obey(frame, self.micros, tuple(joint.encoder for joint in self.joints))
+            through = LINE[fault.removeprefix(BACK)] if fault.startswith(BACK) else _whole
+            self.going += self._sent(answer, fault, through)
+        return b"".join(arrival.frame for arrival in _taken(self.going, self.clock))
 
     @property
     def state(self) -> tuple[str, bool]:
         """The firmware's state, and whether the arm stands."""
-        return self.firmware.state.name.lower(), self.joints.still
+        return self.firmware.state.name.lower(), all(joint.still for joint in self.joints)
 
     def restart(self) -> None:
         """The supply broke down for a moment: all that was known is lost, the joints stay where they are."""
@@ -95,14 +102,6 @@ class Device(Emulated):
 
     def _sent(self, frame: bytes, fault: str, through: Callable[[bytes], Pieces]) -> list[Arrival]:
         return [Arrival(self.clock + late, piece, fault) for late, piece in through(frame)]
-
-    def _exchange(self) -> bytes:
-        """Obey the frames that have arrived. Returns the bytes that are due to leave."""
-        for _, frame, fault in _taken(self.coming, self.clock):
-            answer = self.firmware.obey(frame, self.micros, self.joints.measured)
-            through = LINE[fault.removeprefix(BACK)] if fault.startswith(BACK) else _whole
-            self.going += self._sent(answer, fault, through)
-        return b"".join(arrival.frame for arrival in _taken(self.going, self.clock))
 
 
 def _taken(way: list[Arrival], now: float) -> list[Arrival]:
@@ -121,7 +120,7 @@ def _unplug(device: Device) -> None:
 
 
 def _jump(device: Device) -> None:
-    device.joints.joints[0].offset += 0.5
+    device.joints[0].offset += 0.5
 
 
 STRIKES: dict[str, Callable[[Device], None]] = {
