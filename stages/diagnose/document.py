@@ -37,7 +37,8 @@ def document(
     others = sorted(set(judgement.inclusion) - set(listed), key=lambda name: (-judgement.inclusion[name], name))
     none = float(np.prod([slot.chances.get("", 0.0) for slot in judgement.slots]))  # that no effect is at work
     rest = {"none": none, "unknown": judgement.unknown}
-    alternatives = [{"effect": name, "probability": judgement.inclusion[name]} for name in others]
+    known = 1 - judgement.unknown if judgement.verdict == "unknown" else 1.0  # that what is at work is in the library
+    alternatives = [{"effect": name, "probability": known * judgement.inclusion[name]} for name in others]
     return {
         "format": FORMAT,
         "verdict": judgement.verdict,
