@@ -47,7 +47,10 @@ def tracked(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
     width = min(PLACE, float(np.median(apart)) / 2) if apart.size else PLACE
     fixed = _binned(frame, s, width)
     most = int(np.quantile(np.unique(frame, return_counts=True)[1], FULL)) if len(frame) else 0  # in a full frame
-    if most < 2 or np.ptp(s) <= PLACE or _even(frame, fixed):
+    # places that are fixed come again regularly
+    gaps = [np.diff(frame[track]) for track in fixed]
+    same = np.concatenate([gap[1:] == gap[:-1] for gap in gaps]) if gaps else np.zeros(0, bool)
+    if most < 2 or np.ptp(s) <= PLACE or (same.size > 0 and float(np.mean(same)) > AGAIN):
         return fixed
     return _binned(frame, s, float(np.ptp(s)) / (most - 1))
 
@@ -73,10 +76,3 @@ def _binned(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:
     place = np.round(s / width).astype(int)
     tracks = [np.flatnonzero(place == value) for value in np.unique(place)]
     return [track[np.unique(frame[track], return_index=True)[1]] for track in tracks]
-
-
-def _even(frame: np.ndarray, tracks: list[np.ndarray]) -> bool:
-    """Whether places come again as regularly as they do where they are fixed."""
-    gaps = [np.diff(frame[track]) for track in tracks]
-    same = np.concatenate([gap[1:] == gap[:-1] for gap in gaps])
-    return same.size > 0 and float(np.mean(same)) > AGAIN

@@ -37,7 +37,14 @@ def hit_test(seen: Points, target: Box, obstacles: Sequence[Box], duration: floa
     At 20 m/s and 200 frames a second the tip moves 100 mm from frame to frame, so frames
     alone would miss a hit. Obstacles are judged by the frames alone.
     """
-    touched = touching(seen.points, obstacles, duration)
+    # times of the movement's frames in which the string lies in an obstacle [s]
+    points = seen.points
+    moving = points[(points["t"] >= 0) & (points["t"] <= duration)].sort_values(["t", "s"])
+    place, frame = moving[["x", "y"]].to_numpy(), moving["t"].to_numpy()
+    joined = frame[1:] == frame[:-1]
+    crossed = [box.crossed(place[:-1], place[1:]) & joined for box in obstacles]
+    touched = np.unique(frame[1:][np.any(crossed, axis=0)]) if crossed and len(frame) else np.empty(0)
+
     t = seen.readings.loc[seen.readings["valid"].astype(bool), "t"].to_numpy()
     fine = np.arange(max(t[0], 0.0), min(t[-1], duration) + FINE / 2, FINE) if len(t) else np.empty(0)
     way = tip_way(seen.readings, fine)
@@ -51,15 +58,6 @@ def hit_test(seen: Points, target: Box, obstacles: Sequence[Box], duration: floa
     return Verdict(bool(inside.any() and clear), float(fine[nearest]), float(away[nearest]), len(touched))
 
 
-def touching(points: pd.DataFrame, obstacles: Sequence[Box], duration: float) -> np.ndarray:
-    """Times of the movement's frames in which the string lies in an obstacle [s]. points: table POINTS."""
-    moving = points[(points["t"] >= 0) & (points["t"] <= duration)].sort_values(["t", "s"])
-    place, t = moving[["x", "y"]].to_numpy(), moving["t"].to_numpy()
-    joined = t[1:] == t[:-1]
-    crossed = [box.crossed(place[:-1], place[1:]) & joined for box in obstacles]
-    return np.unique(t[1:][np.any(crossed, axis=0)]) if crossed and len(t) else np.empty(0)
-
-
 def tip_way(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
     """The tip at times (K,) [s], (K, 2) [m]: by a cubic through the readings, and carried on beyond them; NaN in gaps
     that are too long to guess, and where fewer than two were read. readings: table READINGS."""
@@ -69,14 +67,9 @@ def tip_way(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
         return np.full((len(t), 2), np.nan)
     gap = np.diff(read)[np.clip(np.searchsorted(read, t, side="right") - 1, 0, len(read) - 2)]
     way = CubicSpline(read, good[["tip_x", "tip_y"]])(t)
-    return np.where((gap <= longest_gap(readings))[:, None], way, np.nan)
-
-
-def longest_gap(readings: pd.DataFrame) -> float:
-    """Time between readings over which the tip's way is still guessed [s]: from frame to frame always."""
-    frames = np.diff(np.sort(readings["t"].to_numpy()))
-    # times of frames are rounded
-    return max(LONGEST_GAP, 1.01 * float(np.median(frames))) if len(frames) else LONGEST_GAP
+    # from frame to frame the way is always guessed; times of frames are rounded
+    longest = max(LONGEST_GAP, 1.01 * float(np.median(np.diff(np.sort(readings["t"].to_numpy())))))
+    return np.where((gap <= longest)[:, None], way, np.nan)
 
 
 def check_reach(target: Box, arm: Arm, string_length: float) -> None:

@@ -66,6 +66,15 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
     measured = measured_table(problem, fit, lag)
     before = problem.off(problem.parameters(ALWAYS), np.zeros((1, len(problem.parameters(ALWAYS)))))[0]
     after = fit.residual * problem.sigma
+
+    # the model with the alignment, as settings that other experiments take
+    ours = {*ALWAYS, *SOUGHT}
+    others = [e.name for e in model.effects if "." in (e.qualified(e.parameters[0]) if e.parameters else ".")]
+    known: dict[str, object] = {n: v for n, v in model.known.items() if n.split(".")[0] not in ours}
+    for found in measured[measured["found"]].itertuples():
+        known[found.name] = {"value": found.value, "low": found.low, "high": found.high}
+    effects = sorted({*others, *fit.effects} - {"gravity"} - (ours - {*fit.effects}))
+
     row = {
         "sentence": sentence(measured, fit, lag),
         "rms_before": rms(before),
@@ -73,7 +82,7 @@ def alignment(model: Model, problem: Problem, fit: Fit) -> Alignment:
         "noise": rms(problem.sigma),
         "speed": max(speed(model.arm, trial) for trial in problem.trials),
         "most_lag": lag,
-        "extended": yaml.safe_dump(settings(model, measured, fit), sort_keys=False),
+        "extended": yaml.safe_dump({"effects": effects, "known": known}, sort_keys=False),
     }
     parts = []
     for trial in problem.trials:
@@ -105,16 +114,6 @@ def measured_table(problem: Problem, fit: Fit, lag: float) -> pd.DataFrame:
         for name, numbers in ends.items()
     ]
     return MEASURED.check(pd.DataFrame(rows).sort_values(["found", "name"], ascending=[False, True]))
-
-
-def settings(model: Model, measured: pd.DataFrame, fit: Fit) -> dict[str, object]:
-    """The model with the alignment, as settings that other experiments take."""
-    ours = {*ALWAYS, *SOUGHT}
-    others = [e.name for e in model.effects if "." in (e.qualified(e.parameters[0]) if e.parameters else ".")]
-    known: dict[str, object] = {n: v for n, v in model.known.items() if n.split(".")[0] not in ours}
-    for row in measured[measured["found"]].itertuples():
-        known[row.name] = {"value": row.value, "low": row.low, "high": row.high}
-    return {"effects": sorted({*others, *fit.effects} - {"gravity"} - (ours - {*fit.effects})), "known": known}
 
 
 def sentence(measured: pd.DataFrame, fit: Fit, lag: float) -> str:

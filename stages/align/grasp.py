@@ -35,15 +35,11 @@ def from_points(observation: Observation, arm: Arm) -> Sighted:
             f"trial {observation.trial}: its points begin where the joints say that the grasp is, which "
             "shows nothing. Add the frames."
         )
-    sigma = grasp["sigma"].to_numpy() if "sigma" in grasp else np.full(len(grasp), noise(off))
+    jumps = np.diff(off, 2, axis=0)  # of what goes on evenly from frame to frame but for noise
+    noise = max(float(mad_sigma(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
+    sigma = grasp["sigma"].to_numpy() if "sigma" in grasp else np.full(len(grasp), noise)
     motion = joint_motion(observation.arm["t"].to_numpy(), observation.arm[list(JOINTS)].to_numpy()).lasting(t.max())
     return Sighted(observation.trial, motion, at_hand(t, seen, sigma, len(JOINTS)))
-
-
-def noise(off: np.ndarray) -> float:
-    """One standard deviation [m] of what goes on evenly from frame to frame but for it. off: (K, 2)."""
-    jumps = np.diff(off, 2, axis=0)
-    return max(float(mad_sigma(jumps)) / np.sqrt(6), FINEST) if len(jumps) else FINEST
 
 
 def at_hand(t: np.ndarray, seen: np.ndarray, sigma: np.ndarray, links: int) -> Sightings:

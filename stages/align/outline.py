@@ -59,14 +59,22 @@ def from_films(model: Model, films: Mapping[str, Film], width: float, progress: 
         progress(len(seen) / len(films))
     known = model.values({})
     for reach in REACHES:
-        trials = tuple(coarse(model, known, one, width, reach) for one in seen)
+        trials = []
+        for one in seen:  # some frames of each
+            some = np.arange(0, len(one.times), max(len(one.times) // COARSE, 1))
+            trials.append(sighted(one, some, looked_for(model, known, one, some, width, reach), width / 4))
         if not sum(len(trial.sightings.frame) for trial in trials):
             raise DataError(
                 "the arm's outline is nowhere where the joints say that it is. Correct camera.px_per_m and "
                 "camera.origin_px, and align.arm_width."
             )
-        known = model.values(fitted(Problem(model, trials), ALWAYS).values)
-    return tuple(fine(model, known, one, width) for one in seen)
+        known = model.values(fitted(Problem(model, tuple(trials)), ALWAYS).values)
+    found = []
+    for one in seen:  # all frames, and of these the pieces of links that are seen whole
+        every = np.arange(len(one.times))
+        table = whole(looked_for(model, known, one, every, width, NEAR))
+        found.append(sighted(one, every, table, SHARP / model.camera.px_per_m))
+    return tuple(found)
 
 
 def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
@@ -76,11 +84,22 @@ def silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()).lasting(film.t[-1])
     chosen = np.unique(np.linspace(0, len(film.t) - 1, MOST).astype(int))
     scene = without_arm(np.stack([film.images[i] for i in samples(len(film.images))]))
-    level = contrast(film, chosen[:: max(len(chosen) // COARSE, 1)], scene) / 2
+
+    # contrast of the arm with the scene [grey levels]: the upper of the two classes of what differs (Otsu)
+    few = chosen[:: max(len(chosen) // COARSE, 1)]
+    off = np.stack([cv2.absdiff(film.images[int(n)].astype(np.float32), scene) for n in few])
+    limit, _ = cv2.threshold(np.clip(off, 0, 255).astype(np.uint8).reshape(1, -1), 0, 255, cv2.THRESH_OTSU)
+    contrast = float(np.median(off[off > limit])) if (off > limit).any() else 0.0
+    if contrast < FAINT:
+        raise DataError(
+            f"the arm differs from the scene by {contrast:.0f} grey levels only: it cannot be seen. Give it more "
+            "light, or another colour than the background."
+        )
+
     round_ = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))
     pixels = []
     for number in chosen:
-        mask = (cv2.absdiff(film.images[int(number)].astype(np.float32), scene) > level).astype(np.uint8)
+        mask = (cv2.absdiff(film.images[int(number)].astype(np.float32), scene) > contrast / 2).astype(np.uint8)
         rows, columns = np.nonzero(cv2.morphologyEx(mask, cv2.MORPH_OPEN, round_))
         pixels.append(np.stack([columns, rows], axis=-1).astype(float))
     return Silhouettes(name, motion, film.t[chosen], pixels)
@@ -96,33 +115,6 @@ def without_arm(stack: np.ndarray) -> np.ndarray:
         return float(np.mean([cv2.absdiff(frame.astype(np.float32), scene).mean() for frame in stack]))
 
     return min(darkest(list(stack)), 255 - darkest(list(255 - stack)), key=off)
-
-
-def contrast(film: Film, chosen: np.ndarray, scene: np.ndarray) -> float:
-    """The contrast of the arm with the scene [grey levels]: the upper of the two classes of what differs (Otsu)."""
-    off = np.stack([cv2.absdiff(film.images[int(n)].astype(np.float32), scene) for n in chosen])
-    level, _ = cv2.threshold(np.clip(off, 0, 255).astype(np.uint8).reshape(1, -1), 0, 255, cv2.THRESH_OTSU)
-    size = float(np.median(off[off > level])) if (off > level).any() else 0.0
-    if size < FAINT:
-        raise DataError(
-            f"the arm differs from the scene by {size:.0f} grey levels only: it cannot be seen. Give it more light, or "
-            "another colour than the background."
-        )
-    return size
-
-
-def coarse(model: Model, known: np.ndarray, seen: Silhouettes, width: float, reach: float) -> Sighted:
-    """Some frames of a trial. known: (P,) parameters by which pixels are given to links. reach: in arm widths."""
-    some = np.arange(0, len(seen.times), max(len(seen.times) // COARSE, 1))
-    table = looked_for(model, known, seen, some, width, reach)
-    return sighted(seen, some, table, width / 4)
-
-
-def fine(model: Model, known: np.ndarray, seen: Silhouettes, width: float) -> Sighted:
-    """All frames of a trial, and of these the pieces of links that are seen whole. known: as of `coarse`."""
-    every = np.arange(len(seen.times))
-    table = looked_for(model, known, seen, every, width, NEAR)
-    return sighted(seen, every, whole(table), SHARP / model.camera.px_per_m)
 
 
 def looked_for(
@@ -161,7 +153,13 @@ def pieces(model: Model, pixels: np.ndarray, joints: np.ndarray, width: float, r
     way = joints[link + 1] - joints[link]
     normal = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.linalg.norm(way, axis=1, keepdims=True)
     axis = joints[link] + at[:, None] * way
-    clear = free(axis, normal, link, joints, width)
+    # other links must be clear of both edges of a piece, so that neither side is cut or added to
+    near = np.full(len(axis), np.inf)
+    for side in (-width / 2, width / 2):
+        others = beside(axis + side * normal, joints)[2]
+        others[np.arange(len(axis)), link] = np.inf
+        near = np.minimum(near, others.min(axis=1))
+    clear = near > CLEAR * width
     return np.column_stack([link + 1, at, axis + off[:, None] * normal, normal, count[there]])[clear]
 
 
@@ -174,16 +172,6 @@ def beside(points: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarr
     share = np.einsum("nji,ji->nj", from_start, way) / length**2
     across = np.einsum("nji,ji->nj", from_start, normal)
     return share, across, np.hypot(across, np.maximum(np.maximum(-share, share - 1), 0) * length)
-
-
-def free(axis: np.ndarray, normal: np.ndarray, link: np.ndarray, joints: np.ndarray, width: float) -> np.ndarray:
-    """Whether other links are clear of both edges of pieces (K,), so that neither side is cut or added to."""
-    near = np.full(len(axis), np.inf)
-    for side in (-width / 2, width / 2):
-        distance = beside(axis + side * normal, joints)[2]
-        distance[np.arange(len(axis)), link] = np.inf
-        near = np.minimum(near, distance.min(axis=1))
-    return near > CLEAR * width
 
 
 def whole(table: np.ndarray) -> np.ndarray:

@@ -42,20 +42,19 @@ def refuse_sight(problem: Problem) -> None:
         raise DataError(
             f"the hand moves at {fastest:.3f} m/s at most: too slow to compare clocks, {SLOW} m/s are needed. Swing it."
         )
-    ratio = np.exp(np.median([np.log(spread(problem, trial)) for trial in problem.trials]))
+    spreads = []  # of the arm as it is seen, over those that its reported motion makes expect: their logarithms
+    for trial in problem.trials:
+        seen = trial.sightings
+        joints = arm_seen(problem.model, trial.motion, problem.model.values({})[None], seen.times)
+        places = (seen.seen, on_links(joints, seen)[0])
+        sizes = [TINY + float(np.linalg.norm(np.ptp(each, axis=0))) for each in places]
+        spreads.append(np.log(sizes[0] / sizes[1]))
+    ratio = np.exp(np.median(spreads))
     if not UNITS[0] < ratio < UNITS[1]:
         raise DataError(
             f"what is seen spreads {ratio:.3g} times as far as the joints say. x and y must be in metres, joint angles "
             "in radians; or correct camera.px_per_m and arm.links."
         )
-
-
-def spread(problem: Problem, trial: Sighted) -> float:
-    """The spread of the arm as it is seen, over that which its reported motion makes expect."""
-    seen = trial.sightings
-    expected = on_links(arm_seen(problem.model, trial.motion, problem.model.values({})[None], seen.times), seen)[0]
-    sizes = [TINY + float(np.linalg.norm(np.ptp(places, axis=0))) for places in (seen.seen, expected)]
-    return sizes[0] / sizes[1]
 
 
 def refuse_fit(problem: Problem, fit: Fit) -> None:
@@ -82,7 +81,14 @@ def refuse_misfit(problem: Problem, fit: Fit) -> None:
     size = robust(fit.residual)
     if size < VISIBLE:
         return
-    shares = {words: explained(fit, columns) for words, columns in suspects(problem, fit)}
+
+    # share of the weighted rest that each explains beyond the parameters that were fitted
+    root, shares = np.sqrt(fit.weight)[:, None], {}
+    fixed, rest = root * fit.slope, root[:, 0] * fit.residual
+    for words, columns in suspects(problem, fit):
+        both = root * np.concatenate([fit.slope, columns], axis=1)
+        left = [float(np.sum((rest - a @ np.linalg.lstsq(a, rest, rcond=None)[0]) ** 2)) for a in (fixed, both)]
+        shares[words] = 1 - left[1] / max(left[0], 1e-300)
     words, share = max(shares.items(), key=lambda one: one[1])
     if size < MISFIT and share < MOSTLY:
         return
@@ -91,15 +97,6 @@ def refuse_misfit(problem: Problem, fit: Fit) -> None:
         f"what is left is {size:.1f} times what noise explains. "
         f"{named if share > LEFT else 'It goes with nothing that is known.'} Nothing is taken over."
     )
-
-
-def explained(fit: Fit, columns: np.ndarray) -> float:
-    """Share of the weighted rest that columns (N, K) explain beyond the parameters that were fitted."""
-    root = np.sqrt(fit.weight)[:, None]
-    fixed, rest = root * fit.slope, root[:, 0] * fit.residual
-    both = root * np.concatenate([fit.slope, columns], axis=1)
-    left = [float(np.sum((rest - a @ np.linalg.lstsq(a, rest, rcond=None)[0]) ** 2)) for a in (fixed, both)]
-    return 1 - left[1] / max(left[0], 1e-300)
 
 
 def suspects(problem: Problem, fit: Fit) -> Iterator[tuple[str, np.ndarray]]:

@@ -13,7 +13,6 @@ from stringcast.stages.calibrate.board import Board
 from stringcast.stages.calibrate.fit import Fitted, lens_of, pose, rms, values_of
 from stringcast.stages.calibrate.views import View
 from stringcast.stages.model.camera import FACING, Camera
-from stringcast.stages.model.lens import Lens
 
 NAMES = ("px_per_m", "origin_u", "origin_v", "rotation", "tilt_x", "tilt_y")
 
@@ -46,7 +45,18 @@ def in_plane(view: View, board: Board, place: BoardPlacement, lens: Fitted, came
     """The camera that sees the view's corners where they are. camera: its size, rate and exposure are kept."""
     world = place.world(board.corners[view.corners])
     plain = replace(camera, distortion=0.0, lens=lens.lens)
-    start = _start(lens.lens, board, view, place)
+
+    # start: from OpenCV's pose of the board, whose y is down and whose z goes into it
+    turn, at = pose(lens.lens, board, view)
+    spin = Rotation.from_euler("z", -place.turn).as_matrix()
+    turned = cv2.Rodrigues(turn)[0] @ FACING @ spin
+    lower_left = at + cv2.Rodrigues(turn)[0] @ np.array([0, board.size[1], 0])
+    origin = lower_left - turned @ np.array([*place.corner, 0.0])
+    tilt_x, tilt_y, roll = Rotation.from_matrix(turned @ FACING).as_euler("XYZ")
+    depth = turned[:, 2] @ origin / turned[2, 2]
+    u, v, w = lens.lens.matrix @ origin
+    start = np.array([lens.lens.mean_focal / depth, u / w, v / w, -roll, tilt_x, tilt_y])
+
     values, slopes = _fitted(plain, world, view.pixels, start)
     error = rms(view.pixels - _camera(plain, values).pixels(world))
     covariance = np.linalg.inv(slopes.T @ slopes) * error**2 / 2 * view.pixels.size / (view.pixels.size - len(values))
@@ -70,17 +80,3 @@ def _camera(camera: Camera, values: np.ndarray) -> Camera:
     """The camera with these NAMES."""
     scale, u, v, rotation, tilt_x, tilt_y = map(float, values)
     return replace(camera, px_per_m=scale, origin_px=(u, v), rotation=rotation, tilt=(tilt_x, tilt_y))
-
-
-def _start(lens: Lens, board: Board, view: View, place: BoardPlacement) -> np.ndarray:
-    """NAMES (6,) from OpenCV's pose of the board, whose y is down and whose z goes into it."""
-    turn, at = pose(lens, board, view)
-    rotation = cv2.Rodrigues(turn)[0] @ FACING
-    spin = Rotation.from_euler("z", -place.turn).as_matrix()
-    world = rotation @ spin
-    lower_left = at + cv2.Rodrigues(turn)[0] @ np.array([0, board.size[1], 0])
-    origin = lower_left - world @ np.array([*place.corner, 0.0])
-    tilt_x, tilt_y, roll = Rotation.from_matrix(world @ FACING).as_euler("XYZ")
-    depth = world[:, 2] @ origin / world[2, 2]
-    u, v, w = lens.matrix @ origin
-    return np.array([lens.mean_focal / depth, u / w, v / w, -roll, tilt_x, tilt_y])

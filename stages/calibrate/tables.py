@@ -15,7 +15,6 @@ from stringcast.stages.calibrate.acceptance import Solution
 from stringcast.stages.calibrate.fit import values_of
 from stringcast.stages.calibrate.views import View
 from stringcast.stages.common import rms
-from stringcast.stages.model.camera import Camera
 
 LENS = (
     ("lens.focal[0]", "px", "focal length across"),
@@ -58,7 +57,7 @@ def tables(solution: Solution, seen: Sequence[View], reason: str) -> Calibration
         "plane_rms": solution.plane_rms,
         "coverage": float(solution.filled.mean()),
         "spread": solution.spread,
-        "camera": settings(camera),
+        "camera": yaml.safe_dump(_plain(asdict(camera)), sort_keys=False, default_flow_style=None),
     }
     return Calibration(
         VIEWS.check(pd.DataFrame(_views(solution, seen))),
@@ -96,11 +95,6 @@ def _view(view: View, plane: bool) -> dict[str, object]:
 def _seen(view: View, fit: np.ndarray, plane: bool) -> pd.DataFrame:
     seen = dict(zip(("u", "v", "fit_u", "fit_v"), [*view.pixels.T, *fit.T], strict=True))
     return pd.DataFrame({"view": view.number, "plane": plane, "corner": view.corners} | seen)
-
-
-def settings(camera: Camera) -> str:
-    """A camera as its block of settings, YAML."""
-    return yaml.safe_dump(_plain(asdict(camera)), sort_keys=False, default_flow_style=None)
 
 
 def _plain(value: object) -> object:

@@ -37,20 +37,15 @@ def look(number: int, image: np.ndarray, board: Board) -> View:
     if ids is None or not len(ids):
         return View(number, grey, reason="no marker of the dictionary is seen")
     names = np.zeros(0, int) if corners is None else corners.ravel()
-    reason = _another(board, np.array(at).reshape(-1, 4, 2), ids.ravel()) or _few(board, names)
+    reason = _another(board, np.array(at).reshape(-1, 4, 2), ids.ravel())
+    if not reason and len(names) < FEWEST:
+        reason = f"{len(names)} corners are seen, {FEWEST} are needed"
+    lines = np.divmod(names, board.squares[0] - 1)  # four corners fix its place, no three of them on a line
+    if not reason and min(len(names) - np.bincount(line).max() for line in lines) < 2:
+        reason = f"the {len(names)} corners that are seen are on one line"
     if reason:
         return View(number, grey, reason=reason)
     return View(number, grey, names, pixels.reshape(-1, 2).astype(float))
-
-
-def _few(board: Board, corners: np.ndarray) -> str:
-    """Why corners (N,) do not fix a board's place; empty if they do. It takes four, no three of them on a line."""
-    if len(corners) < FEWEST:
-        return f"{len(corners)} corners are seen, {FEWEST} are needed"
-    lines = np.divmod(corners, board.squares[0] - 1)
-    if min(len(corners) - np.bincount(line).max() for line in lines) < 2:
-        return f"the {len(corners)} corners that are seen are on one line"
-    return ""
 
 
 def _another(board: Board, at: np.ndarray, ids: np.ndarray) -> str:

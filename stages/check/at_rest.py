@@ -20,13 +20,6 @@ def grasp_of(motion: pd.DataFrame, links: np.ndarray, base: np.ndarray) -> pd.Da
     return pd.DataFrame({"x": place[0], "y": place[1], "theta": turned[:, -1]}, index=motion.index)
 
 
-def resting(points: pd.DataFrame) -> pd.DataFrame:
-    """The place at which each point of each trial rests at first: index trial and point, columns x, y [m]."""
-    known = points[np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)]
-    first = known.sort_values("t", kind="stable").groupby(["trial", "point"]).head(STILL)
-    return first.groupby(["trial", "point"])[["x", "y"]].median()
-
-
 def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, np.ndarray]:
     """Arc length of each of the string's named points [m], nearest first, by every trial (K,).
 
@@ -34,7 +27,10 @@ def arc_lengths(points: pd.DataFrame, grasp: pd.DataFrame) -> dict[str, np.ndarr
     from one another as along the string; a stiff one bends below the grasp, and is longer. points: columns trial, t,
     point, x, y. grasp: columns trial, x, y [m], in the order of time.
     """
-    rest, hand = resting(points), grasp.groupby("trial")[["x", "y"]].first()
+    known = points[np.isfinite(points[["x", "y"]]).all(axis=1) & points.get("valid", True)]
+    first = known.sort_values("t", kind="stable").groupby(["trial", "point"]).head(STILL)
+    rest = first.groupby(["trial", "point"])[["x", "y"]].median()  # where each point rests at first
+    hand = grasp.groupby("trial")[["x", "y"]].first()
     found: dict[str, list[float]] = {}
     for trial, there in rest.groupby(level="trial"):
         if trial not in hand.index:

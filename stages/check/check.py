@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from stringcast.data.schema import DataError
@@ -47,19 +47,14 @@ CHECKS: tuple[Check, ...] = (
 
 
 def findings(measured: Measured) -> list[Finding]:
-    """Findings of all checks, the worst first; the same finding in several trials once."""
-    found = merged(finding for check in CHECKS for finding in check(measured))
-    return sorted(found, key=lambda finding: list(Severity).index(finding.severity))
-
-
-def merged(found: Iterable[Finding]) -> list[Finding]:
-    """Findings of the same place with the same remedy as one, in the words of the first."""
+    """Findings of all checks, the worst first; those of the same place with the same remedy as one, in the words of the
+    first."""
     whole: dict[tuple[str, ...], Finding] = {}
-    for finding in found:
+    for finding in (finding for check in CHECKS for finding in check(measured)):
         key = (finding.severity, finding.file, finding.field, finding.remedy)
         first = whole.setdefault(key, finding)
         whole[key] = replace(first, trials=tuple(dict.fromkeys((*first.trials, *finding.trials))))
-    return list(whole.values())
+    return sorted(whole.values(), key=lambda finding: list(Severity).index(finding.severity))
 
 
 def refuse(measured: Measured) -> None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import difflib
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stringcast.data.artifacts import ARM, GRASP, POINTS
-from stringcast.data.dataset import Dataset, fits, with_trial
+from stringcast.data.dataset import fits, with_trial
 from stringcast.data.metadata import NAME, ArmBlock, Block, CameraBlock, Metadata, NoiseBlock, StringBlock, TrialBlock
 from stringcast.stages.check.finding import Finding, Severity
-from stringcast.stages.check.measured import LOST, Measured, Seen
+from stringcast.stages.check.measured import LOST, Measured
 from stringcast.stages.check.mistakes import impossible, unknown_arm
 
 MUCH = 0.1  # of the rows: if so many cannot be used, something is wrong
@@ -30,6 +30,7 @@ BLOCKS: Mapping[str, type[Block]] = {"string": StringBlock, "noise": NoiseBlock,
 
 def rows(measured: Measured) -> Iterator[Finding]:
     """Rows that cannot be used, or were not in order."""
+    known = {column.name for table in (ARM, GRASP, POINTS) for column in with_trial(table).columns}
     for file, what in measured.data.rows.items():
         if what.dropped:
             lost = sum(what.dropped.values())
@@ -38,19 +39,14 @@ def rows(measured: Measured) -> Iterator[Finding]:
             severity = Severity.WARNING if lost > MUCH * what.read else Severity.NOTE
             if lost > LOST * what.read:
                 severity, said = Severity.ERROR, f"{said}: too few are left to tell anything"
-            yield Finding(severity, file, _columns(what.dropped), said, "Correct them if they should count")
+            spoken = (word for reason in what.dropped for word in reason.split()[:2] if word in known)  # of columns
+            field = ", ".join(dict.fromkeys(spoken))
+            yield Finding(severity, file, field, said, "Correct them if they should count")
         if what.unordered:
             said = f"{what.unordered} rows are earlier than the row before them"
             yield Finding(
                 Severity.NOTE, file, "t", said, "They are put in order; see that each trial was one recording"
             )
-
-
-def _columns(reasons: Iterable[str]) -> str:
-    """The columns of which reasons to drop rows speak; none of those that are about whole rows."""
-    known = {column.name for table in (ARM, GRASP, POINTS) for column in with_trial(table).columns}
-    spoken = (word for reason in reasons for word in reason.split()[:2] if word in known)
-    return ", ".join(dict.fromkeys(spoken))
 
 
 def empty(measured: Measured) -> Iterator[Finding]:
@@ -116,19 +112,14 @@ def arm(measured: Measured) -> Iterator[Finding]:
         f"{measured.hand_file} holds joint angles of an arm, and nothing says {lacking}; of the configured arm "
         f"({', '.join(configured.values())}, in metres) this string could {held}"
     )
-    where = ", ".join(f"arm.{key}" for key in missing)
-    yield Finding(Severity.ERROR, NAME, where, said, _described(measured.data, configured))
-
-
-def _described(data: Dataset, configured: Mapping[str, str]) -> str:
-    """The remedy for an arm that is not described. configured: what the configured arm has of it, as YAML."""
-    if data.metadata.get("arm"):
-        return (
-            f"Write beside it what your arm has, in metres, as the configured one {' and '.join(configured.values())}"
-        )
-    block = f"\\narm: {{{', '.join(configured.values())}}}\\n"
-    file = shlex.quote(str(data.folder / NAME))
-    return f"Write what your arm has; if it is the configured one: printf '{block}' >> {file}"
+    if measured.data.metadata.get("arm"):
+        remedy = "Write beside it what your arm has, in metres, as the configured one "
+        remedy += " and ".join(configured.values())
+    else:
+        block = f"\\narm: {{{', '.join(configured.values())}}}\\n"
+        file = shlex.quote(str(measured.data.folder / NAME))
+        remedy = f"Write what your arm has; if it is the configured one: printf '{block}' >> {file}"
+    yield Finding(Severity.ERROR, NAME, ", ".join(f"arm.{key}" for key in missing), said, remedy)
 
 
 def hands(measured: Measured) -> Iterator[Finding]:
@@ -151,7 +142,7 @@ def camera(measured: Measured) -> Iterator[Finding]:
 def noise(measured: Measured) -> Iterator[Finding]:
     """Noise that is stated in another unit, or that points do not have."""
     for seen in measured.telling():
-        sigma = stated(seen)
+        sigma = float(np.median(seen.points["sigma"])) if "sigma" in seen.points else None  # as the dataset states it
         place = (NAME, "noise.point_sigma") if "noise" in measured.data.metadata else (measured.file("points"), "sigma")
         if sigma is not None and sigma > COARSE * seen.length:
             said = f"noise is stated as {sigma:.3g} m on a string of {seen.length:.3g} m: millimetres, as it seems"
@@ -161,11 +152,6 @@ def noise(measured: Measured) -> Iterator[Finding]:
             yield Finding(
                 Severity.WARNING, *place, said, "Correct it, or leave it out: then it is estimated", (seen.name,)
             )
-
-
-def stated(seen: Seen) -> float | None:
-    """Noise of its points as the dataset states it [m]."""
-    return float(np.median(seen.points["sigma"])) if "sigma" in seen.points else None
 
 
 def names(measured: Measured) -> Iterator[Finding]:

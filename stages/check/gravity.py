@@ -22,7 +22,16 @@ def fall(seen: Seen) -> float:
     alone. A stiff string is straightened too, and seems to fall up to several times as fast. Least squares over the
     frames of a trial, of the tip's acceleration across the string on that of gravity.
     """
-    t, tip, along = _end(seen)
+    # where the tip was seen, and the string's direction there
+    points = seen.points
+    last = points[points["s"] > 0.95 * points["s"].max()].groupby("t").tail(1)
+    t, tip = last["t"].to_numpy(), last[["x", "y"]].to_numpy()
+    before = points[points["s"] <= BEFORE * points["s"].max()].groupby("t").tail(1).set_index("t").reindex(t)
+    hand = np.stack([np.interp(t, seen.hand_t, seen.pose[:, axis]) for axis in (0, 1)], axis=-1)
+    way = tip - np.where(np.isfinite(before[["x", "y"]]), before[["x", "y"]], hand)
+    along = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)
+
+    # parabolas through the tip, over windows of time
     size = max(FEWEST, 2 * int(WINDOW / max(float(np.median(np.diff(t))), 1e-9) / 2) + 1) if len(t) > 1 else 0
     if len(t) < ENOUGH + size:
         return float("nan")
@@ -40,15 +49,3 @@ def usual_fall(trials: Iterable[Seen]) -> float:
     """The median of the trials that tell it; NaN where none does."""
     known = [g for seen in trials if np.isfinite(g := fall(seen))]
     return float(np.median(known)) if known else float("nan")
-
-
-def _end(seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times (F,) [s] at which the tip was seen, where it was (F, 2) [m], and the string's direction there (F, 2)."""
-    points = seen.points
-    last = points[points["s"] > 0.95 * points["s"].max()].groupby("t").tail(1)
-    t, tip = last["t"].to_numpy(), last[["x", "y"]].to_numpy()
-    before = points[points["s"] <= BEFORE * points["s"].max()].groupby("t").tail(1).set_index("t").reindex(t)
-    hand = np.stack([np.interp(t, seen.hand_t, seen.pose[:, axis]) for axis in (0, 1)], axis=-1)
-    inner = np.where(np.isfinite(before[["x", "y"]]), before[["x", "y"]], hand)
-    way = tip - inner
-    return t, tip, way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)

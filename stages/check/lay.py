@@ -39,18 +39,13 @@ def shifts(trials: Sequence[Seen]) -> dict[str, float]:
 def _latest(trials: Sequence[Seen], about: float) -> float:
     """The latest shift near `about` [s] at which these strings are hardly longer than at the best."""
     tried = about + np.arange(-AROUND, AROUND + STEP, STEP)
-    excess = np.max([stretched(seen, tried) for seen in trials], axis=0)
+    stretched = []  # excess of points' distance from the hand over their arc lengths, in lengths of the string (rms)
+    for seen in trials:
+        s, *place = seen.points[["s", "x", "y"]].to_numpy().T
+        t = seen.points["t"].to_numpy() + tried[:, None]
+        off = [at - np.interp(t, seen.hand_t, hand) for at, hand in zip(place, seen.pose.T[:2], strict=True)]
+        stretched.append(np.sqrt(np.mean(np.maximum(np.hypot(*off) - s, 0.0) ** 2, axis=1)) / seen.length)
+    excess = np.max(stretched, axis=0)
     best = int(excess.argmin())
     bad = excess[best:] > excess[best] + SLACK
     return float(tried[best + int(np.argmax(bad)) - 1] if bad.any() else tried[best])
-
-
-def stretched(seen: Seen, tried: np.ndarray) -> np.ndarray:
-    """Excess of the points' distance from the hand over their arc lengths, (T,) in lengths of the string (rms).
-
-    tried: (T,) what is added to their times [s].
-    """
-    s, *place = seen.points[["s", "x", "y"]].to_numpy().T
-    t = seen.points["t"].to_numpy() + tried[:, None]
-    off = [at - np.interp(t, seen.hand_t, hand) for at, hand in zip(place, seen.pose.T[:2], strict=True)]
-    return np.sqrt(np.mean(np.maximum(np.hypot(*off) - s, 0.0) ** 2, axis=1)) / seen.length

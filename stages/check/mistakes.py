@@ -231,9 +231,16 @@ def mistakes(measured: Measured) -> Iterator[Finding]:
         yield from (unexplained(measured, name, both[0]) for name, both in contradictory.items())
         return
     here = next(iter(contradictory.values()))[0]
+
+    # the second best explanation, where two units fit
+    instead = ""
+    if len(likely) > 1 and lengths_of(likely[0]) != lengths_of(likely[1]):
+        lengths = [reduce(lambda view, mistake: mistake.undone(view), made, here).length for made in likely[:2]]
+        other = likely[1][0].said.partition(" in ")[2].partition(",")[0]
+        instead = f" (a string of {lengths[0]:.3g} m; {other} would fit too, and make it {lengths[1]:.3g} m)"
     for mistake in likely[0]:
         file = mistake.table if "." in mistake.table else measured.file(mistake.table)
-        said = f"{mistake.said} as it seems: {shown(here)}{instead(likely, here)}"
+        said = f"{mistake.said} as it seems: {shown(here)}{instead}"
         yield Finding(Severity.ERROR, file, mistake.field, said, mistake.remedy, tuple(contradictory))
 
 
@@ -273,15 +280,6 @@ def explanations(measured: Measured, contradictory: Mapping[str, tuple[View, Vie
 def lengths_of(made: tuple[Mistake, ...]) -> float:
     """The factor on positions of points that undoes mistakes."""
     return float(np.prod([mistake.factor for mistake in made if "xy" in mistake.parts]))
-
-
-def instead(likely: list[tuple[Mistake, ...]], here: View) -> str:
-    """The second best explanation in brackets, where two units fit; else empty."""
-    if len(likely) < 2 or lengths_of(likely[0]) == lengths_of(likely[1]):
-        return ""
-    lengths = [reduce(lambda view, mistake: mistake.undone(view), made, here).length for made in likely[:2]]
-    unit = likely[1][0].said.partition(" in ")[2].partition(",")[0]
-    return f" (a string of {lengths[0]:.3g} m; {unit} would fit too, and make it {lengths[1]:.3g} m)"
 
 
 def misfit_without(made: tuple[Mistake, ...], contradictory: Iterable[tuple[View, View]]) -> float | None:

@@ -9,7 +9,7 @@ import numpy as np
 from stringcast.stages.check.clocks import factor_of, usual
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.gravity import usual_fall
-from stringcast.stages.check.measured import CLEAR, GRAVITY, Measured, Seen
+from stringcast.stages.check.measured import CLEAR, GRAVITY, Measured
 from stringcast.stages.check.mistakes import impossible
 
 HELD = 0.1  # [s] for which a reading is the same to the last digit while others change
@@ -20,27 +20,20 @@ UP = 0.5  # of its arc length: so far above the grasp no limp string rests
 
 
 def frozen(measured: Measured) -> Iterator[Finding]:
-    """Joints whose reading stands still while the others move."""
+    """Joints whose reading never changes, or stands still while the others move."""
     for seen in measured.trials:
         if seen.joints is None or seen.hand_onset is None:
             continue
+        moving = (np.diff(seen.joints, axis=0) != 0).any(axis=1)
         for number, reading in enumerate(seen.joints.T, start=1):
-            said = _stands(seen, reading)
+            same = (np.diff(reading) == 0) & moving
+            runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))) - 1
+            longest = float(runs.max()) * usual(seen.hand_t)
+            said = f"it stands still for {longest:.2f} s while other joints move" if longest > HELD else ""
+            said = "it never changes" if np.ptp(reading) == 0 else said
             if said:
                 remedy = f"If joint {number} moved, its log is frozen: leave the trial out, or record it again"
                 yield Finding(Severity.WARNING, measured.hand_file, f"q{number}", said, remedy, (seen.name,))
-
-
-def _stands(seen: Seen, reading: np.ndarray) -> str:
-    """A message on a reading that never changes, or not for long while the others do; else empty."""
-    assert seen.joints is not None
-    if np.ptp(reading) == 0:
-        return "it never changes"
-    same = (np.diff(reading) == 0) & (np.diff(seen.joints, axis=0) != 0).sum(axis=1).astype(bool)
-    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))) - 1
-    longest = float(runs.max()) * usual(seen.hand_t)
-    moved = float(np.abs(np.diff(reading)).max()) if longest > HELD else 0.0
-    return f"it stands still for {longest:.2f} s while other joints move" if moved and longest > HELD else ""
 
 
 def wrapped(measured: Measured) -> Iterator[Finding]:
@@ -72,23 +65,18 @@ def hangs(measured: Measured) -> Iterator[Finding]:
 def held(measured: Measured) -> Iterator[Finding]:
     """Points that a tracker repeated to the last digit."""
     for seen in measured.with_points():
-        share = repeated(seen)
+        same, moved = 0, 0
+        for _, xy in seen.tracks:
+            steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+            far = steps > CLEAR * np.nan_to_num(seen.noise) + 1e-12
+            beside = np.concatenate([far[1:], [False]]) | np.concatenate([[False], far[:-1]])
+            same += int(((steps == 0) & beside).sum())
+            moved += int(far.sum())
+        share = same / (same + moved) if moved else 0.0
         if share > REPEATED:
             said = f"{share:.0%} of the steps of moving points are none: the same to the last digit"
             remedy = "If the tracker held its last value, drop those rows or set 'valid' to false"
             yield Finding(Severity.WARNING, measured.file("points"), "x, y", said, remedy, (seen.name,))
-
-
-def repeated(seen: Seen) -> float:
-    """Share of the steps of moving points that are none, to the last digit."""
-    same, moved = 0, 0
-    for _, xy in seen.tracks:
-        steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-        far = steps > CLEAR * np.nan_to_num(seen.noise) + 1e-12
-        beside = np.concatenate([far[1:], [False]]) | np.concatenate([[False], far[:-1]])
-        same += int(((steps == 0) & beside).sum())
-        moved += int(far.sum())
-    return same / (same + moved) if moved else 0.0
 
 
 def falls(measured: Measured) -> Iterator[Finding]:

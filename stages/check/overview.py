@@ -12,7 +12,7 @@ from stringcast.data.dataset import fits
 from stringcast.stages.check.check import findings
 from stringcast.stages.check.clocks import restless, usual
 from stringcast.stages.check.finding import Severity
-from stringcast.stages.check.measured import Measured, Seen
+from stringcast.stages.check.measured import Measured
 
 PLAIN = {"s": (1e3, "ms"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "1": (100.0, "%")}  # units as people say them
 EFFECTS = (
@@ -40,20 +40,6 @@ class Row:
     begins: str
 
 
-def row(seen: Seen, filmed: np.ndarray | None) -> Row:
-    """The overview's row for a trial. filmed: times of its frames (F,) [s], used where no points were measured."""
-    t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed
-    common = min(t[-1], seen.hand_t[-1]) - max(t[0], seen.hand_t[0])
-    path = float(np.linalg.norm(np.diff(seen.pose[:, :2], axis=0), axis=1).sum())
-    begins = "moving" if seen.moving else "at rest"
-    if len(seen.points) and not seen.moving and restless(seen):
-        begins = "moving?"
-    each = float(len(seen.points) / max(len(seen.frame_t), 1))
-    noise = None if np.isnan(seen.noise) else seen.noise
-    rates = per_second(t), per_second(seen.hand_t)
-    return Row(seen.name, float(np.ptp(t)), float(common), len(t), *rates, each, noise, path, begins)
-
-
 def per_second(t: np.ndarray) -> float | None:
     """The usual rate of samples [1/s]."""
     return 1 / usual(t) if usual(t) > 0 else None
@@ -61,8 +47,21 @@ def per_second(t: np.ndarray) -> float | None:
 
 def rows(measured: Measured) -> list[Row]:
     """The overview's rows, one for each usable trial."""
-    films = measured.data.films
-    return [row(seen, films[seen.name].t if seen.name in films else None) for seen in measured.trials]
+    found, films = [], measured.data.films
+    for seen in measured.trials:
+        filmed = films[seen.name].t if seen.name in films else None
+        t = seen.frame_t if len(seen.frame_t) or filmed is None else filmed  # where no points were measured
+        common = min(t[-1], seen.hand_t[-1]) - max(t[0], seen.hand_t[0])
+        path = float(np.linalg.norm(np.diff(seen.pose[:, :2], axis=0), axis=1).sum())
+        begins = "moving" if seen.moving else "at rest"
+        if len(seen.points) and not seen.moving and restless(seen):
+            begins = "moving?"
+        each = float(len(seen.points) / max(len(seen.frame_t), 1))
+        noise = None if np.isnan(seen.noise) else seen.noise
+        rates = per_second(t), per_second(seen.hand_t)
+        times = (float(np.ptp(t)), float(common), len(t))
+        found.append(Row(seen.name, *times, *rates, each, noise, path, begins))
+    return found
 
 
 def found_from(told: Mapping[str, Any]) -> str:

@@ -30,8 +30,9 @@ def dry(
     commands = padded(motion.commands, before, after)
     with camera, arm:
         arm.check(commands)
-        here = arm.angles()
-        trial = filmed(still(commands, here), arm, camera, end=motion.duration + after)
+        here = dict(zip(JOINTS, arm.angles(), strict=True))
+        still = commands.assign(**here, **dict.fromkeys(SPEEDS, 0.0))
+        trial = filmed(still, arm, camera, end=motion.duration + after)
     return distrusted(trial, "dry run with the arm disabled")
 
 
@@ -50,11 +51,6 @@ def slow(
     slower = replace(motion, commands=slowed(motion.commands, share), outcome=outcome)
     trial = execute(slower, arm, camera, before=before, after=after)
     return distrusted(trial, f"dry run at {share:g} of the speed")
-
-
-def still(commands: pd.DataFrame, angles: np.ndarray) -> pd.DataFrame:
-    """Commands (table COMMANDS) that hold the given joint angles (J,) [rad] at the same ticks."""
-    return commands.assign(**dict(zip(JOINTS, angles, strict=True)), **dict.fromkeys(SPEEDS, 0.0))
 
 
 def slowed(commands: pd.DataFrame, share: float) -> pd.DataFrame:

@@ -10,7 +10,7 @@ import pandas as pd
 from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
-from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError, Recording
+from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError
 from stringcast.stages.spec import Call
 
 
@@ -40,20 +40,14 @@ def execute(
 
 
 def filmed(commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: float) -> Trial:
-    """Go to the start of `commands` and play them on film, with open devices. end: of the film [s]."""
+    """Go to the start of `commands` and play them on film, with open devices. end: of the film [s]. Raises
+    HardwareError where no frame came meanwhile."""
     begin = float(commands["t"].iloc[0])
     arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
     camera.start()
     performance = arm.perform(commands)
     recording = camera.stop(performance.begun - begin)
-    frames, images = within(recording, begin, end)
-    link = performance.link.assign(**recording.summary)
-    trial = Trial(performance.arm, performance.ticks, frames, link, images)
-    return distrusted(trial, recording.fault) if recording.fault else trial
 
-
-def within(recording: Recording, begin: float, end: float) -> tuple[pd.DataFrame, list[np.ndarray]]:
-    """Frames of a stretch of time [s], as table FRAMES and images; raises HardwareError where there are none."""
     # frames at the very ends count, whatever the rounding
     inside = np.flatnonzero((recording.t >= begin - 1e-9) & (recording.t <= end + 1e-9))
     if not len(inside):
@@ -61,8 +55,11 @@ def within(recording: Recording, begin: float, end: float) -> tuple[pd.DataFrame
         raise HardwareError(f"camera: no frame came during the movement ({why}). Check the device and source.delay.")
     files = [f"images/{number:06d}.png" for number in range(len(inside))]
     frames = pd.DataFrame({"frame": np.arange(len(inside)), "t": recording.t[inside], "file": files})
-    counts = {name: column.to_numpy()[inside] for name, column in recording.counts.items()}
-    return frames.assign(**counts), [recording.images[int(i)] for i in inside]
+    frames = frames.assign(**{name: column.to_numpy()[inside] for name, column in recording.counts.items()})
+    images = [recording.images[int(i)] for i in inside]
+    link = performance.link.assign(**recording.summary)
+    trial = Trial(performance.arm, performance.ticks, frames, link, images)
+    return distrusted(trial, recording.fault) if recording.fault else trial
 
 
 def distrusted(trial: Trial, reason: str) -> Trial:

@@ -7,13 +7,12 @@ the squared one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from stringcast.data.schema import DataError
-from stringcast.stages.model.effect import Effect, StringEffect, position_dependent
+from stringcast.stages.model.effect import StringEffect, position_dependent
 from stringcast.stages.model.equilibrium import hanging
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.stability import vector_sum
@@ -72,30 +71,32 @@ def mjcf(model: Model, values: np.ndarray, mass: float, step: float) -> str:
     MuJoCo has no law for.
     """
     string = model.string
-    refuse(string.effects)
+    for effect in string.effects:
+        if effect not in BASE and (position_dependent(effect) or not set(effect.laws()) <= SAID):
+            raise DataError(
+                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(effect.laws())}). Estimate the string "
+                "again without it, and export that."
+            )
     material = string.material(values[None, : len(string.parameters)])
     over = mass / string.length  # mass per length, by which everything of ours is divided [kg/m]
     nothing = {"x": np.zeros((1, 1)), "y": np.zeros((1, 1)), "t": np.zeros((1, 1))}
     gravity, wind = (vector_sum(string, material, slot, nothing)[0, 0] for slot in ("acceleration", "flow"))
     beside = [effect.name for effect in model.effects if not issubclass(effect, StringEffect)]
+
+    # bodies one inside the other
+    links = _links(model, material, over)
+    pads = ["  " * (3 + i) for i in range(len(links))]
+    opened = "".join(LINK.format(pad=pad, **link) for pad, link in zip(pads, links, strict=True))
+    tip = f'{pads[-1]}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
+    closed = "\n".join(f"{pad}</body>" for pad in reversed(pads))
     return PAGE.format(
         **{"segments": string.points - 1, "length": string.length, "mass": mass, "step": step},
         **{"gx": gravity[0], "gy": gravity[1], "wx": wind[0], "wy": wind[1]},
         **{"density": DENSITY, "viscosity": VISCOSITY, "heavy": HEAVY * mass},
         longer=1e3 * float((hanging(string, material, DOWN)[1][0] - string.segments(material)).sum()),
         stated=f" Left out, for no part of the string: {', '.join(beside)}." if beside else "",
-        chain=_chain(_links(model, material, over)),
+        chain=opened + tip + closed,
     )
-
-
-def refuse(effects: Sequence[type[Effect]]) -> None:
-    """Raise DataError for effects on a string that cannot be carried over."""
-    for effect in effects:
-        if effect not in BASE and (position_dependent(effect) or not set(effect.laws()) <= SAID):
-            raise DataError(
-                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(effect.laws())}). Estimate the string "
-                "again without it, and export that."
-            )
 
 
 def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, Any]]:
@@ -121,11 +122,3 @@ def _links(model: Model, material: np.ndarray, over: float) -> list[dict[str, An
         | {"inertia": masses[i] * (SMALL * length) ** 2}
         for i, (stiff, damped, angle) in enumerate(hinges)
     ]
-
-
-def _chain(links: Sequence[dict[str, Any]]) -> str:
-    """Bodies one inside the other."""
-    pads = ["  " * (3 + i) for i in range(len(links))]
-    opened = "".join(LINK.format(pad=pad, **link) for pad, link in zip(pads, links, strict=True))
-    tip = f'{pads[-1]}  <site name="tip" pos="{links[-1]["length"]:.9g} 0 0"/>\n'
-    return opened + tip + "\n".join(f"{pad}</body>" for pad in reversed(pads))

@@ -68,7 +68,11 @@ def segment(
     arm = silhouette(image.shape, moments, width + 4 + blur)
     # what is as bright as the arm is noise, made larger
     sure = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
-    return Segmented(sure * alike(above, seen, backdrop.string), mask, arm, outline, grain)
+    # brightness as it would be in front of a typical part: the string outshines a bright arm less than a dark wall
+    room = backdrop.string - seen
+    typical = max(float(np.median(room)), GREY)
+    light = np.maximum(above, 0) * typical / np.maximum(room, typical / LEAST)
+    return Segmented(sure * light, mask, arm, outline, grain)
 
 
 def background(frames: Sequence[np.ndarray], arm: Sequence[np.ndarray], low: np.ndarray, half: float) -> np.ndarray:
@@ -203,16 +207,6 @@ def brightest(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
     """The brightness of the string where nothing blurs it, from where each frame outshines the scene most."""
     chosen = np.unique(np.linspace(0, len(images) - 1, SAMPLES // 4).astype(int))
     return float(np.percentile([images[int(i)].flat[np.argmax(images[int(i)] - scene)] for i in chosen], 90))
-
-
-def alike(difference: np.ndarray, seen: np.ndarray, string: float) -> np.ndarray:
-    """Brightness above `seen` as it would be in front of a typical part of it, at least 0.
-
-    A string of brightness `string` outshines a bright arm less than a dark wall.
-    """
-    room = string - seen
-    typical = max(float(np.median(room)), GREY)
-    return np.maximum(difference, 0) * typical / np.maximum(room, typical / LEAST)
 
 
 def noise(difference: np.ndarray) -> float:

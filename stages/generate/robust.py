@@ -97,7 +97,15 @@ def generate(
         random = entrants(task, space, previous, drawing.fraction, search.motions, rng)
         found.append(sought(task, space, random, draws, search.rounds, seed, part(progress, len(found), most)))
     final = joined([each.best for each in found])
-    chosen = choice(task, final, drawn(model, estimate, uncertainty, search.strings, rng), search.exploration)
+
+    # the nearest, or one that is nearly so and teaches more
+    fresh = drawn(model, estimate, uncertainty, search.strings, rng)
+    closeness = outcome(task, final, fresh).closeness
+    best = int(np.argmax(closeness))
+    near = np.flatnonzero(closeness >= closeness[best] - search.exploration)
+    if len(near) > 1:
+        best = int(near[np.argmin(predictive_sd(task, final.only(near), fresh, int(np.searchsorted(near, best))))])
+    chosen = final.only(np.array([best]))
     progress(1.0)
     return stated(
         task, chosen, drawn(model, estimate, uncertainty, search.validation, rng), sum(each.tried for each in found)
@@ -124,17 +132,6 @@ def sought(
     progress(0.9)
     share = float(outcome(task, refined, draws).hit.mean(axis=1).max())
     return Sought(joined([refined, best.only(slice(NEAREST))]), len(random.duration), share)
-
-
-def choice(task: Task, curves: Curves, draws: Draws, exploration: float) -> Curves:
-    """The nearest of some motions, or one that is nearly so and teaches more. exploration: closeness given up."""
-    closeness = outcome(task, curves, draws).closeness
-    best = int(np.argmax(closeness))
-    near = np.flatnonzero(closeness >= closeness[best] - exploration)
-    if len(near) > 1:
-        some = curves.only(near)
-        best = int(near[np.argmin(predictive_sd(task, some, draws, int(np.searchsorted(near, best))))])
-    return curves.only(np.array([best]))
 
 
 def stated(task: Task, curve: Curves, draws: Draws, tried: int) -> Motion:

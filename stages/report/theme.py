@@ -80,30 +80,28 @@ def webp(image: np.ndarray, quality: int) -> bytes:
 
 
 def themed(svg: str) -> str:
-    """Name the theme's colours in an SVG and define both sides of each; a hundredth of a point is enough for places,
-    of which labels are none."""
+    """Name the theme's colours in an SVG and define both sides of each, and make it half as long."""
+    # a hundredth of a point is enough for places, of which labels are none
     svg = re.sub(r'(?<= )(?:d|x|y|transform)="[^"]*"', lambda places: re.sub(r"(\.\d\d)\d+", r"\1", places[0]), svg)
     for name, (light, _) in THEME.items():
         svg = svg.replace(light, f"var(--{name})")
-    svg, classes = _short(svg)
-    light, dark = ("".join(f"--{name}:{sides[i]};" for name, sides in THEME.items()) for i in (0, 1))
-    rules = f":root{{{light}}}@media (prefers-color-scheme:dark){{:root{{{dark}}}}}"
-    rules += f"text{{font-family:system-ui,sans-serif!important}}{classes}"
-    return re.sub(r"(<svg[^>]*>)", rf"\1<style>{rules}</style>", svg, count=1)
 
-
-def _short(svg: str) -> tuple[str, str]:
-    """Half as long an SVG: without what nobody sees (names of groups, fonts, turns by nothing, blanks), and with a
-    class for each style that is there more than once. Returns these classes too."""
+    # without what nobody sees: names of groups, fonts, turns by nothing, blanks
     unseen = r'<metadata>.*?</metadata>|(?<=<g) id="[^"]*"|font-family: [^;]*; | transform="rotate\(-?0 [^"]*"'
     svg = re.sub(r"\s*\n\s*", " ", re.sub(unseen, "", svg, flags=re.S)).replace("> <", "><")
     svg = re.sub(r'(?<= )d="[^"]*"', lambda way: re.sub(r" ?([MLQCz]) ?", r"\1", way[0]), svg)
     svg = re.sub(r'(?<= )style="[^"]*"', lambda style: re.sub(r"([:;]) ", r"\1", style[0]), svg)
+
+    # a class for each style that is there more than once
     often = [style for style, times in Counter(re.findall(r' style="([^"]*)"', svg)).items() if times > 1]
     named = {style: f"s{number}" for number, style in enumerate(often)}
     for style, name in named.items():
         svg = svg.replace(f'style="{style}"', f'class="{name}"')
-    return svg, "".join(f".{name}{{{style}}}" for style, name in named.items())
+    light, dark = ("".join(f"--{name}:{sides[i]};" for name, sides in THEME.items()) for i in (0, 1))
+    rules = f":root{{{light}}}@media (prefers-color-scheme:dark){{:root{{{dark}}}}}"
+    rules += "text{font-family:system-ui,sans-serif!important}"
+    rules += "".join(f".{name}{{{style}}}" for style, name in named.items())
+    return re.sub(r"(<svg[^>]*>)", rf"\1<style>{rules}</style>", svg, count=1)
 
 
 def data_uri(kind: str, data: bytes) -> str:

@@ -107,23 +107,17 @@ def drawn(
     x = np.clip(ends / RAMP, 0, 1)
     swing *= (x**3 * (10 - 15 * x + 6 * x**2))[:, None]  # from 0 to 1 and back, with no jump of the second derivative
     rate = np.gradient(swing, arm.tick, axis=0)
-    share = _share(arm, middle, swing, rate, speed)
-    return middle + share * swing, share * rate
-
-
-def _share(arm: Arm, middle: np.ndarray, swing: np.ndarray, rate: np.ndarray, speed: float) -> float:
-    """By which a swing (K, J) [rad] about a pose (J,) is to be taken for the hand to reach `speed`, and never exceed
-    it. rate: of the swing (K, J) [rad/s]."""
 
     def fastest(share: float) -> float:
         return float(np.linalg.norm(arm.grasp_velocity(middle + share * swing, share * rate)[:, :2], axis=-1).max())
 
+    # as large a swing as lets the hand reach `speed`, and never exceed it
     share = 1.0
     for _ in range(3):  # the lever changes with the angles
         share *= 0.99 * speed / fastest(share)
     while fastest(share) > speed:
         share *= 0.99
-    return share
+    return middle + share * swing, share * rate
 
 
 def fault(model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray) -> str:

@@ -83,10 +83,12 @@ def camera(made: Calibration, tilted: pd.DataFrame, times: float) -> Section:
     """The camera's parameters, and the errors over the picture and view by view."""
     outcome = made.outcome.iloc[0]
     columns = ("parameter", "value ± one standard deviation", "unit", "what it is")
-    rows = [
-        (Cell(f"camera.{row['name']}", "code"), number(figures(row)), unit(row["unit"]), row["meaning"])
-        for row in made.measured.to_dict("records")
-    ]
+    rows = []
+    for row in made.measured.to_dict("records"):
+        # as many decimals as its uncertainty allows
+        decimals = max(int(np.ceil(1 - np.log10(row["sigma"]))), 0) if row["sigma"] > 0 else 6
+        value = number(f"{row['value']:.{decimals}f} ± {row['sigma']:.{decimals}f}")
+        rows.append((Cell(f"camera.{row['name']}", "code"), value, unit(row["unit"]), row["meaning"]))
     arrows = f"Each corner of each view, with its error {times:g} times as long. Arrows that point the same way side "
     arrows += "by side are not noise: the lens, or the board, is not as assumed."
     bars = "A view that stands out was blurred or bent. Where orange is far above blue, views are too few."
@@ -94,12 +96,6 @@ def camera(made: Calibration, tilted: pd.DataFrame, times: float) -> Section:
     by_view = errors(made.views[~made.views["plane"] & (made.views["reason"] == "")])
     grid = [Figure("Errors over the picture", over, arrows), Figure("Errors view by view", by_view, bars)]
     return Section("The camera", [Card("", [Table(columns, rows)]), Grid(grid)])
-
-
-def figures(row: dict[str, Any]) -> str:
-    """A value with as many decimals as its uncertainty allows."""
-    decimals = max(int(np.ceil(1 - np.log10(row["sigma"]))), 0) if row["sigma"] > 0 else 6
-    return f"{row['value']:.{decimals}f} ± {row['sigma']:.{decimals}f}"
 
 
 def views(made: Calibration, times: float) -> Section:

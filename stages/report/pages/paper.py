@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import pandas as pd
 from markupsafe import Markup
 from matplotlib import style
 from matplotlib.figure import Figure as Drawing
@@ -160,16 +159,13 @@ def hits(record: PaperRecord, pictures: Mapping[str, Picture]) -> Section | Text
         needed = record.of("needed", condition).iloc[0]
         median = "never" if needed["median"] > NEVER else f"{needed['median']:.0f}"
         paper = f"{needed['paper']:.0f}" if np.isfinite(needed["paper"]) else "not said"
-        shares = [share(row) for _, row in record.of("rates", condition).iterrows()]
+        found = record.of("rates", condition)
+        ends = zip(*(100 * found[name] for name in ("share", "low", "high")), strict=True)
+        shares = [f"{share:.0f} ({low:.0f} to {high:.0f}) %" for share, low, high in ends]
         rows.append([LABELS[condition].replace(" ", "\u00a0"), *map(number, (*shares, median, paper))])
     return Section(
         "How often it hits", [Card("", [Figure("", pictures["hit_rates"], about)]), Card("", [Table(columns, rows)])]
     )
-
-
-def share(row: pd.Series) -> str:
-    """A rate with its interval, in percent."""
-    return f"{100 * row['share']:.0f} ({100 * row['low']:.0f} to {100 * row['high']:.0f}) %"
 
 
 # --- figures and tables

@@ -79,7 +79,13 @@ def string(record: DiagnosisRecord) -> Section | None:
 def _parameter(of: Parameter, values: tuple[float, float | None], ends: Sequence[Sequence[float] | None]) -> list[Any]:
     """A row: values of the base and of the extended model, each with the ends of its interval, if they are known."""
     base, extended = values
-    change = "" if extended is None or not base else _change(extended / base)
+    if extended is None or not base:
+        change = ""
+    elif 1 / 3 < extended / base < 3:
+        percents = round(100 * (extended / base - 1))
+        change = f"{percents:+d} %".replace("-", "−") if percents else "0 %"
+    else:
+        change = f"× {significant(extended / base)}"
     cells: list[Cell] = []
     for value, two in zip(values, ends, strict=True):
         shown, interval = UNKNOWN if value is None else significant(value), ""
@@ -88,11 +94,3 @@ def _parameter(of: Parameter, values: tuple[float, float | None], ends: Sequence
             interval = f"{low} to {high}"
         cells += [number(shown), number(interval)]
     return [Cell(plain(of.name), title=of.meaning), symbol(of.symbol), *cells, number(change), unit(of.unit)]
-
-
-def _change(ratio: float) -> str:
-    """A change in percent, or as a factor where it is large."""
-    if not 1 / 3 < ratio < 3:
-        return f"× {significant(ratio)}"
-    percents = round(100 * (ratio - 1))
-    return f"{percents:+d} %".replace("-", "−") if percents else "0 %"
