@@ -56,13 +56,13 @@ def gathered(recordings: Sequence[Recording], hints: ColumnHints) -> Gathered:
             counted = {one.column for one in taken if one.file == recording.file}
             left[recording.file] = [name for name in recording.table if name not in counted]
     filmed = [recording for recording in recordings if recording.film is not None]
-    if not moved:
-        raise DataError(
-            f"{_files(recordings)}: no columns say how the hand moved: joint angles, or its place and "
-            f"direction. {_what_there_is(recordings)}"
-        )
-    if not seen and not filmed:
-        raise DataError(f"{_files(recordings)}: no column says where the string was. {_what_there_is(recordings)}")
+    if not moved or not (seen or filmed):
+        lacking = "no columns say how the hand moved: joint angles, or its place and direction"
+        lacking = "no column says where the string was" if moved else lacking
+        files = ", ".join(dict.fromkeys(str(recording.file) for recording in recordings))
+        there = "; ".join(f"{recording.file.name}: {listed(recording)}" for recording in recordings[:3])
+        ask = f"Name columns with --map <ours>=<theirs>; ours are {ROLES_ARE}."
+        raise DataError(f"{files}: {lacking}. There are {there}. {ask}")
     names = _trials([r for r, _ in moved], [r for r, _ in seen] + filmed)
     films = {names[id(r)]: r.film for r in filmed if r.film is not None}
     fps = next((r.fps for r in filmed if r.fps), None)
@@ -176,12 +176,3 @@ def _whole(parts: Sequence[tuple[Recording, pd.DataFrame]], names: Mapping[int, 
     """Parts as one table, each row with the name of its trial."""
     named = [part.assign(trial=part["trial"].replace("", names[id(recording)])) for recording, part in parts]
     return pd.concat(named, ignore_index=True) if named else pd.DataFrame()
-
-
-def _files(recordings: Sequence[Recording]) -> str:
-    return ", ".join(dict.fromkeys(str(recording.file) for recording in recordings))
-
-
-def _what_there_is(recordings: Sequence[Recording]) -> str:
-    there = "; ".join(f"{recording.file.name}: {listed(recording)}" for recording in recordings[:3])
-    return f"There are {there}. Name columns with --map <ours>=<theirs>; ours are {ROLES_ARE}."

@@ -24,7 +24,9 @@ def performance(log: Log, start: float, late: float, most_missed: float, trips: 
     share = missed.mean()
     reason = f"{share:.1%} of the ticks were late or lost, allowed are {most_missed:.1%}" if share > most_missed else ""
     link = {"valid": not reason, "reason": reason, "ticks": len(log.due), "missed": int(missed.sum())}
-    link |= _distribution("jitter", lateness) | _distribution("trip", trips)
+    for name, spent in (("jitter", lateness), ("trip", trips)):
+        p50, p99 = np.percentile(spent, [50, 99])
+        link |= {f"{name}_p50": p50, f"{name}_p99": p99, f"{name}_max": spent.max()}
     # commanded, sent, acknowledged and measured, tick by tick
     times = {"t_due": log.due + start, "t_sent": log.sent + start, "t_acknowledged": log.acknowledged + start}
     ticks = {"tick": np.arange(len(log.due)), **times, "t_device": log.clock}
@@ -40,8 +42,3 @@ def performance(log: Log, start: float, late: float, most_missed: float, trips: 
     measured = pd.DataFrame({"t": clock - ahead + start} | angles)
     measured = measured.sort_values("t").drop_duplicates("t").reset_index(drop=True)
     return Performance(measured, pd.DataFrame(ticks | {"missed": missed}), pd.DataFrame([link]), log.begun)
-
-
-def _distribution(name: str, values: np.ndarray) -> dict[str, float]:
-    p50, p99 = np.percentile(values, [50, 99])
-    return {f"{name}_p50": p50, f"{name}_p99": p99, f"{name}_max": values.max()}

@@ -91,8 +91,8 @@ def write(runs: pd.DataFrame, to: Path, folder: Path) -> None:
 def row(run: Path) -> dict[str, Any]:
     """One run. What is damaged does not stop the list: it says so."""
     try:
-        written, ended = json_block(run / "config.json"), _json(run / ENDED)
-        settings = modern(written)
+        written, end = json_block(run / "config.json"), run / ENDED
+        settings, ended = modern(written), json_block(end) if end.is_file() else {}
         return {"experiment": str(written["name"]), **_ending(run, ended, settings), **_steps(run, settings)}
     except (DataError, *OTHERWISE) as error:
         nothing: dict[str, Any] = {"experiment": "", "outcome": "", "date": "", "iterations": 0, "best_E": float("nan")}
@@ -112,10 +112,6 @@ def printed(runs: pd.DataFrame) -> Printed:
     return table
 
 
-def _json(path: Path) -> dict[str, Any]:
-    return json_block(path) if path.is_file() else {}
-
-
 def _ending(run: Path, ended: dict[str, Any], settings: Mapping[str, Any]) -> dict[str, str]:
     """State, outcome and words. settings: the run's."""
     failed = run / FAILED
@@ -124,7 +120,7 @@ def _ending(run: Path, ended: dict[str, Any], settings: Mapping[str, Any]) -> di
         return {"state": "failed" if said else "incomplete", "outcome": "", "said": said}
     diagnosis, outcome = run / "diagnosis.json", "estimated"
     if diagnosis.is_file():
-        outcome = _json(diagnosis)["verdict"]
+        outcome = json_block(diagnosis)["verdict"]
     elif any("hit" in iteration for iteration in ended["iterations"]):
         # without the arm, or with a slow one, nothing was thrown at the target at all
         dry = settings["execute"]["_target_"] in DRY_RUNS

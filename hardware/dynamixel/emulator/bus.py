@@ -133,39 +133,27 @@ class Bus(Emulated):
         return "tripped" if tripped else "cleared", all(servo.joint.still for servo in servos)
 
     def _obey(self, packet: Packet) -> bytes:
+        """What the servos answer to an instruction. Address and length begin most of them."""
         for servo in self.servos.values():
             servo.silent = 0.0
+        begin, size = (int.from_bytes(packet.parameters[at : at + 2], "little") for at in (0, 2))
         if packet.instruction == SYNC_WRITE:
-            place = _place(packet.parameters)
-            size = place.stop - place.start
             for at in range(4, len(packet.parameters), 1 + size):
                 if packet.parameters[at] in self.servos:
-                    self.servos[packet.parameters[at]].write(place.start, packet.parameters[at + 1 : at + 1 + size])
+                    self.servos[packet.parameters[at]].write(begin, packet.parameters[at + 1 : at + 1 + size])
             return b""
         if packet.instruction == SYNC_READ:
-            where, identities = _place(packet.parameters), packet.parameters[4:]
-            return b"".join(
-                status(i, NO_ERROR, bytes(self.servos[i].table[where])) for i in identities if i in self.servos
-            )
-        return self._answer(packet) if packet.id in self.servos else b""
-
-    def _answer(self, packet: Packet) -> bytes:
-        """The answer of one servo to one instruction."""
+            asked = [number for number in packet.parameters[4:] if number in self.servos]
+            return b"".join(status(i, NO_ERROR, bytes(self.servos[i].table[begin : begin + size])) for i in asked)
+        if packet.id not in self.servos:
+            return b""
         servo = self.servos[packet.id]
-        if packet.instruction == PING:
-            return status(packet.id, NO_ERROR, MODEL)
-        if packet.instruction == READ:
-            return status(packet.id, NO_ERROR, bytes(servo.table[_place(packet.parameters)]))
         if packet.instruction == WRITE:
-            address = int.from_bytes(packet.parameters[:2], "little")
-            return status(packet.id, servo.write(address, packet.parameters[2:]))
+            return status(packet.id, servo.write(begin, packet.parameters[2:]))
+        told = {PING: MODEL, READ: bytes(servo.table[begin : begin + size])}
+        if packet.instruction in told:
+            return status(packet.id, NO_ERROR, told[packet.instruction])
         return status(packet.id, UNKNOWN)
-
-
-def _place(parameters: bytes) -> slice:
-    """Address and length, which begin most instructions."""
-    address, length = (int.from_bytes(parameters[i : i + 2], "little") for i in (0, 2))
-    return slice(address, address + length)
 
 
 def _freeze(bus: Bus) -> bool:

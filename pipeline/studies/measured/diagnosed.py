@@ -110,33 +110,26 @@ def said(document: Mapping[str, Any], found: Diagnosis) -> dict[str, Any]:
     causes = {cause["effect"]: cause["probability"] for cause in document["causes"]}
     chances = causes | {other["effect"]: other["probability"] for other in document["alternatives"]}
     known = yaml.safe_load(found.finding["extended"].iloc[0])["known"]
-    rms = document["gain"]["rms_m"]
-    tip = {side: _released_tip(found, side) for side in ("base", "extended")}
+    rms = {name: float("nan") if off is None else off for name, off in document["gain"]["rms_m"].items()}
+    # root mean square distance of the outermost point in released trials [m]; NaN where there are none
+    rows = found.residuals
+    rows = rows[rows["trial"].str.startswith(RELEASED) & (rows["s"] == rows["s"].max())]
+    tip = {}
+    for side in ("base", "extended"):
+        off = np.hypot(rows["x"] - rows[f"{side}_x"], rows["y"] - rows[f"{side}_y"])
+        tip[side] = float(np.sqrt(np.mean(off**2))) if len(rows) else float("nan")
     return {
         "trials": len(document["trials"]["used"]),
         "verdict": document["verdict"],
         "named": ", ".join(f"{cause} {chance:.2f}" for cause, chance in causes.items()),
         "explained": " + ".join(sorted({name.split(".")[0] for name in known if "." in name})),
         "unknown": chances.get("unknown", 0.0),
-        "rms_base": _number(rms["base"]),
-        "rms_extended": _number(rms["extended"]),
-        "noise": _number(rms["noise_floor"]),
+        "rms_base": rms["base"],
+        "rms_extended": rms["extended"],
+        "noise": rms["noise_floor"],
         "tip_base": tip["base"],
         "tip_extended": tip["extended"],
     }
-
-
-def _released_tip(found: Diagnosis, side: str) -> float:
-    """Root mean square distance of the outermost point in released trials [m]; NaN where there are none."""
-    rows = found.residuals
-    rows = rows[rows["trial"].str.startswith(RELEASED) & (rows["s"] == rows["s"].max())]
-    off = np.hypot(rows["x"] - rows[f"{side}_x"], rows["y"] - rows[f"{side}_y"])
-    return float(np.sqrt(np.mean(off**2))) if len(rows) else float("nan")
-
-
-def _number(value: float | None) -> float:
-    """A number of a document; NaN where it has none."""
-    return float("nan") if value is None else value
 
 
 def keep(row: dict[str, Any]) -> None:
