@@ -110,10 +110,12 @@ def read(folder: Path) -> Dataset:
         raise DataError(f"trials={folder}: this is a file. Name the folder that holds it: {folder.parent}")
     if not folder.is_dir():
         raise DataError(f"trials={folder}: there is no such folder. Name a run's folder or one in the data format.")
+    # the tables of all trials together
     known = metadata(folder)
     rows: dict[str, Rows] = {}
     shots = _shots(folder, known, rows)
     hand, frames = _tables(folder, known, rows, filmed=bool(shots))
+    # each trial apart, by a clock of its own, and whether it can be used
     parts = [_by_trial(frame) for frame in frames]
     trials: dict[str, Observation] = {}
     films: dict[str, Film] = {}
