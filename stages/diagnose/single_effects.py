@@ -154,8 +154,8 @@ def compared(
 
 def _contested(prepared: Prepared, step: Step, criteria: Criteria, at_its_end: Fit | None = None) -> Step:
     """With those fitted to the end that come near to the most evident, if that is evident at all, and whether the best
-    then enters. Without one by which simulation tells fewer than two trials to the tolerance: what is in doubt in the
-    others may explain anything."""
+    then enters. Without one by which simulation tells fewer than two trials: what is in doubt in the others may
+    explain anything."""
     parent = step.parent
     if step.best is None or step.best.evidence < parent.evidence + criteria.enough:
         return step
@@ -163,14 +163,16 @@ def _contested(prepared: Prepared, step: Step, criteria: Criteria, at_its_end: F
     count = sum(fit.evidence > near for fit in step.tried[:RIVALS])
     rivals = [(prepared, fit) if fit is at_its_end else polished(prepared, fit) for fit in step.tried[:count]]
     enough = min(FEWEST, len(prepared.doubt))
-    told = [fit for made, fit in rivals if _told(made, prepared, criteria) >= enough]
+    least = np.sqrt(1 - criteria.explained) * unexplained(prepared.data, parent)
+    told = [fit for made, fit in rivals if _told(made, prepared, criteria, least) >= enough]
     step = replace(step, tried=_ranked([*told, *step.tried[count:]]))
     return replace(step, entered=step.best is not None and enters(prepared.data, step, criteria))
 
 
-def _told(made: Prepared, before: Prepared, criteria: Criteria) -> int:
-    """How many trials simulation tells to the tolerance, or as well as before."""
-    return int((made.doubt <= np.maximum(before.doubt, criteria.tolerance)).sum())
+def _told(made: Prepared, before: Prepared, criteria: Criteria, least: np.ndarray | float = 0.0) -> int:
+    """How many trials simulation tells to the tolerance, or as well as before, or to what may be left of what is to be
+    explained in each [m], (K,)."""
+    return int((made.doubt <= np.maximum(np.maximum(before.doubt, criteria.tolerance), least)).sum())
 
 
 def enters(data: Data, step: Step, criteria: Criteria) -> bool:

@@ -105,14 +105,15 @@ class Told(SimpleNamespace):
 
 
 @pytest.mark.parametrize(
-    ("before", "doubtful", "best"),
+    ("before", "doubtful", "lacking", "best"),
     [
-        ((0.0, 1e-3), (0.0, 4e-3), "sure"),
-        ((0.0, 5e-3), (0.0, 4e-3), "doubtful"),  # the trial was so before
-        ((0.0, 1e-3, 0.0), (0.0, 4e-3, 0.0), "doubtful"),  # two others tell
+        ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 5e-3), "sure"),
+        ((0.0, 5e-3), (0.0, 4e-3), (5e-3, 5e-3), "doubtful"),  # the trial was so before
+        ((0.0, 1e-3, 0.0), (0.0, 4e-3, 0.0), (5e-3, 5e-3, 5e-3), "doubtful"),  # two others tell
+        ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 0.02), "doubtful"),  # there is much more to explain
     ],
 )
-def test_a_cause_by_which_too_few_trials_can_be_told_does_not_enter(before, doubtful, best, monkeypatch):
+def test_a_cause_by_which_too_few_trials_can_be_told_does_not_enter(before, doubtful, lacking, best, monkeypatch):
     fits = [SimpleNamespace(evidence=evidence, name=name) for evidence, name in ((60.0, "doubtful"), (50.0, "sure"))]
     doubts = {"doubtful": np.array(doubtful), "sure": np.zeros(len(before))}
     prepared = SimpleNamespace(doubt=np.array(before), data=None)
@@ -120,6 +121,7 @@ def test_a_cause_by_which_too_few_trials_can_be_told_does_not_enter(before, doub
         single_effects, "polished", lambda prepared, fit: (SimpleNamespace(doubt=doubts[fit.name]), fit)
     )
     monkeypatch.setattr(single_effects, "enters", lambda data, step, criteria: True)
+    monkeypatch.setattr(single_effects, "unexplained", lambda data, parent: np.array(lacking))
     step = single_effects._contested(prepared, Step(SimpleNamespace(evidence=0.0), (), fits), CRITERIA)
     assert (step.best.name, step.entered) == (best, True)
 
