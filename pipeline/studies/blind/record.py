@@ -88,7 +88,7 @@ def picture(rates: pd.DataFrame, path: Path) -> None:
         first = ~place.duplicated()
         axes.set_xticks(place[first], labels[first], rotation=60, ha="right")
         axes.set(ylabel="share, with its 95 % interval", ylim=(-0.03, 1.03), xlabel="code, in the order of time")
-        axes.legend(loc="center right")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=len(SHOWN))
         figure.savefig(path, dpi=120, facecolor="white")
         plt.close(figure)
 
