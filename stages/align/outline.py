@@ -20,7 +20,6 @@ from stringcast.stages.align.sightings import Sighted, Sightings
 from stringcast.stages.common import Progress
 from stringcast.stages.extract.segment import darkest
 from stringcast.stages.extract.stabilise import samples
-from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import JointMotion, joint_motion
 from stringcast.stages.model.model import Model
 
@@ -121,7 +120,7 @@ def looked_for(
     model: Model, known: np.ndarray, seen: Silhouettes, some: np.ndarray, width: float, reach: float
 ) -> np.ndarray:
     """The table of `pieces` in some frames, with the frame's number as first column, (K, 9)."""
-    there = arm_seen(model, seen.motion, known[None], seen.times[some])[0]
+    there = model.arm_seen(seen.motion, known[None], seen.times[some])[0]
     parts = [pieces(model, seen.pixels[int(i)], joints, width, reach) for i, joints in zip(some, there, strict=True)]
     return np.concatenate([np.column_stack([np.full(len(p), n), p]) for n, p in enumerate(parts)])
 

@@ -10,7 +10,6 @@ from stringcast.data.schema import DataError
 from stringcast.stages.align.fit import Fit, Problem, robust
 from stringcast.stages.align.sightings import Sighted, on_links
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.effect import components
 from stringcast.stages.model.library import named
 
@@ -45,7 +44,7 @@ def refuse_sight(problem: Problem) -> None:
     spreads = []  # of the arm as it is seen, over those that its reported motion makes expect: their logarithms
     for trial in problem.trials:
         seen = trial.sightings
-        joints = arm_seen(problem.model, trial.motion, problem.model.values({})[None], seen.times)
+        joints = problem.model.arm_seen(trial.motion, problem.model.values({})[None], seen.times)
         places = (seen.seen, on_links(joints, seen)[0])
         sizes = [TINY + float(np.linalg.norm(np.ptp(each, axis=0))) for each in places]
         spreads.append(np.log(sizes[0] / sizes[1]))

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
@@ -35,7 +34,7 @@ class Sighted:
     def off(self, model: Model, values: np.ndarray) -> np.ndarray:
         """Residuals of candidates, (C, N) [m]: each point as simulated less as seen, along its direction. values: (C,
         P)."""
-        there = on_links(arm_seen(model, self.motion, values, self.sightings.times), self.sightings)
+        there = on_links(model.arm_seen(self.motion, values, self.sightings.times), self.sightings)
         return np.sum((there - self.sightings.seen) * self.sightings.along, axis=-1)
 
 

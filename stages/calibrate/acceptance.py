@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -67,72 +68,45 @@ class Solution:
 def reason(solution: Solution, thresholds: Thresholds) -> str:
     """The reason why a calibration cannot be used, with the remedy; empty if it can. The first that is wrong explains
     those after it."""
-    return next(filter(None, (check(solution, thresholds) for check in CHECKS)), "")
+    return next(chain(_of_the_views(solution, thresholds), _of_the_lens(solution, thresholds)), "")
 
 
-def _few(solution: Solution, thresholds: Thresholds) -> str:
-    if len(solution.used) >= thresholds.views:
-        return ""
-    return f"{len(solution.used)} views can be used, {thresholds.views} are needed. Take more."
-
-
-def _one_bad(solution: Solution, thresholds: Thresholds) -> str:
+def _of_the_views(solution: Solution, thresholds: Thresholds) -> Iterator[str]:
+    """Too few views, views that are too much alike, and one that does not fit the others."""
+    if len(solution.used) < thresholds.views:
+        yield f"{len(solution.used)} views can be used, {thresholds.views} are needed. Take more."
+    if not solution.spread >= thresholds.spread:
+        there, needed = np.degrees([solution.spread, thresholds.spread])
+        yield (
+            f"the views differ in tilt by {there:.0f} degrees at most, {needed:.0f} are needed to tell focal length "
+            "from distance. Tilt the board to the left, right, front and back."
+        )
     errors = solution.alone
     worst, usual = int(np.argmax(errors)), float(np.median(errors))
-    if errors[worst] <= thresholds.astray * usual or errors[worst] <= thresholds.rms:
-        return ""
-    return (
-        f"view {solution.used[worst].number} does not fit the others: {errors[worst]:.2f} px, usual are {usual:.2f}. "
-        "Leave it out, or take it again with board and camera still."
-    )
+    if not errors[worst] <= max(thresholds.astray * usual, thresholds.rms):
+        yield (
+            f"view {solution.used[worst].number} does not fit the others: {errors[worst]:.2f} px, usual are "
+            f"{usual:.2f}. Leave it out, or take it again with board and camera still."
+        )
 
 
-def _parallel(solution: Solution, thresholds: Thresholds) -> str:
-    if solution.spread >= thresholds.spread:
-        return ""
-    there, needed = np.degrees([solution.spread, thresholds.spread])
-    return (
-        f"the views differ in tilt by {there:.0f} degrees at most, {needed:.0f} are needed to tell focal length "
-        "from distance. Tilt the board to the left, right, front and back."
-    )
-
-
-def _inaccurate(solution: Solution, thresholds: Thresholds) -> str:
-    if solution.lens.rms <= thresholds.rms:
-        return ""
-    return (
-        f"the reprojection error is {solution.lens.rms:.2f} px, allowed are {thresholds.rms:g}. See that the board "
-        "is the one of the settings, flat, sharp and still, and that focus and zoom do not change."
-    )
-
-
-def _uncovered(solution: Solution, thresholds: Thresholds) -> str:
-    filled = solution.filled
-    if filled.mean() >= thresholds.coverage:
-        return ""
-    half = CELLS // 2
-    parts = (filled[:, :half], filled[:, half:], filled[:half], filled[half:])
-    emptiest = SIDES[int(np.argmin([part.mean() for part in parts]))]
-    return (
-        f"corners were seen in {filled.mean():.0%} of the picture, {thresholds.coverage:.0%} are needed, and fewest in "
-        f"its {emptiest} half: the lens is not known there. Bring the board there too."
-    )
-
-
-def _plane_off(solution: Solution, thresholds: Thresholds) -> str:
-    if solution.plane_rms <= thresholds.rms:
-        return ""
-    return (
-        f"the view in the plane of motion is off by {solution.plane_rms:.2f} px, allowed are {thresholds.rms:g}. Hold "
-        "the board flat and still, and leave focus and zoom as they were."
-    )
-
-
-CHECKS: tuple[Callable[[Solution, Thresholds], str], ...] = (
-    _few,
-    _parallel,
-    _one_bad,
-    _inaccurate,
-    _uncovered,
-    _plane_off,
-)
+def _of_the_lens(solution: Solution, thresholds: Thresholds) -> Iterator[str]:
+    """A lens that does not explain the views, or is not known all over the picture; a plane that is off."""
+    if not solution.lens.rms <= thresholds.rms:  # what is no number is refused, too
+        yield (
+            f"the reprojection error is {solution.lens.rms:.2f} px, allowed are {thresholds.rms:g}. See that the board "
+            "is the one of the settings, flat, sharp and still, and that focus and zoom do not change."
+        )
+    filled, half = solution.filled, CELLS // 2
+    if not filled.mean() >= thresholds.coverage:
+        parts = (filled[:, :half], filled[:, half:], filled[:half], filled[half:])
+        emptiest = SIDES[int(np.argmin([part.mean() for part in parts]))]
+        yield (
+            f"corners were seen in {filled.mean():.0%} of the picture, {thresholds.coverage:.0%} are needed, and "
+            f"fewest in its {emptiest} half: the lens is not known there. Bring the board there too."
+        )
+    if not solution.plane_rms <= thresholds.rms:
+        yield (
+            f"the view in the plane of motion is off by {solution.plane_rms:.2f} px, allowed are {thresholds.rms:g}. "
+            "Hold the board flat and still, and leave focus and zoom as they were."
+        )

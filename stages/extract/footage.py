@@ -10,7 +10,6 @@ import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Film
 from stringcast.stages.model.arm import Arm
-from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import joint_motion
 from stringcast.stages.model.model import Model
 
@@ -44,7 +43,7 @@ def aligned_footage(film: Film, model: Model) -> Footage:
     if film.arm is None or not model.measured:
         return footage_of(film, model.arm)
     motion = joint_motion(film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()).lasting(film.t[-1])
-    body = arm_seen(model, motion, model.values({})[None], film.t)[0]
+    body = model.arm_seen(motion, model.values({})[None], film.t)[0]
     last = body[:, -1] - body[:, -2]
     direction = np.unwrap(np.arctan2(last[:, 1], last[:, 0]))
     return Footage(film.t, film.images, np.column_stack([body[:, -1], direction]), body)

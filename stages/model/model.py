@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from stringcast.data.later import Later
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.effect import CameraEffect, ClockEffect, Effect, HandEffect, ModelChange, StringEffect
@@ -23,6 +24,8 @@ from stringcast.stages.model.parameter import Parameter, Parametrised
 from stringcast.stages.model.simulate import StringMotion, simulate
 from stringcast.stages.model.state import State
 from stringcast.stages.model.string import String
+
+interpolate = Later("scipy.interpolate")
 
 Kind = TypeVar("Kind", bound=Effect)
 MOMENT = 1e-4  # [s] over which velocities are differenced for the camera
@@ -153,6 +156,20 @@ class Model(Parametrised):
         for effect in self.camera_effects:
             now = effect.seen(now, velocity, times, self.camera, **self._given(effect, values, 4))
         return now
+
+    def arm_seen(self, motion: JointMotion, values: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The arm's joints as the camera reports them, base to hand, (1 or C, F, J + 1, 2) [m]; at rest beyond its
+        motion. It is rigid, so no string is simulated. times: (F,) of the camera's clock [s]."""
+        moments, real = np.atleast_2d(self.moments(values, times)), self.joints(motion, values)
+        ticks = real.start + real.tick * np.arange(real.angles.shape[1])
+        inside = np.clip(moments, ticks[0], ticks[-1])
+        if len(real.angles) == 1:
+            angles = interpolate.CubicHermiteSpline(ticks, real.angles[0], real.speeds[0])(inside)
+        else:
+            asked = np.broadcast_to(inside, (len(real.angles), inside.shape[1]))
+            each = zip(real.angles, real.speeds, asked, strict=True)
+            angles = np.stack([interpolate.CubicHermiteSpline(ticks, q, w)(own) for q, w, own in each])
+        return self.reported(self.arm.joints(angles), values, times)
 
     def _acts(self, values: np.ndarray) -> Sequence[Act]:
         return [(effect, self._given(effect, values, 3)) for effect in self.hand_effects]

@@ -105,22 +105,14 @@ def gain(value: float, unknown: str = UNKNOWN) -> str:
     return f"{value:,.0f}".replace(",", "\u202f").replace("-", "−") if np.isfinite(value) else unknown
 
 
-def quantity(row: Mapping[str, Any]) -> Markup:
-    """A value with its unit. row: of table CAUSES."""
-    return _with_unit(_figures(row)[0], row["unit"])
-
-
-def interval(row: Mapping[str, Any]) -> Markup:
-    """The 95 % interval with its unit, or its lower end if that is what is known. row: of table CAUSES."""
-    _, low, high = _figures(row)
+def quantity(row: Mapping[str, Any]) -> tuple[Markup, Markup]:
+    """A value and its 95 % interval in handy units, with as many figures as the interval is worth; the lower end alone
+    where that is what is known. row: of table CAUSES."""
+    factor, name = HANDY.get(row["unit"], (1.0, row["unit"]))
+    value, low, high = within(*(factor * row[of] for of in ("value", "low", "high")))
     ends = f"at least {low}" if row.get("at_least") else f"{low} to {high}"
-    return Markup(UNKNOWN) if UNKNOWN in (low, high) else _with_unit(ends, row["unit"])
-
-
-def _figures(row: Mapping[str, Any]) -> list[str]:
-    """Value, low and high in handy units, with as many figures as their interval is worth."""
-    factor = HANDY.get(row["unit"], (1.0, ""))[0]
-    return within(*(factor * row[name] for name in ("value", "low", "high")))
+    with_unit = [Markup("{} {}").format(figures, unit(name)).strip() for figures in (value, ends)]
+    return with_unit[0], Markup(UNKNOWN) if UNKNOWN in (low, high) else with_unit[1]
 
 
 def within(value: float, low: float, high: float) -> list[str]:
@@ -134,10 +126,6 @@ def within(value: float, low: float, high: float) -> list[str]:
     decimals = max(0, 1 - int(np.floor(np.log10(width))) + power)
     raised = f" × 10{superscript(str(power))}" if power else ""
     return [f"{one / 10.0**power:.{decimals}f}{raised}".replace("-", "−") for one in (value, low, high)]
-
-
-def _with_unit(figures: str, name: str) -> Markup:
-    return Markup("{} {}").format(figures, unit(HANDY.get(name, (1.0, name))[1])).strip()
 
 
 def headline(document: Mapping[str, Any]) -> str:

@@ -11,7 +11,6 @@ from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, SPEEDS, M
 from stringcast.hardware.virtual.servo import Servo
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import measuring
-from stringcast.stages.model.arm_projection import arm_seen
 from stringcast.stages.model.hand import JointMotion, joint_motion
 from stringcast.stages.model.library import named
 from stringcast.stages.model.model import Model
@@ -52,7 +51,7 @@ class Stand:
         """Times (F,) of frames and where the camera sees the joints, (F, J + 1, 2). true: by qualified name."""
         model = measuring(self.model).with_effects(*named(also))
         times = np.arange(0.0, self.motion.duration, 1 / fps)
-        return times, arm_seen(model, self._performed[1], model.values(true)[None], times)[0]
+        return times, model.arm_seen(self._performed[1], model.values(true)[None], times)[0]
 
     def observation(self, true, fps=60.0, sigma=1e-3, correlation=0.0, also=(), name="t01"):
         """The hand as points at s = 0. correlation: of the noise from one frame to the next."""

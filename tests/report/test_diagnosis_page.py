@@ -24,7 +24,7 @@ from stringcast.stages.report.charts.string import last, worst
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import TRIALS, DiagnosisRecord, away, rms
 from stringcast.stages.report.theme import STYLE
-from stringcast.stages.report.words import gain, headline, interval, percent, quantity
+from stringcast.stages.report.words import gain, headline, percent, quantity
 
 SIGMA = 7e-4
 S = np.linspace(0.05, 0.3, 6)
@@ -428,7 +428,7 @@ def test_rms_of_noise_alone_is_the_noise_floor():
 )
 def test_values_have_the_figures_that_their_interval_is_worth(unit, value, low, high, at_least, words, between):
     row = {"unit": unit, "value": value, "low": low, "high": high, "at_least": at_least}
-    assert (quantity(row), interval(row)) == (words, between)
+    assert quantity(row) == (words, between)
 
 
 def test_shares_and_gains():

@@ -20,26 +20,18 @@ def trial_figure(seen: Seen) -> Figure:
         figure = Figure(figsize=(11.0, 4.6))
         plane, places, speeds = figure.subplot_mosaic([["plane", "places"], ["plane", "speeds"]]).values()
         _in_the_plane(plane, seen)
-        _over_time(places, seen)
-        _speeds(speeds, seen)
+        _over_time(places, speeds, seen)
         speeds.sharex(places)
     return figure
 
 
-def plane_figure(seen: Seen) -> Figure:
-    """Arm and string in the plane."""
-    figure = Figure(figsize=(5.3, 4.6))
-    _in_the_plane(figure.subplots(), seen)
-    return figure
-
-
-def time_figure(seen: Seen) -> Figure:
-    """Hand and tip over time; and how fast both move, each on its own clock."""
-    figure = Figure(figsize=(5.3, 4.6))
-    places, speeds = figure.subplots(2, sharex=True)
-    _over_time(places, seen)
-    _speeds(speeds, seen)
-    return figure
+def trial_figures(seen: Seen) -> tuple[Figure, Figure]:
+    """The same as two figures: the plane; and hand and tip over time, with how fast both move."""
+    plane, times = Figure(figsize=(5.3, 4.6)), Figure(figsize=(5.3, 4.6))
+    _in_the_plane(plane.subplots(), seen)
+    places, speeds = times.subplots(2, sharex=True)
+    _over_time(places, speeds, seen)
+    return plane, times
 
 
 def trial_words(seen: Seen) -> str:
@@ -83,20 +75,16 @@ def _legend(axes: Axes, columns: int) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)
 
 
-def _over_time(axes: Axes, seen: Seen) -> None:
-    """Where hand and tip are."""
+def _over_time(places: Axes, speeds: Axes, seen: Seen) -> None:
+    """Where hand and tip are, and how fast, each as a share of its fastest: on one clock they begin together."""
     t, tip = tip_of(seen)
     for axis, dashes in (("x", "-"), ("y", "--")):
         number = "xy".index(axis)
-        axes.plot(seen.hand_t, seen.pose[:, number] * MM, dashes, color=LIGHT["axis"], label=f"hand {axis}")
-        axes.plot(t, tip[:, number] * MM, dashes, color=LIGHT["measured"], label=f"tip {axis}")
-    axes.set_ylabel("place [mm]")
-    _legend(axes, 4)
+        places.plot(seen.hand_t, seen.pose[:, number] * MM, dashes, color=LIGHT["axis"], label=f"hand {axis}")
+        places.plot(t, tip[:, number] * MM, dashes, color=LIGHT["measured"], label=f"tip {axis}")
+    places.set_ylabel("place [mm]")
+    _legend(places, 4)
 
-
-def _speeds(axes: Axes, seen: Seen) -> None:
-    """How fast hand and tip are, each as a share of its fastest: on one clock they begin together."""
-    t, tip = tip_of(seen)
     for when, where, colour, who in (
         (seen.hand_t, seen.pose[:, :2], "axis", "hand, arm's clock"),
         (t, tip, "measured", "tip, camera's clock"),
@@ -105,9 +93,9 @@ def _speeds(axes: Axes, seen: Seen) -> None:
         fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
         if fastest > 0:
             shown = np.minimum(speed / fastest, 1.2)
-            axes.plot((when[1:] + when[:-1]) / 2, shown, color=LIGHT[colour], lw=1, label=f"{who}: {fastest:.1f} m/s")
+            speeds.plot((when[1:] + when[:-1]) / 2, shown, color=LIGHT[colour], lw=1, label=f"{who}: {fastest:.1f} m/s")
     for onset, colour in ((seen.hand_onset, "axis"), (seen.string_onset, "measured")):
         if onset is not None:
-            axes.axvline(onset, color=LIGHT[colour], ls=":", lw=1)
-    axes.set(xlabel="time [s]", ylabel="speed [of fastest]")
-    _legend(axes, 2)
+            speeds.axvline(onset, color=LIGHT[colour], ls=":", lw=1)
+    speeds.set(xlabel="time [s]", ylabel="speed [of fastest]")
+    _legend(speeds, 2)

@@ -9,7 +9,7 @@ from matplotlib import style
 
 from stringcast.stages.check.measured import Measured, Seen
 from stringcast.stages.check.overview import EFFECTS, found_from
-from stringcast.stages.report.charts.measured import plane_figure, time_figure, trial_words
+from stringcast.stages.report.charts.measured import trial_figures, trial_words
 from stringcast.stages.report.page import (
     Card,
     Cell,
@@ -75,8 +75,9 @@ def drawn(trials: Sequence[Seen]) -> list[Part]:
     with style.context(STYLE):
         for seen in trials:
             said, title = trial_words(seen), f"Trial {seen.name}: hand and tip over time"
-            plane = Figure(f"Trial {seen.name}", vector(plane_figure(seen), said), said)
-            grids.append(Grid([plane, Figure(title, vector(time_figure(seen), title), clocks)]))
+            plane, times = trial_figures(seen)
+            beside = Figure(title, vector(times, title), clocks)
+            grids.append(Grid([Figure(f"Trial {seen.name}", vector(plane, said), said), beside]))
     return grids
 
 

@@ -117,9 +117,7 @@ def paper_page(record: PaperRecord, drawn: Mapping[str, Drawn]) -> str:
             sections=[
                 hits(record, pictures),
                 figures_and_tables(record, pictures),
-                failed(record),
-                silent(),
-                numbers(record),
+                *further(record),
             ],
             origin=record.origin,
             settings=record.settings,
@@ -198,27 +196,25 @@ def outcome(record: PaperRecord, condition: str) -> str:
 
 
 # --- what else
-def failed(record: PaperRecord) -> Section | None:
-    """Runs that failed, and why."""
+def further(record: PaperRecord) -> list[Section]:
+    """Runs that failed, and why; the values that the paper leaves open; and the numbers that it prints, with their
+    places."""
     runs = record.tables["runs"].query("state == 'failed'").to_dict("records")
-    rows = [(LABELS[run["condition"]], number(run["seed"]), run["error"]) for run in runs]
-    return Section("Failed runs", [Card("", [Table(("experiment", "seed", "error"), rows)])]) if rows else None
+    failed = [(LABELS[run["condition"]], number(run["seed"]), run["error"]) for run in runs]
+    table = Table(("experiment", "seed", "error"), failed)
+    sections = [Section("Failed runs", [Card("", [table])])] if failed else []
 
-
-def silent() -> Section:
-    """The values that the paper leaves open."""
     rows = [tuple(said if isinstance(said, Markup) else sentence(said) for said in row) for row in SILENT]
-    return Section("Where the paper is silent, and what we chose", [Card("", [Table(("the paper", "here"), rows)])])
+    chosen = Card("", [Table(("the paper", "here"), rows)])
+    sections.append(Section("Where the paper is silent, and what we chose", [chosen]))
 
-
-def numbers(record: PaperRecord) -> Section:
-    """The numbers that the paper prints, with their places."""
-    rows = []
+    printed = []
     for n in record.tables["numbers"].to_dict("records"):
         of = symbol(n["of"]) if n["of"][1:2] == "_" and len(n["of"]) < 5 else n["of"]  # such as k_h, or words
-        rows.append((n["what"], of, number(significant(n["value"])), unit(n["unit"]), n["place"]))
-    table = Table(("what", "of", "value", "unit", "place"), rows)
-    return Section("The paper's numbers", [Details(f"{len(rows)} numbers, with their places", [table])])
+        printed.append((n["what"], of, number(significant(n["value"])), unit(n["unit"]), n["place"]))
+    table = Table(("what", "of", "value", "unit", "place"), printed)
+    folded = Details(f"{len(printed)} numbers, with their places", [table])
+    return [*sections, Section("The paper's numbers", [folded])]
 
 
 # --- the paper's figures again, from the study's tables alone

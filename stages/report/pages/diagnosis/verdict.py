@@ -22,7 +22,7 @@ from stringcast.stages.report.page import (
 )
 from stringcast.stages.report.pages.diagnosis.prediction import predicted_worse
 from stringcast.stages.report.records import DiagnosisRecord
-from stringcast.stages.report.words import enumerated, gain, interval, mm, percent, plain, quantity
+from stringcast.stages.report.words import enumerated, gain, mm, percent, plain, quantity
 
 RARE = 0.01  # probability up to which an alternative is not worth a line
 LIKELY = 0.5  # probability from which a cause is more likely than not
@@ -64,7 +64,7 @@ def causes(record: DiagnosisRecord) -> Section:
         told: list[Part] = [Text(f"{said[:1].upper()}{said[1:]}.", "")]
         found = rows[rows["parameter"] != ""]
         if len(found):
-            table = [(row["meaning"], number(quantity(row)), number(interval(row))) for row in found.to_dict("records")]
+            table = [(row["meaning"], *map(number, quantity(row))) for row in found.to_dict("records")]
             told.append(Table(("", "value", "95 % interval"), table))
         if effect := record.library.get(str(name)):
             values = {p.parameter.rpartition(".")[2]: p.value for p in found.itertuples()}
