@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -36,9 +36,15 @@ SWEEP = Table(
 
 
 def sweep_table(ledger: Ledger, jobs: Sequence[Job]) -> tuple[Table, pd.DataFrame]:
-    """The table of these jobs with its schema, in which each setting and each parameter is a column."""
+    """The table of these jobs with its schema, in which each setting and each parameter is a column. Raises DataError
+    where parameters cannot be read."""
     given = factors(jobs)
-    found = {job.key: dict(_parameters(ledger, job)) for job in jobs}
+    found: dict[str, dict[str, tuple[Column, float]]] = {job.key: {} for job in jobs}  # of its last estimation
+    for job in jobs:
+        made = sorted(ledger.place(job.key).glob("iterations/*/estimate/parameters.parquet"))
+        if job.state == DONE and made:
+            rows = read_table(Estimate.TABLES["parameters"], made[-1]).itertuples()
+            found[job.key] |= {r.name: (Column(r.name, r.unit, r.meaning, optional=True), r.value) for r in rows}
     names = {name: column for parameters in found.values() for name, (column, _) in parameters.items()}
     frame = pd.DataFrame([_row(ledger, job) for job in jobs])
     for name, column in given.items():
@@ -89,12 +95,3 @@ def _row(ledger: Ledger, job: Job) -> dict[str, Any]:
     numbers |= {"hit": ended["hit"] if any("hit" in cast for cast in casts) else None}
     numbers |= {"manipulations": len(casts) or None}
     return known | {name: float("nan") if value is None else float(value) for name, value in numbers.items()}
-
-
-def _parameters(ledger: Ledger, job: Job) -> Iterator[tuple[str, tuple[Column, float]]]:
-    """The parameters of a job's last estimation, by name. Raises DataError where it cannot be read."""
-    made = sorted(ledger.place(job.key).glob("iterations/*/estimate/parameters.parquet"))
-    if job.state != DONE or not made:
-        return
-    for row in read_table(Estimate.TABLES["parameters"], made[-1]).itertuples():
-        yield row.name, (Column(row.name, row.unit, row.meaning, optional=True), row.value)
