@@ -60,14 +60,7 @@ def calibrate(
     for number, picture in enumerate(pictures):
         seen.append(look(number, picture, board))
         progress(0.9 * (number + 1) / len(pictures))  # most of the time goes into finding the markers
-    used = [view for view in seen if not view.reason]
-    if len(used) < SOLVABLE:
-        reasons = Counter(view.reason for view in seen if view.reason)
-        why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
-        raise DataError(
-            f"the board can be read in {len(used)} of {len(seen)} pictures{why}. Take ten and more of the board in the "
-            "settings (board=...), sharp, lit evenly, tilted in all directions and all over the picture."
-        )
+    used = _readable(seen)
     held = _held(flat, board)
     sizes = sorted({view.image.shape[::-1] for view in (*seen, held)})
     if len(sizes) > 1:
@@ -80,6 +73,19 @@ def calibrate(
     plane = in_plane(held, board, place, lens, replace(camera, width=size[0], height=size[1]))
     solution = Solution(used, lens, alone, held, plane, size)
     return tables(solution, seen, reason(solution, Thresholds(views, spread, coverage, rms, astray)))
+
+
+def _readable(seen: Sequence[View]) -> list[View]:
+    """The views in which the board can be read. Raises DataError where there are too few."""
+    used = [view for view in seen if not view.reason]
+    if len(used) < SOLVABLE:
+        reasons = Counter(view.reason for view in seen if view.reason)
+        why = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
+        raise DataError(
+            f"the board can be read in {len(used)} of {len(seen)} pictures{why}. Take ten and more of the board in the "
+            "settings (board=...), sharp, lit evenly, tilted in all directions and all over the picture."
+        )
+    return used
 
 
 def _held(flat: Sequence[np.ndarray], board: Board) -> View:

@@ -107,14 +107,14 @@ def generate(
     may (the paper does not say). estimate: of the string, None before the first trial. Raises MotionNotFoundError, and
     DataError for a target out of reach or an empty range of durations.
     """
-    durations = drawing.durations
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     values = model.values({} if estimate is None else estimate.values())
     count = Counter[str]()
-    curves: list[Callable[[int], Curves]] = [lambda size: first_curves(model.arm, rng, size, durations, drawing.alpha)]
+    given = (drawing.durations, drawing.alpha)
+    curves: list[Callable[[int], Curves]] = [lambda size: first_curves(model.arm, rng, size, *given)]
     if previous is not None:
-        given, last = (durations, drawing.alpha), (curves_of(previous), drawing.fraction)
+        last = (curves_of(previous), drawing.fraction)
         curves.insert(0, lambda size: next_curves(model.arm, rng, size, *given, *last))
     for draw in curves:
         tried, found = Counter[str](), list[tuple[float, Motion]]()
@@ -124,14 +124,18 @@ def generate(
             progress(tried.total() / budget.attempts)
         count += tried
         if found:  # of several, the one whose tip stays longest in the box
-            best = max(found, key=lambda one: one[0])[1]
-            attempts = ATTEMPTS.check(pd.DataFrame(sorted(count.items()), columns=["outcome", "count"]))
-            return replace(best, attempts=attempts, outcome=best.outcome.assign(tried=count.total()))
+            return _stated(max(found, key=lambda one: one[0])[1], count)
     reasons = "; ".join(f"{reason}: {number}" for reason, number in count.most_common())
     raise MotionNotFoundError(
         f"no motion hits the target in {count.total()} tries ({reasons}). "
         "Allow more generate.attempts, a larger target box, or other limits of the arm."
     )
+
+
+def _stated(best: Motion, count: Counter[str]) -> Motion:
+    """A motion with how many were tried, and what became of them."""
+    attempts = ATTEMPTS.check(pd.DataFrame(sorted(count.items()), columns=["outcome", "count"]))
+    return replace(best, attempts=attempts, outcome=best.outcome.assign(tried=count.total()))
 
 
 def curves_of(motion: Motion) -> Curves:

@@ -98,18 +98,21 @@ def generate(
         found.append(sought(task, space, random, draws, search.rounds, seed, part(progress, len(found), most)))
     final = joined([each.best for each in found])
 
-    # the nearest, or one that is nearly so and teaches more
-    fresh = drawn(model, estimate, uncertainty, search.strings, rng)
+    best = _chosen(task, final, drawn(model, estimate, uncertainty, search.strings, rng), search.exploration)
+    progress(1.0)
+    validation = drawn(model, estimate, uncertainty, search.validation, rng)
+    return stated(task, final.only(np.array([best])), validation, sum(each.tried for each in found))
+
+
+def _chosen(task: Task, final: Curves, fresh: Draws, exploration: float) -> int:
+    """Number of the motion that comes nearest, or of one that is nearly so and teaches more. fresh: draws by which
+    none was chosen. exploration: closeness that may be given for that."""
     closeness = outcome(task, final, fresh).closeness
     best = int(np.argmax(closeness))
-    near = np.flatnonzero(closeness >= closeness[best] - search.exploration)
+    near = np.flatnonzero(closeness >= closeness[best] - exploration)
     if len(near) > 1:
         best = int(near[np.argmin(predictive_sd(task, final.only(near), fresh, int(np.searchsorted(near, best))))])
-    chosen = final.only(np.array([best]))
-    progress(1.0)
-    return stated(
-        task, chosen, drawn(model, estimate, uncertainty, search.validation, rng), sum(each.tried for each in found)
-    )
+    return best
 
 
 def sought(
