@@ -67,7 +67,6 @@ def calibrate(
         several = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
         raise DataError(f"pictures are {several} px. Take all with the camera set as for the experiment.")
     size = (int(sizes[0][0]), int(sizes[0][1]))
-
     lens = fitted(used, board, size)
     alone = held_out(used, board, size, FOLDS)
     plane = in_plane(held, board, place, lens, replace(camera, width=size[0], height=size[1]))

@@ -108,9 +108,8 @@ def generate(
     DataError for a target out of reach or an empty range of durations.
     """
     check_reach(target, model.arm, model.string.length)
-    rng = np.random.default_rng(seed)
+    rng, count = np.random.default_rng(seed), Counter[str]()
     values = model.values({} if estimate is None else estimate.values())
-    count = Counter[str]()
     given = (drawing.durations, drawing.alpha)
     curves: list[Callable[[int], Curves]] = [lambda size: first_curves(model.arm, rng, size, *given)]
     if previous is not None:
