@@ -8,7 +8,9 @@ import pytest
 
 from stringcast.data.store import content_hash
 from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
+from stringcast.hardware.virtual.laboratory import version as laboratories
 from stringcast.hardware.virtual.outside import causes
+from stringcast.pipeline.studies.blind.scores import OWN
 from stringcast.stages.model import effects
 from stringcast.stages.model.effects.equal_points import EqualPoints
 from stringcast.stages.model.library import library
@@ -62,6 +64,10 @@ def test_recorded_benches_are_what_their_version_says():
     """All that any study asked: nobody deals the cards again."""
     benches = pd.read_parquet(ROOT / "data" / "results" / "blind_study" / "benches.parquet")
     assert len(benches) >= 2456
-    for seed, kind, truth, version in benches[["seed", "kind", "truth", "version"]].itertuples(index=False):
+    own = benches["laboratory"] == OWN
+    for seed, kind, truth, version in benches[own][["seed", "kind", "truth", "version"]].itertuples(index=False):
         case = VERSIONS[version].case(seed)
         assert case == (kind if kind in ("none", "pair", "resolution") else truth), seed
+    for name, seed, kind, version in benches[~own][["laboratory", "seed", "kind", "version"]].itertuples(index=False):
+        meant = laboratories.VERSIONS[name][version].kind(seed)
+        assert kind == ("effect" if meant == laboratories.SINGLE else meant), (name, seed)
