@@ -62,9 +62,11 @@ def document(
 
 def _entries(budget: Budget) -> list[dict[str, Any]]:
     """The budget; only causes have evidence."""
-    plain = [{"source": entry.source, "tip_rms_m": entry.tip_rms} for entry in budget.entries]
-    said = [{"log_evidence": e.log_evidence} if np.isfinite(e.log_evidence) else {} for e in budget.entries]
-    return [row | more for row, more in zip(plain, said, strict=True)]
+    rows = []
+    for entry in budget.entries:
+        row = {"source": entry.source, "tip_rms_m": entry.tip_rms}
+        rows.append(row | ({"log_evidence": entry.log_evidence} if np.isfinite(entry.log_evidence) else {}))
+    return rows
 
 
 def cause_entry(rows: pd.DataFrame) -> dict[str, Any]:

@@ -23,7 +23,8 @@ TRIED = 48  # of these that are simulated
 FIRM = 0.1  # of the range of its size: a cushion's stiffness of a plane's
 TOUCHED = 0.1  # of the string's places on its way, at most: what acts on more is no touch
 STRING, HAND = 1500, 300  # places on the string's way in a trial, and on the hand's in all
-AT_ONCE = 256  # candidates of which it is asked
+ABOUT = 256  # places of which it is asked about the best ones
+AT_ONCE = 64  # candidates of which it is asked: what their law takes stays in the processor's cache
 DEPARTED = 3.0  # noises by which a string that was touched is somewhere else
 DEPARTURE = 0.3  # of the largest departure in any trial: what others lack besides is no touch
 APART = 0.1  # [s] between touch and departure, from which one is not the other: what is lacking is told as smoothly
@@ -57,7 +58,7 @@ class Places:
 
     def about(self, chi: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
         """Exponents (C', P) at which it acts, within reach of those given."""
-        near, where = np.repeat(chi, 2**DRAWS // (32 * len(chi)), axis=0), self.own[1:]
+        near, where = np.repeat(chi, ABOUT // len(chi), axis=0), self.own[1:]
         near[:, where] = np.clip(near[:, where] + rng.uniform(-reach, reach, (len(near), len(where))), 0, 1)
         return self._likely(near)
 

@@ -146,9 +146,15 @@ def _anywhere(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | No
     least = -LARGEST if first.low < first.start < first.high else 0.0
     times = np.clip(-(beyond @ linear.residual) / np.maximum(square, UNMOVED**2), least, LARGEST)
     gain = np.where(square > UNMOVED**2, linear.gains(responses, step, times), -np.inf)
-    starts = chi.copy()
-    starts[:, size] = start[size] + times[:, None] * (chi[:, size] - start[size])
-    return _best(linear, hypothesis, starts, gain, times[:, None] * step, beyond)
+    order = np.argsort(-gain, kind="stable")[:STARTS]
+    if not np.isfinite(gain[order[0]]):
+        return None
+    starts, times = chi[order], times[order, None]
+    starts[:, size] = start[size] + times * (starts[:, size] - start[size])
+    # and the fitted parameters as they suit that
+    fitted = [hypothesis.model.names.index(name) for name in linear.parent.named]
+    starts[:, fitted] += times * step[order]
+    return Proposal(hypothesis, np.clip(starts, 0.0, 1.0), float(gain[order[0]]), beyond[order[0]])
 
 
 def _probes(linear: _Linear, hypothesis: Hypothesis, effect: type[Effect], seed: int) -> np.ndarray:
@@ -192,16 +198,3 @@ def _placed(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | None
     if not np.isfinite(gain):
         return None
     return Proposal(hypothesis, starts[:STARTS], float(gain), linear.steps(responses)[1][0])
-
-
-def _best(
-    linear: _Linear, hypothesis: Hypothesis, chi: np.ndarray, gain: np.ndarray, step: np.ndarray, beyond: np.ndarray
-) -> Proposal | None:
-    """The most promising of exponents (C, P), with what the fitted parameters do about each, (C, P')."""
-    order = np.argsort(-gain, kind="stable")[:STARTS]
-    if not np.isfinite(gain[order[0]]):
-        return None
-    fitted = [hypothesis.model.names.index(name) for name in linear.parent.named]
-    starts = chi[order]
-    starts[:, fitted] += step[order]
-    return Proposal(hypothesis, np.clip(starts, 0.0, 1.0), float(gain[order[0]]), beyond[order[0]])

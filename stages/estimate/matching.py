@@ -128,7 +128,8 @@ def _target(ready: Case, observation: Observation, matching: Matching) -> Target
     for number, t in enumerate(ready.times):
         line = camera.pixels(ready.points[ready.frame == number])
         if t in images:
-            mask = np.asarray(cv2.imdecode(np.frombuffer(images[t], np.uint8), cv2.IMREAD_GRAYSCALE))
+            mask = cv2.imdecode(np.frombuffer(images[t], np.uint8), cv2.IMREAD_GRAYSCALE)
+            assert mask is not None  # the store has checked the table; its PNGs are ours
         else:
             mask = rasterise(line, (camera.height, camera.width), 3)
         near.append(scores_near(mask, matching.dilations, matching.step_px))

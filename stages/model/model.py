@@ -71,7 +71,8 @@ class Model(Parametrised):
                 model = replace(model, hand_effects=_in_turn(*model.hand_effects, effect))
             elif issubclass(effect, ClockEffect):
                 model = replace(model, clock_effects=_in_turn(*model.clock_effects, effect))
-            elif issubclass(effect, CameraEffect):
+            else:
+                assert issubclass(effect, CameraEffect)
                 model = replace(model, camera_effects=_in_turn(*model.camera_effects, effect))
         return model
 

@@ -130,16 +130,22 @@ class String(Parametrised):
     def in_loop(self, material: np.ndarray) -> tuple[String, np.ndarray]:
         """The string with what is compiled together, and its material: the rest of that is absent. The paper's forces
         alone stay alone. material: (C, rows)."""
+        if not self._more:
+            return self, material
         string, places, absent = self._in_loop
         filled = np.repeat(absent[None], len(material), axis=0)
         filled[:, places] = material
         return string, filled
 
     @cached_property
+    def _more(self) -> tuple[type[StringEffect], ...]:
+        """What goes into a loop with these effects."""
+        return TOGETHER if set(BASE) < set(self.effects) else ()
+
+    @cached_property
     def _in_loop(self) -> tuple[String, list[int], np.ndarray]:
-        """That string, the places of this one's rows among its own, and a row of it in which all is absent."""
-        more = TOGETHER if set(BASE) < set(self.effects) else ()
-        string = replace(self, effects=(*(e for e in self.effects if e not in more), *more))
+        """The string with that, the places of this one's rows among its own, and a row of it in which all is absent."""
+        string = replace(self, effects=(*(e for e in self.effects if e not in self._more), *self._more))
         start = np.array([p.start for e in string.effects for p in e.parameters])
         return string, [string.rows.index(row) for row in self.rows], string.material(start)
 
