@@ -17,7 +17,7 @@ from stringcast.stages.inference.batch import seen_together
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed, tracked_noise
 from stringcast.stages.inference.evidence import Data, Finer, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.inference.forward import Case, case
-from stringcast.stages.inference.initial_modes import modes
+from stringcast.stages.inference.initial_modes import as_first_told, modes
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import on_mesh
 from stringcast.stages.inference.noise import WHITE, told
@@ -68,16 +68,17 @@ class Prepared:
 
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
-        data, doubt = self.of(self.raw, fit)
-        return replace(self, data=replace(data, finer=self._finer_at(fit)), doubt=doubt)
+        raw = _begun(self.raw, self.data.begun_anew(fit))
+        data, doubt = self.of(raw, fit)
+        return replace(self, raw=raw, data=replace(data, finer=self._finer_at(fit)), doubt=doubt)
 
     def _finer_at(self, fit: Fit) -> Finer | None:
         finer = None if self.literal else self.data.finer
         return finer and finer.about(fit.named)
 
     def heard(self, fit: Fit) -> Prepared:
-        """As `at`, with noise as what a fit leaves tells it: what a poorer model lacks may have sounded like noise."""
-        return replace(self, raw=_heard(self.raw, fit.residuals, self.stated)).at(fit)
+        """With noise as what a fit leaves tells it: what a poorer model lacks may have sounded like noise."""
+        return replace(self, raw=_heard(self.raw, fit.residuals, self.stated))
 
     def told_by(self, fit: Fit) -> Data:
         """Data without the numerical error of a fit; what may be lacking is as before, which tells at a third of the
@@ -85,8 +86,8 @@ class Prepared:
         if self.literal:
             return self.data
         errors = _numerical_error(self.raw, fit.hypothesis, fit.chi)
-        pairs = zip(self.data.trials, self.raw, errors, strict=True)
-        trials = tuple(replace(t, points=r.points - error) for t, r, (error, _) in pairs)
+        told = zip(self.data.trials, self.raw, errors, self.data.discrepancies, strict=True)
+        trials = tuple(as_first_told(replace(t, points=r.points - error), d.modes) for t, r, (error, _), d in told)
         return replace(self.data, trials=trials, finer=self._finer_at(fit))
 
     def of(self, trials: Sequence[Case], fit: Fit) -> tuple[Data, np.ndarray]:
@@ -104,7 +105,8 @@ class Prepared:
         trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
         plain = Data(tuple(trials), ()).residuals(model, base.chi[None])
         kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(trials, plain, strict=True)]
-        return self.of(kept, fit)[0]
+        data = self.of(kept, fit)[0]
+        return self.of(_begun(kept, data.begun_anew(fit)), fit)[0]
 
 
 def prepared(
@@ -172,6 +174,12 @@ def _finer(prepared: Prepared, fit: Fit) -> Finer:
     return Finer(tuple(hypothesis.model.names), fit.chi, tuple(slopes))
 
 
+def _begun(trials: Sequence[Case], others: Sequence[Case]) -> tuple[Case, ...]:
+    """Trials in the initial states of others."""
+    pairs = zip(trials, others, strict=True)
+    return tuple(replace(trial, initial=other.initial, change=other.change) for trial, other in pairs)
+
+
 def usable(model: Model, observations: Sequence[Observation]) -> tuple[list[Observation], dict[str, str]]:
     """The trials that can be made ready, and why the others cannot, by name."""
     good, faults = [], {}
@@ -190,7 +198,8 @@ def _configured(prepared: Prepared, model: Model) -> Fit | None:
     if string.points > fine.points and string.tip_cell == fine.tip_cell:
         return None
     own = Hypothesis(replace(model, string=replace(string, ranges=fine.ranges)))
-    trials = tuple(replace(trial, model=own.model) for trial in prepared.raw)
+    pairs = zip(prepared.raw, prepared.data.discrepancies, strict=True)
+    trials = tuple(as_first_told(replace(trial, model=own.model), told.modes) for trial, told in pairs)
     data = Data(trials, prepared.data.discrepancies)
     return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes, ROUNDS, MOST)
 
@@ -199,7 +208,7 @@ def _not_taken_along(prepared: Prepared, tolerance: float, rng: np.random.Genera
     """With a base model that the trial it is furthest from has not taken along, if there is a better one without that;
     and without the trial, if it is chaotic there."""
     data, base = prepared.data, prepared.base
-    off = data.tip_rms(base.residuals)
+    off = data.tip_rms(data.begun(base.residuals, base.sizes))
     others = [k for k in range(len(off)) if k != np.argmax(off)]
     if off.max() < ASTRAY * base.hypothesis.model.string.length or not others:
         return prepared
@@ -221,9 +230,9 @@ def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
     if not names:
         return prepared
     good = [k for k, trial in enumerate(prepared.raw) if trial.name not in names]
-    base, raw = prepared.base, tuple(prepared.raw[k] for k in good)
+    base, raw = replace(prepared.base, sizes=prepared.base.sizes[good]), tuple(prepared.raw[k] for k in good)
     kept = replace(prepared, raw=raw, data=prepared.data.only(good), chaotic=(*prepared.chaotic, *names)).at(base)
-    return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes[good], ROUNDS, MOST))
+    return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes, ROUNDS, MOST))
 
 
 def too_chaotic(prepared: Prepared, tolerance: float) -> list[str]:
@@ -273,11 +282,12 @@ def lacking(
     each, whose amplitudes are standard normal."""
     values = values_of(hypothesis.parameters, chi[None])[0]
     nothing = [np.zeros((2 * len(t.s), 0)) for t in trials]
-    pairs = zip(modes(trials, values) or nothing, doubts or nothing, strict=True)
-    nuisance = [np.hstack(pair) for pair in pairs]
+    beginnings = modes(trials, values) or nothing
+    nuisance = [np.hstack(pair) for pair in zip(beginnings, doubts or nothing, strict=True)]
     growth = _growth(trials, hypothesis, chi)
     told = tuple(Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True))
-    return varying(Data(tuple(trials), told), hypothesis, chi)
+    begun = tuple(as_first_told(*each) for each in zip(trials, beginnings, strict=True))
+    return varying(Data(begun, told), hypothesis, chi)
 
 
 def corrected(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> tuple[Data, np.ndarray]:

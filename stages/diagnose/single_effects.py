@@ -264,11 +264,10 @@ def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
 def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generator, starts: int) -> Found:
     """With one more cause, numerical error as it is there, and without causes that are not needed any more. Other
     strings are no better whose trials cannot be simulated as well: what is in doubt of these may explain anything."""
-    prepared = found.prepared.heard(best)
-    fit = refitted(prepared.data, best, best.hypothesis)
+    prepared, fit = nearer(found.prepared.heard(best), best)
     if unexplained(prepared.data, fit).max() > criteria.least_size:
         again = polished(prepared, searched_again(prepared.data, fit, rng, starts))
-        if _told(again[0], prepared, criteria) == len(prepared.doubt):
+        if again[1].evidence > fit.evidence and _told(again[0], prepared, criteria) == len(prepared.doubt):
             prepared, fit = again
     for cause in best.hypothesis.causes:  # the new one, too: where it led, the others may do without it
         less = refitted(prepared.data, fit, fit.hypothesis.without(cause))

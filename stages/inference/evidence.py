@@ -21,6 +21,7 @@ from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, marginal
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.initial_modes import change, suited
 from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.effect import Effect, components
 from stringcast.stages.model.model import Model
@@ -165,6 +166,15 @@ class Data:
         explained = [d.beginning(each[0], int(size)) for d, each, size in told]
         return [each - part for each, part in zip(residuals, explained, strict=True)]
 
+    def begun_anew(self, fit: Fit) -> tuple[Case, ...]:
+        """The trials in the initial states that are likeliest with a fit, whatever it lacks."""
+        hypothesis, found = fit.hypothesis, []
+        values = values_of(hypothesis.parameters, fit.chi[None])[0]
+        for trial, told, size in zip(self.trials, self.of(hypothesis).discrepancies, fit.sizes, strict=True):
+            own = replace(trial, model=hypothesis.model)
+            found.append(own if trial.initial is None else _likeliest_beginning(own, trial, told, size, values))
+        return tuple(found)
+
     def only(self, chosen: Sequence[int]) -> Data:
         """Some of the trials."""
         varying = {name: tuple(columns[k] for k in chosen) for name, columns in self.varying.items()}
@@ -276,6 +286,14 @@ def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
     occam = 0.5 * (len(chi) * np.log(2 * np.pi) - np.linalg.slogdet(normal)[1])
     evidence = float(by_trial.sum() + prior + occam)
     return Fit(hypothesis, chi, tuple(raw), tuple(slopes), sizes, by_trial, evidence)
+
+
+def _likeliest_beginning(own: Case, trial: Case, told: Discrepancy, size: int, values: np.ndarray) -> Case:
+    """A trial, as its own model and as data have it, in the initial state that is likeliest with values (P,)."""
+    count = len(change(trial))
+    modes, rest = told.modes[:, :count], replace(told, nuisance=told.nuisance[:, count:], modes=told.modes[:, count:])
+    away = modes @ change(trial)  # which its points were displaced by
+    return suited(own, own, values, lambda residual: rest.white(rest.coefficients(residual + away), size))
 
 
 def lacked(data: Data, fit: Fit) -> list[np.ndarray]:

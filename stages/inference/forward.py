@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from stringcast.stages.model.sampling import measured
 from stringcast.stages.model.simulate import StringMotion
 from stringcast.stages.model.state import State
 
+MODES = 6  # of a trial's initial state, in shape and in turning rate each
 CHUNK = 256  # candidates simulated at once: keeps memory in hand, whatever their number
 
 
@@ -26,7 +27,8 @@ class Case:
 
     times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at frame
     index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m]. initial: the state in which the
-    trial begins, by the camera's clock; None if at rest before the hand moves. noise: how the points' is correlated.
+    trial begins, by the camera's clock; None if at rest before the hand moves. change: how far that is from what the
+    first frames say, in modes (`initial_modes`). noise: how the points' is correlated.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Case:
     points: np.ndarray
     sigma: np.ndarray
     initial: State | None = None
+    change: np.ndarray = field(default_factory=lambda: np.zeros(2 * MODES))
     noise: Noise = WHITE
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:

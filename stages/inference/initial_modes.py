@@ -8,22 +8,20 @@ hinges with a memory hold: nobody knows how the string was handled before.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stringcast.stages.common import mad_sigma
-from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.forward import MODES, Case
 from stringcast.stages.inference.huber import LIMIT
 from stringcast.stages.inference.solver import LOST, fitted
 from stringcast.stages.model.parameter import Parameter, chi_of, values_of
 from stringcast.stages.model.slots import HELD as SLOTS
-from stringcast.stages.model.state import State
 from stringcast.stages.model.string import String
 
 SPAN = 0.5  # [s] of the trial's beginning that is looked at
-MODES = 6
 TURN = 0.1  # [rad] by which a mode of the shape may well be off
 RATE = 3.0  # [rad/s] by which a mode of the rates may
 STEP = 1e-3  # of those, for the differences
@@ -45,29 +43,36 @@ def settled(ready: Case, values: np.ndarray, span: float = SPAN) -> Case:
     if ready.initial is None:
         return ready
     early = ready.until(min(span / float(np.ptp(ready.times)), 1.0))
-    own = coefficients(ready.model.string)
-    start = _unchanged(ready.initial, own)
-    noise = float(mad_sigma(_residuals(early, values, start[None])[0])) + 1e-12
-    if not np.isfinite(noise):
-        return ready
-    found = fitted(_Beginning(replace(early, sigma=noise * early.sigma), values, own), chi_of(own, start)[None], TRIES)
-    change = values_of(own, found.chi[0])
-    return replace(ready, initial=_changed(ready.initial, change, ready.model.string.length))
+    noise = float(mad_sigma(_residuals(early, values, change(ready)[None])[0])) + 1e-12
+    return suited(ready, early, values, lambda residual: residual / noise, LIMIT) if np.isfinite(noise) else ready
+
+
+def suited(
+    ready: Case, seen: Case, values: np.ndarray, white: Callable[[np.ndarray], np.ndarray], limit: float = np.inf
+) -> Case:
+    """The case with the initial state by which what is seen of it is likeliest. white: of residuals over sigma (C,
+    2 N). limit: standard deviations from which one counts less."""
+    problem = _Beginning(seen, values, coefficients(ready.model.string), white, limit)
+    found = fitted(problem, chi_of(problem.parameters, change(ready))[None], TRIES)
+    return _changed(ready, values_of(problem.parameters, found.chi[0]))
 
 
 @dataclass(frozen=True)
 class _Beginning:
     """Modes of one trial's initial state, each expected within one, as the solver's problem."""
 
-    early: Case
+    seen: Case
     values: np.ndarray
     parameters: Sequence[Parameter]
-    limit: float = LIMIT
+    white: Callable[[np.ndarray], np.ndarray]
+    limit: float
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Of changes (C, M) in exponents, and the changes themselves: (C, 2 N + M)."""
         changes = values_of(self.parameters, chi)
-        return np.nan_to_num(np.hstack([_residuals(self.early, self.values, changes), changes]), nan=LOST)
+        found = _residuals(self.seen, self.values, changes)
+        lost = np.isnan(found).any(axis=1, keepdims=True)
+        return np.hstack([np.where(lost, LOST, self.white(np.nan_to_num(found))), changes])
 
 
 def modes(trials: Sequence[Case], values: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -80,34 +85,48 @@ def modes(trials: Sequence[Case], values: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
     """How the measured points move with the modes of the state in which the trial begins, a column each, (2 N, M) [m];
-    none where it begins at rest, nor for what cannot be simulated. values: (P,)."""
+    none where it begins at rest, zeros for what cannot be simulated. values: (P,)."""
     if ready.initial is None:
         return np.empty((2 * len(ready.points), 0))
-    start = _unchanged(ready.initial, coefficients(ready.model.string))
+    start = change(ready)
     step = np.where(start > 0, -STEP, STEP)  # from the end of its range inwards
     changes = start + np.concatenate([np.zeros((1, len(start))), np.diag(step)])
     here, *beside = _residuals(replace(ready, sigma=np.ones(len(ready.points))), values, changes)
     columns = (np.stack(beside, axis=1) - here[:, None]) / step
-    return columns[:, np.isfinite(columns).all(axis=0)]
+    return np.where(np.isfinite(columns).all(axis=0), columns, 0.0)
+
+
+def as_first_told(ready: Case, modes: np.ndarray) -> Case:
+    """The case with its points displaced, to first order, as if it began in the state that its first frames tell, about
+    which other states are as likely as they are near. modes: over sigma, (2 N, M), and maybe others after them."""
+    if ready.initial is None:
+        return ready
+    own = change(ready)
+    away = modes[:, : len(own)] @ own
+    return replace(ready, points=ready.points + ready.sigma[:, None] * away.reshape(-1, 2))
+
+
+def change(ready: Case) -> np.ndarray:
+    """How far the state of a trial that begins moving is from what its first frames tell, in modes, (M,)."""
+    assert ready.initial is not None
+    held = len(coefficients(ready.model.string)) - 2 * MODES
+    return np.concatenate([ready.change, np.full(held, ready.initial.let_back / LET_BACK)])
 
 
 def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarray:
     """Simulated less measured over sigma, (C, 2 N), with each of the changes (C, M) of the state at the beginning."""
-    assert ready.initial is not None
-    moved = replace(ready, initial=_changed(ready.initial, changes, ready.model.string.length))
+    moved = _changed(ready, changes)
     _, motion = next(moved.simulate(np.repeat(values[None], len(changes), axis=0)))
     return ((moved.at_measured(motion.points) - ready.points) / ready.sigma[:, None]).reshape(len(changes), -1)
 
 
-def _unchanged(state: State, own: Sequence[Parameter]) -> np.ndarray:
-    """The changes (M,) that leave a state as it is."""
-    return np.concatenate([np.zeros(2 * MODES), np.full(len(own) - 2 * MODES, state.let_back / LET_BACK)])
-
-
-def _changed(state: State, change: np.ndarray, length: float) -> State:
-    """The state with modes added, sin((k - 1/2) pi s / L) of the angles and of the rates, and hinges let back so far if
-    they hold anything. change: (M,), or one for each candidate, (C, M)."""
-    modes = np.sin((np.arange(MODES)[:, None] + 0.5) * np.pi * state.s / length)
-    turn, rate = TURN * change[..., :MODES] @ modes, RATE * change[..., MODES : 2 * MODES] @ modes
-    let_back = LET_BACK * change[..., 2 * MODES :].sum(axis=-1)
-    return replace(state, angle=state.angle + turn, rate=state.rate + rate, let_back=let_back)
+def _changed(ready: Case, to: np.ndarray) -> Case:
+    """The case with other modes in its state, sin((k - 1/2) pi s / L) of the angles and of the rates, and hinges let
+    back so far if they hold anything. to: (M,), or one for each candidate, (C, M)."""
+    state, length = ready.initial, ready.model.string.length
+    assert state is not None
+    more, let_back = to[..., : 2 * MODES] - ready.change, LET_BACK * to[..., 2 * MODES :].sum(axis=-1)
+    shapes = np.sin((np.arange(MODES)[:, None] + 0.5) * np.pi * state.s / length)
+    turn, rate = TURN * more[..., :MODES] @ shapes, RATE * more[..., MODES:] @ shapes
+    begun = replace(state, angle=state.angle + turn, rate=state.rate + rate, let_back=let_back)
+    return replace(ready, initial=begun, change=to[..., : 2 * MODES])
