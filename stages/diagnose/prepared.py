@@ -38,7 +38,7 @@ AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that si
 ASTRAY = 0.05  # of the length at the tip: a base model that leaves more in a trial may have been taken along by it
 FEWEST = 2  # trials: what is found in one could not be checked on another
 FIRST_ORDER = 0.25  # of what is extrapolated, in doubt: |4 / 2^p - 1| / 4 where halving the mesh is of order p
-MESH = 5.0  # of the log evidence: a mesh that much nearer is the model's own (strong, by Jeffreys' scale)
+CLEARLY = 5.0  # of the log evidence: strong, by Jeffreys' scale
 ROUNDS, MOST = 6, 20  # of a fit that is to stand: it mostly takes three of five
 LEAST_GROWTH = 0.1  # of the largest: early frames are not exact either
 STILL, RESTING = 0.01, 0.2  # of the length: a string at rest stays so near where it ends; [s] of rest that are kept
@@ -246,7 +246,7 @@ def _with_nearer_mesh(prepared: Prepared, model: Model, tolerance: float) -> Pre
     """With the configured mesh as a part of the model, if the data are nearer to that and it leaves nothing to explain:
     they come from a simulation of such a chain."""
     own = _configured(prepared, model)
-    if own is None or own.evidence < prepared.base.evidence + MESH:
+    if own is None or own.evidence < prepared.base.evidence + CLEARLY:
         return replace(prepared, configured=own)
     raw = tuple(replace(trial, model=own.hypothesis.model) for trial in prepared.raw)
     literal = replace(prepared, literal=True, raw=raw).at(own)
@@ -313,28 +313,31 @@ def _base(
     tried = np.concatenate([start[None], rng.uniform(size=(8 * starts, len(start)))])
     chi = searched(likelihood, screened(likelihood, tried, starts), MOST, progress)
     for _ in range(WIDENINGS):
-        wider = _widened(likelihood, chi)
-        if wider is likelihood:
+        before = likelihood
+        for place in range(len(chi)):
+            likelihood, chi = _widened(likelihood, chi, place)
+        if likelihood is before:
             break
-        values = values_of(likelihood.parameters, chi[None])
-        likelihood, start = wider, chi_of(wider.parameters, values)
-        chi = solver.fitted(with_noise(likelihood, start[0]), start, CONVERGE).chi[0]
     return refined(likelihood, chi)
 
 
-def _widened(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
-    """With wider ranges of the string's own parameters that lie at an end of theirs; itself where none does."""
-    string, model = likelihood.model.string, likelihood.model
-    ranges = dict(string.ranges)
-    for parameter, place in zip(model.parameters, chi, strict=True):
-        if parameter.name in ranges and parameter.low > 0 and parameter.name not in model.measured:
-            low = parameter.low / WIDER if place < AT_END else parameter.low
-            high = parameter.high * WIDER if place > 1 - AT_END else parameter.high
-            ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
-    if ranges == dict(string.ranges):
-        return likelihood
-    wider = replace(model, string=replace(string, ranges=ranges))
-    return replace(likelihood, model=wider, trials=tuple(replace(t, model=wider) for t in likelihood.trials))
+def _widened(likelihood: Likelihood, chi: np.ndarray, place: int) -> tuple[Likelihood, np.ndarray]:
+    """With a wider range of the parameter at a place and the best exponents then, if it is one of the string's own that
+    lies at an end of its range and this explains clearly more: what the data do not tell lies anywhere."""
+    model, parameter = likelihood.model, likelihood.parameters[place]
+    ranges = dict(model.string.ranges)
+    free = parameter.name in ranges and parameter.low > 0 and parameter.name not in model.measured
+    if not free or AT_END < chi[place] < 1 - AT_END:
+        return likelihood, chi
+    low, high = (parameter.low / WIDER, parameter.high) if chi[place] < 0.5 else (parameter.low, parameter.high * WIDER)
+    ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
+    wider = replace(model, string=replace(model.string, ranges=ranges))
+    trials = tuple(replace(trial, model=wider) for trial in likelihood.trials)
+    start = chi_of(wider.parameters, values_of(likelihood.parameters, chi[None]))
+    problem = with_noise(replace(likelihood, model=wider, trials=trials), start[0])
+    before, after = problem.residuals(start)[0], solver.fitted(problem, start, CONVERGE)
+    gain = 0.5 * len(before) * np.log(np.mean(before**2) / np.mean(after.residual[0] ** 2))
+    return (problem, after.chi[0]) if gain > CLEARLY else (likelihood, chi)
 
 
 def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tuple[Case, ...], int]:

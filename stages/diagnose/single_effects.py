@@ -170,9 +170,9 @@ def _contested(prepared: Prepared, step: Step, criteria: Criteria, at_its_end: F
 
 
 def _told(made: Prepared, before: Prepared, criteria: Criteria, least: np.ndarray | float = 0.0) -> int:
-    """How many trials simulation tells to the tolerance, or as well as before, or to what may be left of what is to be
-    explained in each [m], (K,)."""
-    return int((made.doubt <= np.maximum(np.maximum(before.doubt, criteria.tolerance), least)).sum())
+    """How many trials simulation tells to the tolerance, or as well as the worst of them before, or to what may be left
+    of what is to be explained in each [m], (K,)."""
+    return int((made.doubt <= np.maximum(max(before.doubt.max(), criteria.tolerance), least)).sum())
 
 
 def enters(data: Data, step: Step, criteria: Criteria) -> bool:

@@ -78,6 +78,11 @@ class Discrepancy:
         nuisance = np.hstack([self.nuisance, self.coefficients(modes.T).T])
         return replace(self, nuisance=nuisance, modes=np.hstack([self.modes, modes]))
 
+    def instead(self, modes: np.ndarray, count: int) -> Discrepancy:
+        """With other nuisance, U over sigma (2 n, m), in the place of its first so many columns."""
+        nuisance = np.hstack([self.coefficients(modes.T).T, self.nuisance[:, count:]])
+        return replace(self, nuisance=nuisance, modes=np.hstack([modes, self.modes[:, count:]]))
+
     def white(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""
         deviation, rank = self._whitening[size]

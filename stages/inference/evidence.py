@@ -21,7 +21,7 @@ from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, marginal
 from stringcast.stages.inference.forward import Case
-from stringcast.stages.inference.initial_modes import change, suited
+from stringcast.stages.inference.initial_modes import as_first_told, change, modes, suited
 from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.effect import Effect, components
 from stringcast.stages.model.model import Model
@@ -166,6 +166,18 @@ class Data:
         explained = [d.beginning(each[0], int(size)) for d, each, size in told]
         return [each - part for each, part in zip(residuals, explained, strict=True)]
 
+    def about(self, fit: Fit) -> Data:
+        """Data whose trials begin in the states that are likeliest with a fit, with modes as they are there."""
+        if all(trial.initial is None for trial in self.trials):
+            return self
+        begun, known = self.begun_anew(fit), zip(self.trials, self.discrepancies, strict=True)
+        plain = [as_first_told(trial, -d.modes).points for trial, d in known]
+        columns = modes(begun, values_of(fit.hypothesis.parameters, fit.chi[None])[0])
+        pairs = zip(begun, plain, columns, strict=True)
+        trials = tuple(as_first_told(replace(trial, points=points), own) for trial, points, own in pairs)
+        told = zip(self.trials, self.discrepancies, columns, strict=True)
+        return replace(self, trials=trials, discrepancies=tuple(d.instead(own, len(change(t))) for t, d, own in told))
+
     def begun_anew(self, fit: Fit) -> tuple[Case, ...]:
         """The trials in the initial states that are likeliest with a fit, whatever it lacks."""
         hypothesis, found = fit.hypothesis, []
@@ -291,8 +303,8 @@ def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
 def _likeliest_beginning(own: Case, trial: Case, told: Discrepancy, size: int, values: np.ndarray) -> Case:
     """A trial, as its own model and as data have it, in the initial state that is likeliest with values (P,)."""
     count = len(change(trial))
-    modes, rest = told.modes[:, :count], replace(told, nuisance=told.nuisance[:, count:], modes=told.modes[:, count:])
-    away = modes @ change(trial)  # which its points were displaced by
+    away = told.modes[:, :count] @ change(trial)  # which its points were displaced by
+    rest = told.instead(told.modes[:, :0], count)
     return suited(own, own, values, lambda residual: rest.white(rest.coefficients(residual + away), size))
 
 

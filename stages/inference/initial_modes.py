@@ -99,16 +99,16 @@ def slopes(ready: Case, values: np.ndarray) -> np.ndarray:
 def as_first_told(ready: Case, modes: np.ndarray) -> Case:
     """The case with its points displaced, to first order, as if it began in the state that its first frames tell, about
     which other states are as likely as they are near. modes: over sigma, (2 N, M), and maybe others after them."""
-    if ready.initial is None:
-        return ready
     own = change(ready)
     away = modes[:, : len(own)] @ own
     return replace(ready, points=ready.points + ready.sigma[:, None] * away.reshape(-1, 2))
 
 
 def change(ready: Case) -> np.ndarray:
-    """How far the state of a trial that begins moving is from what its first frames tell, in modes, (M,)."""
-    assert ready.initial is not None
+    """How far the state of a trial is from what its first frames tell, in modes, (M,); none of one that begins at
+    rest."""
+    if ready.initial is None:
+        return np.zeros(0)
     held = len(coefficients(ready.model.string)) - 2 * MODES
     return np.concatenate([ready.change, np.full(held, ready.initial.let_back / LET_BACK)])
 

@@ -129,12 +129,15 @@ def test_a_range_that_ends_too_early_is_widened_where_the_data_press(model, prep
     ranges = {**model.string.ranges, "bending_stiffness": narrow}
     squeezed = replace(model, string=replace(model.string, ranges=ranges))
     likelihood = Likelihood(squeezed, tuple(replace(t, model=squeezed) for t in prepared.raw))
-    chi = prepared.base.chi.copy()
-    assert _widened(likelihood, np.clip(chi, 0.1, 0.9)) is likelihood
-    chi[squeezed.names.index("bending_stiffness")] = 1.0
-    wider = _widened(likelihood, np.clip(chi, 0.1, 1.0)).model.string.ranges
-    assert wider["bending_stiffness"].high == pytest.approx(60.0)
-    assert {n for n, p in wider.items() if p != ranges.get(n)} == {"bending_stiffness"}
+    bending, axial = (squeezed.names.index(name) for name in ("bending_stiffness", "axial_stiffness"))
+    chi = np.clip(prepared.base.chi, 0.1, 0.9)
+    assert _widened(likelihood, chi, bending)[0] is likelihood
+    chi[[bending, axial]] = 1.0
+    assert _widened(likelihood, chi, axial)[0] is likelihood  # as good anywhere
+    wider, there = _widened(likelihood, chi, bending)
+    assert wider.model.string.ranges["bending_stiffness"].high == pytest.approx(60.0)
+    assert {n for n, p in wider.model.string.ranges.items() if p != ranges.get(n)} == {"bending_stiffness"}
+    assert wider.parameters[bending].value(there[bending]) > 2.0
 
 
 def test_numerical_error_is_followed_as_parameters_move(model, observed):
