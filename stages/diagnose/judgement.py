@@ -82,9 +82,9 @@ def settled(
         names = found.fit.hypothesis.names
         for slot in _slots(found, effects, small, criteria, seed):
             slots.append(slot)
-            likeliest = max(slot.chances, key=lambda name: slot.chances[name])
-            if names and likeliest not in names:  # another cause, or none
-                other = other or slot.fits.get(likeliest, slot.less)
+            credible = slot.credible(criteria.coverage)
+            if names and (not credible[0] or not {*names} & {*credible}):  # none, or another cause beyond doubt
+                other = other or slot.fits.get(credible[0], slot.less)
             if changes and other is not None:
                 break
         if other is None:
@@ -160,18 +160,25 @@ def _slots(
     data, causes = found.prepared.data, reversed(found.fit.hypothesis.causes)
     steps = (_beside(found, cause, effects, criteria, seed) for cause in causes)
     for step in steps if found.fit.hypothesis.causes else found.path[-1:]:
-        yield _slot(data, step, small, len(effects), criteria.least_size)
+        yield _slot(data, step, small, len(effects), criteria.least_size, np.random.default_rng([seed, DRAWS]))
 
 
-def _slot(data: Data, step: Step, small: Sequence[np.ndarray], count: int, least_size: float) -> Slot:
-    """Chances of what may be in one place of the sum, with all effects a little wrong. count: of candidates.
-    least_size: [m] at the tip, below which an effect counts as none."""
+def _slot(
+    data: Data, step: Step, small: Sequence[np.ndarray], count: int, least_size: float, rng: np.random.Generator
+) -> Slot:
+    """Chances of what may be in one place of the sum, with all effects a little wrong, and trials that are a sample of
+    those that might have been: with each as often as a Bayesian bootstrap has it (pseudo-BMA+: Yao et al. 2018,
+    Bayesian Analysis 13, 917). count: of candidates. least_size: [m] at the tip, below which an effect counts as
+    none."""
     fits = {fit.hypothesis.names[-1]: fit for fit in step.tried if not fit.lost}
-    odds = {"": np.log(NOTHING) + step.parent.evidence + tempered(data, step.parent, small).gain}
-    each = np.log((1 - NOTHING) / count)
-    odds |= {name: each + fit.evidence + tempered(data, fit, small).gain for name, fit in fits.items()}
-    total = logsumexp(list(odds.values()))
-    chances = {name: float(np.exp(value - total)) for name, value in odds.items()}
+    prior = dict.fromkeys(fits, np.log((1 - NOTHING) / count)) | {"": np.log(NOTHING)}
+    often = len(data.trials) * rng.dirichlet(np.ones(len(data.trials)), DRAWS)
+    odds: dict[str, np.ndarray] = {
+        name: (often - 1) @ fit.by_trial + fit.evidence + tempered(data, fit, small).gain + prior[name]
+        for name, fit in {"": step.parent, **fits}.items()
+    }
+    total = logsumexp(list(odds.values()), axis=0)
+    chances = {name: float(np.mean(np.exp(value - total))) for name, value in odds.items()}
     for name, fit in fits.items():
         if moved(data, step.parent, fit).max() < least_size:
             chances[""] += chances.pop(name)

@@ -44,10 +44,8 @@ def predicted(data: Data, fit: Fit, unseen: bool = False) -> list[Prediction]:
 
 
 def _predicted(data: Data, fit: Fit, number: int) -> Prediction:
-    alone, model, chi = data.only([number]), fit.hypothesis.model, fit.chi[None]
-    first = alone.of(fit.hypothesis).log_likelihoods(alone.residuals(model, chi))[:, 0]
-    own = alone.about(replace(fit, sizes=likeliest(first))).of(fit.hypothesis)
-    residuals = own.residuals(model, chi)
+    own = data.only([number]).about(fit).of(fit.hypothesis)
+    residuals = own.residuals(fit.hypothesis.model, fit.chi[None])
     told = own.log_likelihoods(residuals)[:, 0]
     (residual,) = own.begun([residuals[0][0]], likeliest(told))
     return Prediction(fit, residual, float(marginal(told)[0]))

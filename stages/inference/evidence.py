@@ -180,11 +180,14 @@ class Data:
 
     def begun_anew(self, fit: Fit) -> tuple[Case, ...]:
         """The trials in the initial states that are likeliest with a fit, whatever it lacks."""
-        hypothesis, found = fit.hypothesis, []
+        if all(trial.initial is None for trial in self.trials):
+            return self.trials
+        hypothesis, data, found = fit.hypothesis, self.of(fit.hypothesis), []
         values = values_of(hypothesis.parameters, fit.chi[None])[0]
-        for trial, told, size in zip(self.trials, self.of(hypothesis).discrepancies, fit.sizes, strict=True):
+        sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, fit.chi[None]))[:, 0])
+        for trial, told, size in zip(data.trials, data.discrepancies, sizes, strict=True):
             own = replace(trial, model=hypothesis.model)
-            found.append(own if trial.initial is None else _likeliest_beginning(own, trial, told, size, values))
+            found.append(own if trial.initial is None else _likeliest_beginning(own, trial, told, int(size), values))
         return tuple(found)
 
     def only(self, chosen: Sequence[int]) -> Data:

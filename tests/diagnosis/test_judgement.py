@@ -68,7 +68,7 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
     names = {"one": ("a", "x"), "two": ("b", "x"), "three": ("b",)}
     fits = {n: SimpleNamespace(hypothesis=SimpleNamespace(names=names[n], causes=names[n]), name=n) for n in names}
     slots = {  # as they are asked, the last that entered first
-        "one": [Slot({"x": 1.0}, {}, None), Slot({"a": 0.1, "b": 0.9}, {"b": fits["two"]}, None)],
+        "one": [Slot({"x": 1.0}, {}, None), Slot({"a": 0.02, "b": 0.98}, {"b": fits["two"]}, None)],
         "two": [Slot({"x": 0.2, "": 0.8}, {}, fits["three"]), None],
         "three": [Slot({"b": 0.9, "": 0.1}, {}, None)],
     }
@@ -80,10 +80,33 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
 def test_what_is_named_is_in_the_extended_model_where_look_alikes_follow_each_other(monkeypatch):
     """Each is likelier in the place of the other."""
     fits = {n: SimpleNamespace(hypothesis=SimpleNamespace(names=(n,), causes=(n,)), name=n) for n in "ab"}
-    slots = {own: [Slot({own: 0.1, other: 0.9}, {other: fits[other]}, None)] for own, other in ("ab", "ba")}
+    slots = {own: [Slot({own: 0.02, other: 0.98}, {other: fits[other]}, None)] for own, other in ("ab", "ba")}
     found, (name, small, (slot,)) = settled_among(monkeypatch, slots, fits["a"])
     assert (name, small) == (found.fit.name, f"small at {found.fit.name}")
     assert slot.credible(0.8) == (found.fit.name,)
+
+
+def test_a_look_alike_that_some_trials_speak_for_is_no_reason_to_change(monkeypatch):
+    fit = SimpleNamespace(hypothesis=SimpleNamespace(names=("a",), causes=("a",)), name="one")
+    slot = Slot({"a": 0.3, "b": 0.7}, {"b": None}, None)
+    assert settled_among(monkeypatch, {"one": [slot]}, fit)[1] == ("one", "small at one", [slot])
+
+
+@pytest.mark.parametrize(
+    ("by_trial", "sure"),
+    [((20.0, 20.0, 20.0, 20.0), True), ((100.0, -6.0, -7.0, -7.0), False), ((80.0, 0.0, 0.0, 0.0), True)],
+)
+def test_what_one_trial_says_against_the_others_is_not_sure(by_trial, sure, monkeypatch):
+    """All gain 80, which without the bootstrap is certain."""
+    monkeypatch.setattr(judgement, "tempered", lambda data, fit, small: SimpleNamespace(gain=0.0))
+    monkeypatch.setattr(judgement, "moved", lambda data, parent, fit: np.ones(4))
+    names = SimpleNamespace(names=("wind",))
+    parent = SimpleNamespace(evidence=0.0, by_trial=np.zeros(4))
+    fit = SimpleNamespace(evidence=80.0, by_trial=np.array(by_trial), hypothesis=names, lost=False)
+    data, rng = SimpleNamespace(trials=range(4)), np.random.default_rng(0)
+    chances = judgement._slot(data, Step(parent, (), [fit]), (), 20, 1e-3, rng).chances
+    assert sum(chances.values()) == pytest.approx(1.0)
+    assert (chances["wind"] > 0.95) == sure
 
 
 def settled_among(monkeypatch, slots, fit):
@@ -91,7 +114,7 @@ def settled_among(monkeypatch, slots, fit):
     monkeypatch.setattr(judgement, "responses", lambda data, fit, effects: f"small at {fit.name}")
     monkeypatch.setattr(judgement, "_slots", lambda found, *rest: slots[found.fit.name])
     monkeypatch.setattr(judgement, "judged", lambda found, small, slots, *rest: (found.fit.name, small, slots))
-    return judgement.settled(Found(Told(""), fit), (), None, False, 0)
+    return judgement.settled(Found(Told(""), fit), (), CRITERIA, False, 0)
 
 
 class Told(SimpleNamespace):
