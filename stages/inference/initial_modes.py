@@ -54,7 +54,7 @@ def suited(
     2 N). limit: standard deviations from which one counts less."""
     problem = _Beginning(seen, values, coefficients(ready.model.string), white, limit)
     found = fitted(problem, chi_of(problem.parameters, change(ready))[None], TRIES)
-    return _changed(ready, values_of(problem.parameters, found.chi[0]))
+    return with_change(ready, values_of(problem.parameters, found.chi[0]))
 
 
 @dataclass(frozen=True)
@@ -115,12 +115,12 @@ def change(ready: Case) -> np.ndarray:
 
 def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarray:
     """Simulated less measured over sigma, (C, 2 N), with each of the changes (C, M) of the state at the beginning."""
-    moved = _changed(ready, changes)
+    moved = with_change(ready, changes)
     _, motion = next(moved.simulate(np.repeat(values[None], len(changes), axis=0)))
     return ((moved.at_measured(motion.points) - ready.points) / ready.sigma[:, None]).reshape(len(changes), -1)
 
 
-def _changed(ready: Case, to: np.ndarray) -> Case:
+def with_change(ready: Case, to: np.ndarray) -> Case:
     """The case with other modes in its state, sin((k - 1/2) pi s / L) of the angles and of the rates, and hinges let
     back so far if they hold anything. to: (M,), or one for each candidate, (C, M)."""
     state, length = ready.initial, ready.model.string.length
