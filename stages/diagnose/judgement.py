@@ -14,7 +14,6 @@ from stringcast.stages.diagnose.single_effects import (
     Step,
     compared,
     moved,
-    polished,
     refitted,
     removed,
     unexplained,
@@ -73,10 +72,8 @@ def settled(
     found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
 ) -> tuple[Found, Judgement]:
     """Where each cause is the likeliest in its place, every effect a little wrong, and what is said there: look-alikes
-    may have entered for one another. Each is fitted to the end first, as its rivals are; after so many changes as there
-    are causes, the last is not asked anew. too_few_points: the configured mesh alone puts the tip elsewhere."""
-    if len(found.fit.hypothesis.causes) > 1:  # one alone has entered so
-        found = _to_the_end(found, found.fit)
+    may have entered for one another. After so many changes as there are causes, the last is not asked anew.
+    too_few_points: the configured mesh alone puts the tip elsewhere."""
     for changes in range(len(found.fit.hypothesis.causes), -1, -1):
         small, slots, other = responses(found.prepared.data, found.fit, effects), list[Slot](), None
         names = found.fit.hypothesis.names
@@ -89,15 +86,10 @@ def settled(
                 break
         if other is None:
             break
-        found = _to_the_end(found, other)
+        found = replace(found, fit=other).at_its_end
     else:
         small = responses(found.prepared.data, found.fit, effects)
     return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
-
-
-def _to_the_end(found: Found, fit: Fit) -> Found:
-    """With another fit, of the same causes or others, and numerical error as it is there."""
-    return Found(*polished(found.prepared, fit), found.path)
 
 
 def judged(
@@ -168,9 +160,9 @@ def _slot(
 ) -> Slot:
     """Chances of what may be in one place of the sum, with all effects a little wrong, and trials that are a sample of
     those that might have been: with each as often as a Bayesian bootstrap has it (pseudo-BMA+: Yao et al. 2018,
-    Bayesian Analysis 13, 917). count: of candidates. least_size: [m] at the tip, below which an effect counts as
-    none."""
-    fits = {fit.hypothesis.names[-1]: fit for fit in step.tried if not fit.lost}
+    Bayesian Analysis 13, 917). Those fitted to the end alone, if any are. count: of candidates. least_size: [m] at the
+    tip, below which an effect counts as none."""
+    fits = {fit.hypothesis.names[-1]: fit for fit in step.to_the_end or step.tried if not fit.lost}
     prior = dict.fromkeys(fits, np.log((1 - NOTHING) / count)) | {"": np.log(NOTHING)}
     often = len(data.trials) * rng.dirichlet(np.ones(len(data.trials)), DRAWS)
     odds: dict[str, np.ndarray] = {

@@ -60,11 +60,13 @@ class Criteria:
 @dataclass(frozen=True)
 class Step:
     """One choice. parent: the fit beside which it is made. proposals: of all candidates. tried: those fitted, the most
-    evident first. entered: whether the best of them is there beyond doubt."""
+    evident first. to_the_end: those of them that came near to the most evident, and were fitted to the end. entered:
+    whether the best of them is there beyond doubt."""
 
     parent: Fit
     proposals: Sequence[Proposal]
     tried: Sequence[Fit]
+    to_the_end: Sequence[Fit] = ()
     entered: bool = False
 
     @property
@@ -81,6 +83,11 @@ class Found:
     prepared: Prepared
     fit: Fit
     path: Sequence[Step] = ()
+
+    @property
+    def at_its_end(self) -> Found:
+        """With the fit, and numerical error as it is there."""
+        return Found(*polished(self.prepared, self.fit), self.path)
 
     @cached_property
     def predictions(self) -> list[Prediction]:
@@ -112,10 +119,10 @@ def pruned(found: Found, least_size: float) -> Found:
     The log-likelihood of what was not seen must rise (cross-validation by trials: Vehtari, Gelman and Gabry 2017, Stat.
     Comput. 27, 1413); of what acts in one trial alone no other trial can tell.
     """
-    data = found.prepared.data
-    if len(data.trials) < 2:
+    if len(found.prepared.data.trials) < 2:
         return found
     for cause in reversed(found.fit.hypothesis.causes):
+        data = found.prepared.data
         if len(_touched(data, found.fit, cause, least_size)) == 1:
             continue
         less = replace(found, fit=refitted(data, found.fit, found.fit.hypothesis.without(cause)))
@@ -124,7 +131,7 @@ def pruned(found: Found, least_size: float) -> Found:
         log.info("without %s trials left out are %s likelier", cause.name, np.round(-gains, 1))
         if gains.sum() <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
-            found = less
+            found = less.at_its_end
     return found
 
 
@@ -165,7 +172,7 @@ def _contested(prepared: Prepared, step: Step, criteria: Criteria, at_its_end: F
     enough = min(FEWEST, len(prepared.doubt))
     least = np.sqrt(1 - criteria.explained) * unexplained(prepared.data, parent)
     told = [fit for made, fit in rivals if _told(made, prepared, criteria, least) >= enough]
-    step = replace(step, tried=_ranked([*told, *step.tried[count:]]))
+    step = replace(step, tried=_ranked([*told, *step.tried[count:]]), to_the_end=told)
     return replace(step, entered=step.best is not None and enters(prepared.data, step, criteria))
 
 
@@ -269,12 +276,13 @@ def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generato
         again = polished(prepared, searched_again(prepared.data, fit, rng, starts))
         if again[1].evidence > fit.evidence and _told(again[0], prepared, criteria) == len(prepared.doubt):
             prepared, fit = again
+    joined = Found(prepared, fit, found.path)
     for cause in best.hypothesis.causes:  # the new one, too: where it led, the others may do without it
-        less = refitted(prepared.data, fit, fit.hypothesis.without(cause))
-        if less.evidence > fit.evidence - criteria.enough:
+        less = refitted(joined.prepared.data, joined.fit, joined.fit.hypothesis.without(cause))
+        if less.evidence > joined.fit.evidence - criteria.enough:
             log.info("%s leaves: it is not needed", cause.name)
-            fit = less
-    return Found(prepared, fit, found.path)
+            joined = replace(joined, fit=less).at_its_end
+    return joined
 
 
 def refitted(data: Data, fit: Fit, hypothesis: Hypothesis) -> Fit:

@@ -73,7 +73,7 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
         "three": [Slot({"b": 0.9, "": 0.1}, {}, None)],
     }
     found, judged = settled_among(monkeypatch, slots, fits["one"])
-    assert (found.fit, found.prepared.data) == (fits["three"], " one two three")
+    assert (found.fit, found.prepared.data) == (fits["three"], " two three")
     assert judged == ("three", "small at three", slots["three"])
 
 
@@ -110,7 +110,7 @@ def test_what_one_trial_says_against_the_others_is_not_sure(by_trial, sure, monk
 
 
 def settled_among(monkeypatch, slots, fit):
-    monkeypatch.setattr(judgement, "polished", lambda prepared, fit: (prepared.at(fit), fit))
+    monkeypatch.setattr(single_effects, "polished", lambda prepared, fit: (prepared.at(fit), fit))
     monkeypatch.setattr(judgement, "responses", lambda data, fit, effects: f"small at {fit.name}")
     monkeypatch.setattr(judgement, "_slots", lambda found, *rest: slots[found.fit.name])
     monkeypatch.setattr(judgement, "judged", lambda found, small, slots, *rest: (found.fit.name, small, slots))
