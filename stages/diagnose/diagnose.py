@@ -152,25 +152,38 @@ def _searched(
     given: Given, without: Sequence[str], seed: int, starts: int, progress: Progress
 ) -> tuple[Given, Prepared, list[type[Effect]], Found]:
     """Base model, candidates and causes. Trials that no simulation with the causes tells are set aside, as those that
-    none without them does, and the others are asked anew."""
-    criteria = given.criteria
+    none without them does, unless it tells them with the causes; then the others, or they as well, are asked anew."""
+    criteria, trusted = given.criteria, list[str]()
     while True:
         log.info("fitting the base model")
         rng = np.random.default_rng(seed)
-        ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress)
-        given = given.without(ready.chaotic)
+        ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress, trusted)
         effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
         found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
-        chaotic = _chaotic(found, criteria)
-        if not chaotic:
-            return given, ready, effects, found
-        log.info("chaotic with the causes found: %s", ", ".join(chaotic))
-        given = given.without(chaotic)
+        chaotic, told = _chaotic(found, criteria), _told_with_causes(found, given)
+        if not chaotic and not told:
+            return given.without(ready.chaotic), ready, effects, found
+        if chaotic:
+            log.info("chaotic with the causes found: %s", ", ".join(chaotic))
+            given = given.without((*ready.chaotic, *chaotic))
+        else:
+            log.info("told with the causes found: %s", ", ".join(told))
+            trusted += told
 
 
 def _chaotic(found: Found, criteria: Criteria) -> list[str]:
     """Trials that are chaotic with the causes; those that are without any were set aside before."""
     return too_chaotic(found.prepared, criteria.tolerance) if found.fit.hypothesis.causes else []
+
+
+def _told_with_causes(found: Found, given: Given) -> list[str]:
+    """Trials that are chaotic without the causes, and are not with them: numerical error is large, too, where a string
+    without them must be bent to what they do."""
+    aside = [observation for observation in given.asked if observation.trial in found.prepared.chaotic]
+    if not aside or not found.fit.hypothesis.causes:
+        return []
+    doubt = found.prepared.others(aside, found.fit)[1]
+    return [o.trial for o, each in zip(aside, doubt, strict=True) if each < given.criteria.tolerance]
 
 
 def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:
@@ -197,7 +210,7 @@ def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
 def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria) -> bool:
     """Whether trials that were set aside lack more at the tip than is tolerated, the model fitted to them as well: what
     the others leave open of its parameters is no cause."""
-    seen, aside = found.prepared.data, found.prepared.others(observations, found.fit)
+    seen, aside = found.prepared.data, found.prepared.others(observations, found.fit)[0]
     varying = {name: seen.varying[name] + aside.varying[name] for name in seen.varying.keys() & aside.varying.keys()}
     data = Data(seen.trials + aside.trials, seen.discrepancies + aside.discrepancies, varying)
     sizes = np.concatenate([found.fit.sizes, np.zeros(len(aside.trials), dtype=int)])
@@ -280,7 +293,7 @@ def _gained(given: Given, found: Found, base: Fit) -> Gained:
     if len(given.observations) == 1:
         return Gained(HELD_OUT.empty(), False)
     seen = given.aside or given.asked
-    data = found.prepared.others(seen, found.fit) if given.rest else found.prepared.data
+    data = found.prepared.others(seen, found.fit)[0] if given.rest else found.prepared.data
     more = predicted(data, found.fit, unseen=True) if given.rest else found.predictions
     plain = more if base is found.fit else predicted(data, base, unseen=bool(given.rest))
     return Gained(held_out_table(data, plain, more, found.fit, seen, given.matching), better(plain, more))

@@ -50,7 +50,8 @@ class Prepared:
 
     data: with noise and numerical error. base: the base model at its best. raw: the trials before numerical error was
     taken off. outliers, resting: points left out. doubt: of numerical error at the tip of each trial [m]. literal: the
-    mesh is a part of the model, and has no error. chaotic: names of trials that no simulation tells to the tolerance.
+    mesh is a part of the model, and has no error. chaotic: names of trials that no simulation tells to the tolerance;
+    trusted: of those that one with causes tells.
     configured: the base model with the mesh as it is configured, at its best; None where that is the finer one.
     stated: the data's author states their noise.
     """
@@ -65,6 +66,7 @@ class Prepared:
     chaotic: tuple[str, ...] = ()
     configured: Fit | None = None
     stated: bool = False
+    trusted: tuple[str, ...] = ()
 
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
@@ -97,8 +99,9 @@ class Prepared:
             return lacking(own, fit.hypothesis, fit.chi), np.zeros(len(own))
         return corrected(own, fit.hypothesis, fit.chi)
 
-    def others(self, observations: Sequence[Observation], fit: Fit) -> Data:
-        """Data of further trials, with the noise of these and the numerical error of a fit."""
+    def others(self, observations: Sequence[Observation], fit: Fit) -> tuple[Data, np.ndarray]:
+        """Data of further trials, with the noise of these and without a fit's numerical error, and what is in doubt of
+        that at each tip [m]."""
         base, sigma = self.base, float(np.median(np.concatenate([trial.sigma for trial in self.raw])))
         model, noise = base.hypothesis.model, self.raw[0].noise
         whole = [awake(case(model, o)) for o in observations]
@@ -106,7 +109,7 @@ class Prepared:
         plain = Data(tuple(trials), ()).residuals(model, base.chi[None])
         kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(trials, plain, strict=True)]
         data = self.of(kept, fit)[0]
-        return self.of(_begun(kept, data.begun_anew(fit)), fit)[0]
+        return self.of(_begun(kept, data.begun_anew(fit)), fit)
 
 
 def prepared(
@@ -116,8 +119,9 @@ def prepared(
     rng: np.random.Generator,
     starts: int,
     progress: Progress,
+    trusted: Sequence[str] = (),
 ) -> Prepared:
-    """Data and base model. tolerance: [m] at the tip, to which simulation must tell a trial.
+    """Data and base model. tolerance: [m] at the tip, to which simulation must tell a trial, if it is not trusted.
 
     Raises DataError where a trial cannot be used.
     """
@@ -131,7 +135,8 @@ def prepared(
     sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
     base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
-    made, base = converged(Prepared(data, base, trials, outliers, resting, doubt, stated=stated), base)
+    first = Prepared(data, base, trials, outliers, resting, doubt, stated=stated, trusted=tuple(trusted))
+    made, base = converged(first, base)
     made = _not_taken_along(replace(made, base=base), tolerance, rng, starts)
     return _with_nearer_mesh(_without_chaotic(made, tolerance), model, tolerance)
 
@@ -226,7 +231,7 @@ def _not_taken_along(prepared: Prepared, tolerance: float, rng: np.random.Genera
 def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
     """Without trials so sensitive that what is in doubt of their numerical error is more than the tolerance: whatever
     they leave says nothing of causes. All of them where two or more others are not left."""
-    names = too_chaotic(prepared, tolerance)
+    names = [name for name in too_chaotic(prepared, tolerance) if name not in prepared.trusted]
     if not names:
         return prepared
     good = [k for k, trial in enumerate(prepared.raw) if trial.name not in names]

@@ -164,6 +164,31 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch, p
 
 
 @pytest.mark.parametrize(
+    ("doubt", "asked", "rejected"),
+    [(1e-3, [(), ("t2",)], []), (9e-3, [()], ["t2"])],
+)
+def test_a_trial_that_simulation_tells_with_the_causes_alone_is_asked_as_well(doubt, asked, rejected, monkeypatch):
+    """The third is chaotic without a cause; with one its numerical error is in doubt by so much [m]."""
+    module, trusted_each_time = stringcast.stages.diagnose.diagnose, []
+
+    def prepared(model, observations, tolerance, rng, starts, progress, trusted):
+        trusted_each_time.append(tuple(trusted))
+        made = SimpleNamespace(chaotic=() if trusted else ("t2",), data=SimpleNamespace(trials=()))
+        made.raw, made.doubt, made.others = [], np.zeros(0), lambda aside, fit: (None, np.full(len(aside), doubt))
+        return SimpleNamespace(**vars(made), base=SimpleNamespace(hypothesis=SimpleNamespace(model=None)))
+
+    found = SimpleNamespace(hypothesis=SimpleNamespace(causes=("wind",)))
+    monkeypatch.setattr(module, "prepared", prepared)
+    monkeypatch.setattr(module, "candidates", lambda *given: [])
+    monkeypatch.setattr(module, "searched", lambda ready, *given: Found(ready, found))
+    observations = [SimpleNamespace(trial=f"t{k}") for k in range(3)]
+    given = module.Given(None, observations, {}, [0, 1, 2], [], CRITERIA, None)
+    given, ready, _, _ = module._searched(given, (), 0, 4, lambda share: None)
+    assert trusted_each_time == asked
+    assert [*given.rejected] == rejected == [*ready.chaotic]
+
+
+@pytest.mark.parametrize(
     ("causes", "doubts", "chaotic"),
     [(("a",), (0.1, 15.0, 0.1), ["t1"]), ((), (0.1, 15.0, 0.1), []), (("a",), (0.1, 15.0), [])],
 )

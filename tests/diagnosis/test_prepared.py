@@ -122,6 +122,8 @@ def test_a_chaotic_trial_is_set_aside_while_two_others_are_left(prepared, doubts
     assert kept.chaotic == chaotic
     assert {t.name for t in kept.data.trials} == {"t0", "t1", "t2"} - {*chaotic}
     assert len(kept.base.residuals) == len(kept.raw) == 3 - len(chaotic)
+    told = replace(prepared, doubt=np.array(doubts) * TOLERANCE, trusted=("t0", "t1", "t2"))
+    assert _without_chaotic(told, TOLERANCE) is told
 
 
 def test_a_range_that_ends_too_early_is_widened_where_the_data_press(model, prepared):
