@@ -18,12 +18,13 @@ from stringcast.stages.diagnose.single_effects import (
     removed,
     unexplained,
 )
-from stringcast.stages.diagnose.small_effects import responses, tempered
+from stringcast.stages.diagnose.small_effects import gains, responses
 from stringcast.stages.inference.evidence import DRAWS, Data, Fit, Hypothesis, evaluated, tip_draws
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"
 NOTHING = 0.5  # probability, before the data speak, that a simulation lacks nothing of the library
+SAMPLES = 100  # of trials that might have been: probabilities are told to 0.05
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ def _slots(
     data, causes = found.prepared.data, reversed(found.fit.hypothesis.causes)
     steps = (_beside(found, cause, effects, criteria, seed) for cause in causes)
     for step in steps if found.fit.hypothesis.causes else found.path[-1:]:
-        yield _slot(data, step, small, len(effects), criteria.least_size, np.random.default_rng([seed, DRAWS]))
+        yield _slot(data, step, small, len(effects), criteria.least_size, np.random.default_rng([seed, SAMPLES]))
 
 
 def _slot(
@@ -164,9 +165,9 @@ def _slot(
     tip, below which an effect counts as none."""
     fits = {fit.hypothesis.names[-1]: fit for fit in step.to_the_end or step.tried if not fit.lost}
     prior = dict.fromkeys(fits, np.log((1 - NOTHING) / count)) | {"": np.log(NOTHING)}
-    often = len(data.trials) * rng.dirichlet(np.ones(len(data.trials)), DRAWS)
+    often = len(data.trials) * rng.dirichlet(np.ones(len(data.trials)), SAMPLES)
     odds: dict[str, np.ndarray] = {
-        name: (often - 1) @ fit.by_trial + fit.evidence + tempered(data, fit, small).gain + prior[name]
+        name: fit.evidence + (often - 1) @ fit.by_trial + gains(data, fit, small, often) + prior[name]
         for name, fit in {"": step.parent, **fits}.items()
     }
     total = logsumexp(list(odds.values()), axis=0)

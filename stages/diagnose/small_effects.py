@@ -26,10 +26,8 @@ TRIED = 0.01  # of the way from absent to the end of a range: about linear
 
 @dataclass(frozen=True)
 class Tempered:
-    """A fit with every effect a little wrong. gain: of its log evidence. centre, covariance: of its exponents (P,),
-    (P, P)."""
+    """A fit with every effect a little wrong. centre, covariance: of its exponents (P,), (P, P)."""
 
-    gain: float
     centre: np.ndarray
     covariance: np.ndarray
 
@@ -75,11 +73,8 @@ def _scaled(data: Data, moved: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 def tempered(data: Data, fit: Fit, small: Sequence[np.ndarray]) -> Tempered:
     """A fit with what small effects, (E, 2 n) over sigma in each trial, leave of it."""
-    data = data.of(fit.hypothesis)
-    residual = data.white([r[None] for r in fit.residuals], fit.sizes)[0]
-    both = data.white([np.concatenate(pair) for pair in zip(fit.slopes, small, strict=True)], fit.sizes)
+    products, along = (np.sum(each, axis=0) for each in _by_trial(data, fit, small))
     own = len(fit.chi)
-    products, along = both @ both.T, both @ residual
     said = [_at(products, along, own, size) for size in SMALL]
     evidence = np.array([each[0] for each in said]) + log_prior()[: len(SMALL)]
     weight = np.exp(evidence - logsumexp(evidence))
@@ -87,13 +82,45 @@ def tempered(data: Data, fit: Fit, small: Sequence[np.ndarray]) -> Tempered:
     centre = weight @ shift
     apart = shift - centre
     spread = np.tensordot(weight, np.array([each[2] for each in said]), 1) + (weight * apart.T) @ apart
-    return Tempered(float(logsumexp(evidence) - said[0][0]), fit.chi + centre, spread)
+    return Tempered(fit.chi + centre, spread)
+
+
+def gains(data: Data, fit: Fit, small: Sequence[np.ndarray], often: np.ndarray) -> np.ndarray:
+    """By how much small effects raise a fit's log evidence if each trial counts so often (D, K), (D,)."""
+    parts, along_parts = _by_trial(data, fit, small)
+    products, along = np.tensordot(often, parts, 1), often @ along_parts
+    evidence = []
+    for size in SMALL:
+        scale, prior = _scale(len(fit.chi), len(along[0]), size)
+        normal, pull = products * np.outer(scale, scale) + np.diag(prior), scale * along
+        step = np.linalg.solve(normal, pull[..., None])[..., 0]
+        evidence.append(0.5 * np.sum(step * pull, axis=1) - 0.5 * np.linalg.slogdet(normal)[1])
+    said = np.array(evidence)
+    return np.asarray(logsumexp(said + log_prior()[: len(SMALL), None], axis=0) - said[0])
+
+
+def _by_trial(data: Data, fit: Fit, small: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Products of what parameters and small effects do in each trial, white, (K, M, M), and with what is left, (K, M):
+    the fit's parameters first."""
+    data = data.of(fit.hypothesis)
+    ends = np.cumsum([2 * len(d.variance) for d in data.discrepancies])[:-1]
+    residual = np.split(data.white([r[None] for r in fit.residuals], fit.sizes)[0], ends)
+    both = data.white([np.concatenate(pair) for pair in zip(fit.slopes, small, strict=True)], fit.sizes)
+    parts = np.split(both, ends, axis=1)
+    along = [part @ left for part, left in zip(parts, residual, strict=True)]
+    return np.array([part @ part.T for part in parts]), np.array(along)
+
+
+def _scale(own: int, count: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of parameters, the first so many, and small effects of a size [m]: their unit, and one over its variance, before
+    the data speak; (M,) each."""
+    rest = count - own
+    return np.repeat([1.0, size], [own, rest]), np.repeat([PRIOR, 1.0], [own, rest])
 
 
 def _at(products: np.ndarray, along: np.ndarray, own: int, size: float) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence, step and covariance of the first `own` parameters, with small effects of a size [m]."""
-    scale = np.concatenate([np.ones(own), np.full(len(along) - own, size)])
-    prior = np.concatenate([np.full(own, PRIOR), np.ones(len(along) - own)])
+    scale, prior = _scale(own, len(along), size)
     normal = products * np.outer(scale, scale) + np.diag(prior)
     step = -np.linalg.solve(normal, scale * along)
     gain = -0.5 * float(step @ (scale * along)) - 0.5 * np.linalg.slogdet(normal)[1]
