@@ -198,7 +198,8 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
         return bool(parts[touched[0]] > criteria.least_share)
     if len(data.trials) == 1:  # which nothing could confirm: it is only said what would be asked of more trials
         return True
-    return least_gain(step.parent, best) > criteria.enough or _gain_anew(data, step) > criteria.enough
+    alone = (lambda: least_gain(step.parent, best), lambda: _gain_anew(data, step), lambda: _gain_foretold(data, step))
+    return any(gain() > criteria.enough for gain in alone)
 
 
 def least_gain(parent: Fit, fit: Fit) -> float:
@@ -218,6 +219,15 @@ def _gain_anew(data: Data, step: Step) -> float:
     fits = (best, step.parent)
     others = [fitted(data.only(rest), f.hypothesis, f.chi[None], f.sizes[rest], TURNS, STEPS) for f in fits]
     return others[0].evidence - others[1].evidence
+
+
+def _gain_foretold(data: Data, step: Step) -> float:
+    """Gain of the log-likelihood of trials, each foretold by the fit to the others, but for the one that gains most: a
+    parent may explain one trial at the cost of another, which alone then speaks for what explains both."""
+    assert step.best is not None
+    pairs = zip(predicted(data, step.best), predicted(data, step.parent), strict=True)
+    gains = [best.log_likelihood - parent.log_likelihood for best, parent in pairs]
+    return sum(gains) - max(gains)
 
 
 def _touched(data: Data, fit: Fit, cause: type[Effect], least_size: float) -> np.ndarray:

@@ -153,6 +153,24 @@ def test_a_cause_by_which_too_few_trials_can_be_told_does_not_enter(before, doub
     assert (step.best.name, step.entered) == (best, True)
 
 
+@pytest.mark.parametrize(("foretold", "enters"), [((76.0, 41.0), True), ((150.0, -5.0), False), ((150.0, 4.0), False)])
+def test_a_cause_enters_by_which_each_trial_foretells_the_others(foretold, enters, monkeypatch):
+    """Without it one trial is explained at the cost of the other, which then says all for it."""
+    causes = SimpleNamespace(causes=(None, "slip"))
+    parent = SimpleNamespace(evidence=0.0, by_trial=np.zeros(2), gains=(0.0, 0.0))
+    best = SimpleNamespace(
+        evidence=122.0, by_trial=np.array([-9.0, 135.0]), gains=foretold, lost=False, hypothesis=causes
+    )
+    monkeypatch.setattr(single_effects, "moved", lambda data, parent, fit: np.full(2, 0.06))
+    monkeypatch.setattr(single_effects, "_touched", lambda *given: np.zeros(0))
+    monkeypatch.setattr(single_effects, "_gain_anew", lambda data, step: -1.0)
+    monkeypatch.setattr(
+        single_effects, "predicted", lambda data, fit: [SimpleNamespace(log_likelihood=each) for each in fit.gains]
+    )
+    step = Step(parent, (), [best])
+    assert single_effects.enters(SimpleNamespace(trials=range(2)), step, CRITERIA) is enters
+
+
 @pytest.mark.parametrize(("predicts", "verdict"), [(True, "effect"), (False, "unknown")])
 def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch, predicts, verdict):
     """Joints that turn 3 % further than they say, where what trials left out are like is as stated."""
