@@ -1,57 +1,49 @@
-"""Trials that begin moving, in states that are found anew beside each fit."""
-
-from dataclasses import replace
+"""Strings that are let go: how each trial begins is told by its first frames alone, and is no cause."""
 
 import numpy as np
+import pandas as pd
 import pytest
-from estimation.test_initial_state import NAMED, PLACES, STRING, TURN, observed, released
+from conftest import TRUTH, ordinary
+from performed import SIGMA, said_of
 
-from stringcast.stages.diagnose.prepared import lacking
-from stringcast.stages.inference.evidence import Hypothesis, evaluated, lacked
-from stringcast.stages.inference.forward import MODES, case
-from stringcast.stages.inference.initial_modes import with_change
-from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import chi_of
+from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
+from stringcast.stages.diagnose import diagnose as module
+from stringcast.stages.diagnose.prepared import resolved
+from stringcast.stages.model.hand import joint_motion
+from stringcast.stages.model.library import named
+from stringcast.stages.model.state import State
 
-NOISE = 7e-4  # [m]
-
-
-@pytest.fixture(scope="module")
-def trial(arm, camera):
-    """A string let go, seen at eleven places."""
-    t, seen = released(TURN, PLACES["eleven"], 200, NOISE)
-    return case(Model(STRING, arm, camera), observed(t, seen, PLACES["eleven"], moving=True))
+LENGTH = 0.3
+FEW = ("tip_mass", "density_taper", "time_offset", "wind", "rest_curvature", "resolution")
 
 
-@pytest.fixture(scope="module")
-def hypothesis(trial):
-    return Hypothesis(trial.model)
+def leaning(turn):
+    """At rest, and more and more turned along the string, at its end by `turn` [rad] from straight down."""
+    s = np.linspace(0, LENGTH, 41)
+    return State(0.0, s, -np.pi / 2 + turn * s / LENGTH, np.zeros(41))
 
 
-@pytest.fixture(scope="module")
-def true(hypothesis):
-    return chi_of(hypothesis.parameters, hypothesis.model.values(NAMED)[None])[0]
+def released(model, wind):
+    """Three strings let go in a wind to the right [m/s], filmed from the moment of letting go."""
+    blown, rng = model.with_effects(*named(["wind"])).divided(40), np.random.default_rng(0)
+    values = blown.values({**TRUTH, "wind.along_x": wind, "wind.along_y": 0.0})[None]
+    t = model.arm.tick * np.arange(140)
+    angles = np.zeros((len(t), 3)) + [0.6, -0.5, -np.pi / 2 - 0.1]  # the grasp points down
+    for number, turn in enumerate((0.5, -0.4, 0.3)):
+        seen = blown.seen(joint_motion(t, angles), values, t, leaning(turn)).points[0][:, 10::10]
+        x, y = (seen + SIGMA * rng.standard_normal(seen.shape)).reshape(-1, 2).T
+        s = np.tile(blown.string.arc_lengths()[10::10], len(t))
+        points = pd.DataFrame({"t": np.repeat(t, seen.shape[1]), "s": s, "x": x, "y": y, "sigma": SIGMA})
+        log = pd.DataFrame({"t": t} | dict(zip(JOINTS, angles.T, strict=True)))
+        yield Observation(f"t{number}", points, READINGS.empty(), MASKS.empty(), log, moving=True)
 
 
-def begun(trial, *off):
-    """The trial in another state: its first modes off by so much."""
-    return with_change(trial, np.pad(np.array(off), (0, 2 * MODES - len(off))))
-
-
-def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, true):
-    """Modes about it cannot tell what it does; about the one that is found, what is left is noise. It counts from what
-    the first frames say, wherever it was looked for."""
-    far, told = (lacking([each], hypothesis, true) for each in (begun(trial, 4.0, -3.0, 2.0), trial))
-    off = evaluated(far, hypothesis, true)
-    near, found = (data.about(off).about(off) for data in (far, told))
-    here, there = (evaluated(data, hypothesis, true) for data in (near, found))
-    assert far.tip_rms(lacked(far, off))[0] > 5 * NOISE
-    assert near.tip_rms(lacked(near, here))[0] < NOISE
-    assert here.evidence > off.evidence + 100
-    assert here.evidence == pytest.approx(there.evidence, abs=0.5)
-    assert near.trials[0].change == pytest.approx(found.trials[0].change, abs=0.05)
-
-
-def test_what_begins_at_rest_stays_as_it_is(trial, hypothesis, true):
-    data = lacking([replace(trial, initial=None)], hypothesis, true)
-    assert data.about(evaluated(data, hypothesis, true)) is data
+@pytest.mark.parametrize(("wind", "causes"), [(0.3, {"wind"}), (0.0, set())])
+def test_another_beginning_explains_itself_and_no_wind(arm, monkeypatch, wind, causes):
+    monkeypatch.setattr(module, "library", lambda: {effect.name: effect for effect in named(FEW)})
+    said = said_of(resolved(ordinary(arm)), list(released(resolved(ordinary(arm)), wind)), 2)
+    assert set(said.causes["effect"]) == causes, said.sentence
+    assert said.verdict == ("effect" if causes else "none")
+    if causes:
+        along = said.causes.set_index("parameter").loc["wind.along_x"]
+        assert 0.5 * wind < along["low"] < wind < along["high"]
