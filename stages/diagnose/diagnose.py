@@ -160,15 +160,14 @@ def _searched(
         ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress, trusted)
         effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
         found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
-        chaotic, told = _chaotic(found, criteria), _told_with_causes(found, given)
-        if not chaotic and not told:
-            return given.without(ready.chaotic), ready, effects, found
-        if chaotic:
+        if chaotic := _chaotic(found, criteria):
             log.info("chaotic with the causes found: %s", ", ".join(chaotic))
             given = given.without((*ready.chaotic, *chaotic))
-        else:
+        elif told := _told_with_causes(found, given):
             log.info("told with the causes found: %s", ", ".join(told))
             trusted += told
+        else:
+            return given.without(ready.chaotic), ready, effects, found
 
 
 def _chaotic(found: Found, criteria: Criteria) -> list[str]:

@@ -151,21 +151,22 @@ def _slots(
     """Of each cause, the last that entered first: it is most often another's look-alike. Of what might yet enter where
     none did."""
     data, causes = found.prepared.data, reversed(found.fit.hypothesis.causes)
+    trials = len(data.trials)
+    often = trials * np.random.default_rng([seed, SAMPLES]).dirichlet(np.ones(trials), SAMPLES)
     steps = (_beside(found, cause, effects, criteria, seed) for cause in causes)
     for step in steps if found.fit.hypothesis.causes else found.path[-1:]:
-        yield _slot(data, step, small, len(effects), criteria.least_size, np.random.default_rng([seed, SAMPLES]))
+        yield _slot(data, step, small, often, len(effects), criteria.least_size)
 
 
 def _slot(
-    data: Data, step: Step, small: Sequence[np.ndarray], count: int, least_size: float, rng: np.random.Generator
+    data: Data, step: Step, small: Sequence[np.ndarray], often: np.ndarray, count: int, least_size: float
 ) -> Slot:
     """Chances of what may be in one place of the sum, with all effects a little wrong, and trials that are a sample of
-    those that might have been: with each as often as a Bayesian bootstrap has it (pseudo-BMA+: Yao et al. 2018,
+    those that might have been: each as often (D, K) as a Bayesian bootstrap has it (pseudo-BMA+: Yao et al. 2018,
     Bayesian Analysis 13, 917). Those fitted to the end alone, if any are. count: of candidates. least_size: [m] at the
     tip, below which an effect counts as none."""
     fits = {fit.hypothesis.names[-1]: fit for fit in step.to_the_end or step.tried if not fit.lost}
     prior = dict.fromkeys(fits, np.log((1 - NOTHING) / count)) | {"": np.log(NOTHING)}
-    often = len(data.trials) * rng.dirichlet(np.ones(len(data.trials)), SAMPLES)
     odds: dict[str, np.ndarray] = {
         name: fit.evidence + (often - 1) @ fit.by_trial + gains(data, fit, small, often) + prior[name]
         for name, fit in {"": step.parent, **fits}.items()

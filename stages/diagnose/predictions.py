@@ -75,6 +75,11 @@ def held_out_table(
     return HELD_OUT.check(pd.DataFrame(rows)) if rows else HELD_OUT.empty()
 
 
+def rises(base: Sequence[Prediction], extended: Sequence[Prediction]) -> np.ndarray:
+    """By how much likelier each trial is by the extended model's predictions than by the base's, (K,)."""
+    return np.array([m.log_likelihood - p.log_likelihood for p, m in zip(base, extended, strict=True)])
+
+
 def better(base: Sequence[Prediction], extended: Sequence[Prediction]) -> bool:
     """Whether the extended model predicts the trials better, by its distance from them and by its likelihood."""
     squares = [sum(float(np.sum(p.residual**2)) for p in side) for side in (base, extended)]

@@ -108,8 +108,9 @@ class Prepared:
         trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
         plain = Data(tuple(trials), ()).residuals(model, base.chi[None])
         kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(trials, plain, strict=True)]
-        data = self.of(kept, fit)[0]
-        return self.of(_begun(kept, data.begun_anew(fit)), fit)
+        first = self.of(kept, fit)
+        begun = first[0].begun_anew(fit)
+        return first if begun is first[0].trials else self.of(_begun(kept, begun), fit)
 
 
 def prepared(
@@ -341,7 +342,7 @@ def _widened(likelihood: Likelihood, chi: np.ndarray, place: int) -> tuple[Likel
     start = chi_of(wider.parameters, values_of(likelihood.parameters, chi[None]))
     problem = with_noise(replace(likelihood, model=wider, trials=trials), start[0])
     before, after = problem.residuals(start)[0], solver.fitted(problem, start, CONVERGE)
-    gain = 0.5 * len(before) * np.log(np.mean(before**2) / np.mean(after.residual[0] ** 2))
+    gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
     return (problem, after.chi[0]) if gain > CLEARLY else (likelihood, chi)
 
 

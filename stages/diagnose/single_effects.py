@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.predictions import Prediction, predicted
+from stringcast.stages.diagnose.predictions import Prediction, predicted, rises
 from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, nearer, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
@@ -126,8 +126,7 @@ def pruned(found: Found, least_size: float) -> Found:
         if len(_touched(data, found.fit, cause, least_size)) == 1:
             continue
         less = replace(found, fit=refitted(data, found.fit, found.fit.hypothesis.without(cause)))
-        pairs = zip(found.predictions, less.predictions, strict=True)
-        gains = np.array([a.log_likelihood - b.log_likelihood for a, b in pairs])
+        gains = rises(less.predictions, found.predictions)
         log.info("without %s trials left out are %s likelier", cause.name, np.round(-gains, 1))
         if gains.sum() <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
@@ -198,8 +197,9 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
         return bool(parts[touched[0]] > criteria.least_share)
     if len(data.trials) == 1:  # which nothing could confirm: it is only said what would be asked of more trials
         return True
-    alone = (lambda: least_gain(step.parent, best), lambda: _gain_anew(data, step), lambda: _gain_foretold(data, step))
-    return any(gain() > criteria.enough for gain in alone)
+    if least_gain(step.parent, best) > criteria.enough or _gain_anew(data, step) > criteria.enough:
+        return True
+    return _gain_foretold(data, step) > criteria.enough
 
 
 def least_gain(parent: Fit, fit: Fit) -> float:
@@ -225,9 +225,8 @@ def _gain_foretold(data: Data, step: Step) -> float:
     """Gain of the log-likelihood of trials, each foretold by the fit to the others, but for the one that gains most: a
     parent may explain one trial at the cost of another, which alone then speaks for what explains both."""
     assert step.best is not None
-    pairs = zip(predicted(data, step.best), predicted(data, step.parent), strict=True)
-    gains = [best.log_likelihood - parent.log_likelihood for best, parent in pairs]
-    return sum(gains) - max(gains)
+    gains = rises(predicted(data, step.parent), predicted(data, step.best))
+    return float(gains.sum() - gains.max())
 
 
 def _touched(data: Data, fit: Fit, cause: type[Effect], least_size: float) -> np.ndarray:

@@ -75,13 +75,13 @@ def tempered(data: Data, fit: Fit, small: Sequence[np.ndarray]) -> Tempered:
     """A fit with what small effects, (E, 2 n) over sigma in each trial, leave of it."""
     products, along = (np.sum(each, axis=0) for each in _by_trial(data, fit, small))
     own = len(fit.chi)
-    said = [_at(products, along, own, size) for size in SMALL]
-    evidence = np.array([each[0] for each in said]) + log_prior()[: len(SMALL)]
+    told, steps, normals = zip(*(_at(products, along, own, size) for size in SMALL), strict=True)
+    evidence = np.array(told) + log_prior()[: len(SMALL)]
     weight = np.exp(evidence - logsumexp(evidence))
-    shift = np.array([each[1] for each in said])
+    shift = np.array(steps)[:, :own]
     centre = weight @ shift
     apart = shift - centre
-    spread = np.tensordot(weight, np.array([each[2] for each in said]), 1) + (weight * apart.T) @ apart
+    spread = np.tensordot(weight, np.linalg.inv(normals)[:, :own, :own], 1) + (weight * apart.T) @ apart
     return Tempered(fit.chi + centre, spread)
 
 
@@ -89,13 +89,7 @@ def gains(data: Data, fit: Fit, small: Sequence[np.ndarray], often: np.ndarray) 
     """By how much small effects raise a fit's log evidence if each trial counts so often (D, K), (D,)."""
     parts, along_parts = _by_trial(data, fit, small)
     products, along = np.tensordot(often, parts, 1), often @ along_parts
-    evidence = []
-    for size in SMALL:
-        scale, prior = _scale(len(fit.chi), len(along[0]), size)
-        normal, pull = products * np.outer(scale, scale) + np.diag(prior), scale * along
-        step = np.linalg.solve(normal, pull[..., None])[..., 0]
-        evidence.append(0.5 * np.sum(step * pull, axis=1) - 0.5 * np.linalg.slogdet(normal)[1])
-    said = np.array(evidence)
+    said = np.array([_at(products, along, len(fit.chi), size)[0] for size in SMALL])
     return np.asarray(logsumexp(said + log_prior()[: len(SMALL), None], axis=0) - said[0])
 
 
@@ -111,17 +105,11 @@ def _by_trial(data: Data, fit: Fit, small: Sequence[np.ndarray]) -> tuple[np.nda
     return np.array([part @ part.T for part in parts]), np.array(along)
 
 
-def _scale(own: int, count: int, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of parameters, the first so many, and small effects of a size [m]: their unit, and one over its variance, before
-    the data speak; (M,) each."""
-    rest = count - own
-    return np.repeat([1.0, size], [own, rest]), np.repeat([PRIOR, 1.0], [own, rest])
-
-
-def _at(products: np.ndarray, along: np.ndarray, own: int, size: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """Log evidence, step and covariance of the first `own` parameters, with small effects of a size [m]."""
-    scale, prior = _scale(own, len(along), size)
-    normal = products * np.outer(scale, scale) + np.diag(prior)
-    step = -np.linalg.solve(normal, scale * along)
-    gain = -0.5 * float(step @ (scale * along)) - 0.5 * np.linalg.slogdet(normal)[1]
-    return gain, step[:own], np.linalg.inv(normal)[:own, :own]
+def _at(products: np.ndarray, along: np.ndarray, own: int, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Log evidence (...), step (..., M) and curvature (..., M, M) with small effects of a size [m], after the first
+    `own` parameters. products: (..., M, M). along: (..., M)."""
+    rest = along.shape[-1] - own
+    scale, prior = np.repeat([1.0, size], [own, rest]), np.repeat([PRIOR, 1.0], [own, rest])
+    normal, pull = products * np.outer(scale, scale) + np.diag(prior), scale * along
+    step = -np.linalg.solve(normal, pull[..., None])[..., 0]
+    return -0.5 * np.sum(step * pull, axis=-1) - 0.5 * np.linalg.slogdet(normal)[1], step, normal

@@ -107,8 +107,8 @@ def test_what_one_trial_says_against_the_others_is_not_sure(by_trial, sure, monk
     names = SimpleNamespace(names=("wind",))
     parent = SimpleNamespace(evidence=0.0, by_trial=np.zeros(4))
     fit = SimpleNamespace(evidence=80.0, by_trial=np.array(by_trial), hypothesis=names, lost=False)
-    data, rng = SimpleNamespace(trials=range(4)), np.random.default_rng(0)
-    chances = judgement._slot(data, Step(parent, (), [fit]), (), 20, 1e-3, rng).chances
+    often = 4 * np.random.default_rng(0).dirichlet(np.ones(4), judgement.SAMPLES)
+    chances = judgement._slot(None, Step(parent, (), [fit]), (), often, 20, 1e-3).chances
     assert sum(chances.values()) == pytest.approx(1.0)
     assert (chances["wind"] > 0.9) == sure
 
