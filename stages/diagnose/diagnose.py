@@ -159,13 +159,16 @@ def _searched(
         rng = np.random.default_rng(seed)
         ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress, trusted)
         effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
-        found = searched(ready, effects, criteria, seed, starts, lambda share: progress(0.3 + 0.5 * share))
-        if chaotic := _chaotic(found, criteria):
-            log.info("chaotic with the causes found: %s", ", ".join(chaotic))
-            given = given.without((*ready.chaotic, *chaotic))
-        elif told := _told_with_causes(found, given):
+        for number, found in enumerate(searched(ready, effects, criteria, seed, starts)):
+            progress(0.3 + 0.5 * number / (criteria.causes + 1))
+            if told := _told_with_causes(found, given):
+                break
+        if told:
             log.info("told with the causes found: %s", ", ".join(told))
             trusted += told
+        elif chaotic := _chaotic(found, criteria):
+            log.info("chaotic with the causes found: %s", ", ".join(chaotic))
+            given = given.without((*ready.chaotic, *chaotic))
         else:
             return given.without(ready.chaotic), ready, effects, found
 

@@ -269,18 +269,26 @@ class Fit:
         return any((each == LOST).any() for each in self.residuals)
 
 
-def fitted(data: Data, hypothesis: Hypothesis, starts: np.ndarray, sizes: np.ndarray, rounds: int, most: int) -> Fit:
+def fitted(
+    data: Data,
+    hypothesis: Hypothesis,
+    starts: np.ndarray,
+    sizes: np.ndarray,
+    rounds: int,
+    most: int,
+    enough: float = solver.ENOUGH,
+) -> Fit:
     """A hypothesis at its best from these starts (C, P), in turns with the sizes of the discrepancies, from (K,) on.
 
-    rounds: turns at most. most: iterations of each.
+    rounds: turns at most. most: iterations of each, until one gains less than `enough` of the log-likelihood.
     """
     data = data.of(hypothesis)
-    first = solver.fitted(Problem(data, hypothesis, sizes), starts, FEW)
+    first = solver.fitted(Problem(data, hypothesis, sizes), starts, FEW, enough)
     told = data.log_likelihoods(data.residuals(hypothesis.model, first.chi))
     best = int(np.argmax(marginal(told).sum(axis=0)))
     chi, sizes = first.chi[best], likeliest(told[:, best])
     for _ in range(rounds - 1):
-        chi = solver.fitted(Problem(data, hypothesis, sizes), chi[None], most).chi[0]
+        chi = solver.fitted(Problem(data, hypothesis, sizes), chi[None], most, enough).chi[0]
         new = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None]))[:, 0])
         if (new == sizes).all():
             break

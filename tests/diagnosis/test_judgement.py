@@ -202,7 +202,7 @@ def test_a_trial_that_simulation_tells_with_the_causes_alone_is_asked_as_well(do
     found = SimpleNamespace(hypothesis=SimpleNamespace(causes=("wind",)))
     monkeypatch.setattr(module, "prepared", prepared)
     monkeypatch.setattr(module, "candidates", lambda *given: [])
-    monkeypatch.setattr(module, "searched", lambda ready, *given: Found(ready, found))
+    monkeypatch.setattr(module, "searched", lambda ready, *given: [Found(ready, found)])
     observations = [SimpleNamespace(trial=f"t{k}") for k in range(3)]
     given = module.Given(None, observations, {}, [0, 1, 2], [], CRITERIA, None)
     given, ready, _, _ = module._searched(given, (), 0, 4, lambda share: None)
