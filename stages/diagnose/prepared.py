@@ -89,8 +89,8 @@ class Prepared:
             return self.data
         pairs = _on_meshes(self.raw, fit.hypothesis, fit.chi, (1, 2))
         told = zip(self.data.trials, self.raw, pairs, self.data.discrepancies, strict=True)
-        errors = ((t, r.points - np.nan_to_num(extrapolated(*p) - p[0]), d.modes) for t, r, p, d in told)
-        trials = tuple(as_first_told(replace(t, points=points), modes) for t, points, modes in errors)
+        exact = ((t, r.points - np.nan_to_num(extrapolated(a, b) - a), d.modes) for t, r, (a, b), d in told)
+        trials = tuple(as_first_told(replace(t, points=points), modes) for t, points, modes in exact)
         return replace(self.data, trials=trials, finer=self._finer_at(fit))
 
     def of(self, trials: Sequence[Case], fit: Fit) -> tuple[Data, np.ndarray]:
