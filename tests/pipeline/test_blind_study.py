@@ -18,6 +18,7 @@ from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
 from stringcast.pipeline.provenance import code
 from stringcast.pipeline.settings import composed
 from stringcast.pipeline.studies.blind.pictures import pictures
+from stringcast.pipeline.studies.blind.record import by_code
 from stringcast.pipeline.studies.blind.scores import TABLES, calibration_error, scores
 from stringcast.pipeline.studies.blind.study import OneBench
 from stringcast.pipeline.studies.blind.verdicts import answered, beliefs, confidence, correct
@@ -174,6 +175,24 @@ def test_coverage_counts_parameters_of_true_causes_only():
     assert (coverage["right"], coverage["count"]) == (1, 3)
 
 
+def test_what_half_of_the_trials_named_is_lost_unless_all_name_it_or_a_look_alike_of_it():
+    """Of a bench that was not asked twice, and of one whose half names nothing, it is not counted."""
+    alike = row("", [], "ambiguous", [TAPER, MASS], groups=[["density_taper", "tip_mass"]])["diagnosis"]
+    named = row("effect", ["tip_mass"], "effect", [MASS])
+    halves = [
+        named["diagnosis"],
+        alike,
+        row("", [], "effect", [MASS, WIND])["diagnosis"],
+        row("", [], "none")["diagnosis"],
+    ]
+    tables = scores([named, *({**named, "half": half} for half in halves)])
+    assert list(tables["benches"]["half"]) == ["", "tip_mass", "density_taper|tip_mass", "tip_mass wind", ""]
+    assert list(tables["benches"]["lost"]) == [0, 0, 0, 1, 0]
+    rates = tables["rates"].set_index("name")
+    assert list(rates.loc["named with half, lost with all", ["right", "count"]]) == [1, 3]
+    assert by_code(tables["benches"].drop(columns=["half", "lost"])).set_index("name")["count"].iloc[-2] == 0
+
+
 def test_pictures_are_drawn_even_of_one_row(tmp_path):
     for rows in ([RIGHT["nothing there, nothing said"]], [*RIGHT.values(), *WRONG.values()]):
         paths = pictures(scores(rows), tmp_path)
@@ -196,7 +215,7 @@ class Bench:
         path.write_text(json.dumps(row("effect" if self.seed % 2 else "none", ["wind"] * (self.seed % 2), "")["truth"]))
 
 
-def looked(folder):
+def looked(folder, share):
     """Notes that it ran; refuses to run twice, and to be wrong."""
     (folder.parent / f"ran-{folder.name}").touch(exist_ok=False)
     seed = len((folder / "points").read_text())
@@ -227,6 +246,18 @@ def test_a_study_goes_on_where_it_stopped_whatever_the_number_of_processes(tmp_p
     assert not list((tmp_path / "a" / "datasets" / "00001").glob("*.json"))
 
 
+def test_a_study_that_is_replicated_asks_half_of_the_trials_as_well(tmp_path):
+    asked = []
+
+    def asks(folder, share):
+        asked.append(share)
+        return row("", [], "effect", [WIND if share == 1 else MASS])["diagnosis"]
+
+    made = kept(OneBench(1, tmp_path, Bench, asks, replicated=True), tmp_path)
+    assert asked == [1.0, 0.5]
+    assert list(scores([made])["benches"]["lost"]) == [1]
+
+
 def test_a_diagnosis_that_fails_is_a_wrong_answer(tmp_path):
     failed = one_bench(4, tmp_path, Bench, looked)
     assert failed["diagnosis"]["error"] == "RuntimeError: no"
@@ -247,7 +278,7 @@ def test_a_bench_of_the_lab_is_one(arm, camera, tmp_path):
     assert scores([made])["benches"]["correct"].all()
 
 
-def nothing(folder):
+def nothing(folder, share):
     assert read(folder).trials
     return {"verdict": "none"}
 

@@ -45,8 +45,10 @@ def appended(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 
 def located(benches: pd.DataFrame) -> pd.DataFrame:
-    """The benches with their laboratory, the virtual lab itself where nothing says."""
-    return benches.assign(laboratory=benches.get("laboratory", OWN))
+    """The benches with their laboratory, the virtual lab itself where nothing says, and what half of their trials
+    named."""
+    benches = benches.assign(laboratory=benches.get("laboratory", OWN))
+    return benches.assign(half=benches.get("half", ""), lost=benches.get("lost", 0))
 
 
 def by_code(benches: pd.DataFrame) -> pd.DataFrame:

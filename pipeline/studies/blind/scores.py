@@ -12,6 +12,7 @@ from stringcast.data.schema import Column, Table
 from stringcast.pipeline.studies.blind.verdicts import (
     RESOLUTION,
     SEVERAL,
+    Answer,
     Row,
     answered,
     answers,
@@ -58,6 +59,8 @@ BENCHES = Table(
             "commit of the code that was asked, + if it was changed since; 'unknown' where nothing says",
             "text",
         ),
+        Column("half", "", "all that half of its trials named; empty if they were not asked", "text", optional=True),
+        Column("lost", "1", "how much of that is not named with all of them", "int", optional=True),
         Column("values", "", "of true causes that were named, JSON: name, true, value, low, high, inside", "text"),
     ),
 )
@@ -173,6 +176,7 @@ def scores(rows: Sequence[Row]) -> dict[str, pd.DataFrame]:
 def _bench(row: Row, two_sided: Set[str]) -> dict[str, object]:
     """One row of BENCHES. two_sided: names of parameters whose interval has two ends."""
     truth, diagnosis, said = row["truth"], row["diagnosis"], answers(row)
+    half = answers({**row, "diagnosis": row["half"]}) if "half" in row else []
     rms = (diagnosis.get("gain") or {}).get("rms_m") or {}
     return {
         "seed": row["seed"],
@@ -181,7 +185,7 @@ def _bench(row: Row, two_sided: Set[str]) -> dict[str, object]:
         "size": min(truth["sizes"].values(), default=np.nan),
         "verdict": diagnosis["verdict"],
         "answer": answered(row),
-        "named": " ".join("|".join(sorted(group)) for group in said),
+        "named": _written(said),
         "correct": correct(row),
         "confidence": confidence(row),
         "group": len(said[0]) if said else 0,
@@ -195,8 +199,14 @@ def _bench(row: Row, two_sided: Set[str]) -> dict[str, object]:
         "laboratory": truth.get("laboratory", OWN),
         "version": row.get("version", FIRST),
         "code": row.get("code", UNKNOWN_CODE),
+        "half": _written(half),
+        "lost": sum(not any(group & other for other in said) for group in half),
         "values": json.dumps(_parameters(row, two_sided)),
     }
+
+
+def _written(said: Sequence[Answer]) -> str:
+    return " ".join("|".join(sorted(group)) for group in said)
 
 
 def _parameters(row: Row, two_sided: Set[str]) -> list[dict[str, object]]:
@@ -255,6 +265,7 @@ def _bin(p: np.ndarray) -> np.ndarray:
     return np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
 
 
+KINDS = ("effect", "resolution", *SEVERAL, "none", "outside")
 Chosen = Callable[[pd.DataFrame], pd.Series]
 # What is counted, of which benches, what of them, and the goal: at least, at most.
 COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
@@ -268,4 +279,5 @@ COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
     ("false alarm", ("none",), lambda b: ~b["correct"], np.nan, 0.02),
     ("outside called unknown", ("outside",), lambda b: b["correct"], 0.90, np.nan),
     ("outside named above 0.5", ("outside",), lambda b: b["named_above_half"], np.nan, 0.0),
+    ("named with half, lost with all", KINDS, lambda b: b.loc[b["half"] != "", "lost"] > 0, np.nan, 0.05),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,18 +29,21 @@ from stringcast.pipeline.studies.blind.scores import OWN, TABLES, scores
 from stringcast.pipeline.studies.engine import Study, StudyJob
 
 FAILED = "failed"  # verdict on a bench whose diagnosis raised
+HALF = 0.5  # of the trials: what they name, all should name
 
 
 @dataclass(frozen=True)
 class BlindSettings:
     """benches: how many, from seed `first`. processes: 0 is one for each core. laboratory: who draws them, the virtual
-    lab itself or one of `hardware.virtual.laboratory`. kind: of all of a laboratory's, instead of each seed's own."""
+    lab itself or one of `hardware.virtual.laboratory`. kind: of all of a laboratory's, instead of each seed's own.
+    replicated: each bench is diagnosed with half of its trials as well."""
 
     benches: Annotated[int, Field(ge=1)]
     first: Annotated[int, Field(ge=0)]
     processes: Annotated[int, Field(ge=0)]
     laboratory: Literal["own", "nodal", "pyelastica"] = "own"
     kind: Literal["none", "single", "pair", "triple", "outside"] | None = None
+    replicated: bool = False
 
 
 class Bench(Protocol):
@@ -59,7 +63,8 @@ class OneBench(StudyJob):
     seed: int
     folder: Path
     draw: Callable[[int], Bench]
-    diagnose: Callable[[Path], Mapping[str, Any]]
+    diagnose: Callable[[Path, float], Mapping[str, Any]]
+    replicated: bool = False
 
     @property
     def name(self) -> str:
@@ -72,13 +77,18 @@ class OneBench(StudyJob):
         bench.write(dataset)
         bench.envelope(envelope)
         begun = time.perf_counter()
-        try:
-            said = self.diagnose(dataset)
-        except Exception as error:
-            said = {"verdict": FAILED, "error": f"{type(error).__name__}: {error}"}
+        said = self._said(dataset, 1.0)
         row = {"seed": self.seed, "runtime": time.perf_counter() - begun, "diagnosis": said}
+        if self.replicated:
+            row["half"] = self._said(dataset, HALF)
         truth = json.loads(envelope.read_text(encoding="utf-8"))
         return row | {"truth": truth, "version": truth.get("version", LATEST), "code": code()["commit"]}
+
+    def _said(self, dataset: Path, share: float) -> Mapping[str, Any]:
+        try:
+            return self.diagnose(dataset, share)
+        except Exception as error:
+            return {"verdict": FAILED, "error": f"{type(error).__name__}: {error}"}
 
 
 @dataclass(frozen=True)
@@ -96,7 +106,8 @@ class BlindStudy(Study):
         if asked.laboratory != OWN:
             drawn = partial(laboratory.drawn, asked.laboratory, kind=asked.kind)
         asks = partial(diagnosed, config=experiment.config)
-        return [OneBench(asked.first + number, folder, drawn, asks) for number in range(asked.benches)]
+        seeds = range(asked.first, asked.first + asked.benches)
+        return [OneBench(seed, folder, drawn, asks, asked.replicated) for seed in seeds]
 
     def tables(self, experiment: Experiment, made: Sequence[tuple[Any, Any]]) -> Mapping[str, pd.DataFrame]:
         return scores([row for _, row in made])
@@ -117,14 +128,14 @@ class BlindStudy(Study):
         )
 
 
-def diagnosed(folder: Path, config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The diagnosis.json of a dataset. config: settings of the run, to which the dataset adds its own."""
-    said: Mapping[str, Any] = json.loads(diagnosis(folder, config).finding["diagnosis"].iloc[0])
+def diagnosed(folder: Path, share: float, config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The diagnosis.json of the first trials of a dataset. config: settings of the run, to which it adds its own."""
+    said: Mapping[str, Any] = json.loads(diagnosis(folder, config, share).finding["diagnosis"].iloc[0])
     return said
 
 
-def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
-    """The diagnosis of a dataset with all its tables."""
+def diagnosis(folder: Path, config: Mapping[str, Any], share: float = 1.0) -> Diagnosis:
+    """The diagnosis of the first trials of a dataset, such a share of them, with all its tables."""
     mode = {"_target_": "pipeline.modes.Diagnose", "stage": "diagnose", "read": True, "again": False, "first": []}
     asked = OmegaConf.create({**config, "trials": str(folder), "mode": mode | {"motions": 0}})
     settings = with_inherited_settings(asked, set())
@@ -132,6 +143,6 @@ def diagnosis(folder: Path, config: Mapping[str, Any]) -> Diagnosis:
     data = dataset.fits(dataset.read(folder), here.string.length)
     if not data.trials:
         raise DataError(f"{folder}: no trial can be used.")
-    trials = list(data.trials.values())
+    trials = list(data.trials.values())[: math.ceil(share * len(data.trials))]
     made: Diagnosis = here.stages["diagnose"](here.model, trials, data.rejected, (), (), seed=here.seed)
     return made
