@@ -10,14 +10,14 @@ factor above 1/alpha, whichever trial is left out, where a smooth discrepancy of
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stringcast.stages.common import Progress
+from stringcast.stages.diagnose.linear import Linear
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria
-from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import Discrepancy, marginal
 from stringcast.stages.inference.evidence import Data, Fit, size_density
 from stringcast.stages.inference.solver import LOST
@@ -128,9 +128,8 @@ class _Trials:
     """Trials at the base model's best, with noise and nothing lacking."""
 
     def __init__(self, data: Data, base: Fit, rng: np.random.Generator) -> None:
-        self.data, self.base, self.sizes = data, base, np.zeros(len(data.trials), dtype=int)
-        self.slopes = data.white(base.slopes, self.sizes)
-        self.covariance = np.linalg.inv(self.slopes @ self.slopes.T + PRIOR * np.eye(len(self.slopes)))
+        self.data, self.base = data, replace(base, sizes=np.zeros(len(data.trials), dtype=int))
+        self.linear = Linear(data, self.base)
         self.noise = [_noise(each, rng) for each in data.discrepancies]
 
     def acting(self, effect: type[Effect]) -> Iterator[_Acting]:
@@ -140,20 +139,18 @@ class _Trials:
         for place, parameter in zip(hypothesis.places(effect, components(effect)), components(effect), strict=True):
             chi = np.repeat(start[None], len(SHARES), axis=0)
             chi[:, place] += SHARES * ((0.0 if start[place] > 0.5 else 1.0) - start[place])
-            raw = self.data.residuals(hypothesis.model, chi)
-            good = np.logical_and.accumulate(~np.any([(each == LOST).any(axis=1) for each in raw], axis=0))
-            moved = [(each - own)[good] for each, own in zip(raw, self.base.residuals, strict=True)]
+            responses = self.linear.responses(hypothesis, chi)
+            good = np.logical_and.accumulate((responses[0] != LOST).all(axis=1))
+            moved = [each[good] for each in responses]
             tip = self.data.tip_sizes(moved)
             if len(tip) and tip[-1] > NOTHING:
                 yield _Acting(effect, parameter, start[place], chi[good, place], tip, *self._beyond(moved))
 
     def _beyond(self, moved: Sequence[np.ndarray]) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
         """What the string's parameters leave of displacements, the same white, and the share that they do not."""
-        white = self.data.white(moved, self.sizes)
-        step = -(white @ self.slopes.T) @ self.covariance
-        left = white + step @ self.slopes
+        step, left = self.linear.steps(moved)
         parts = [each + step @ slope for each, slope in zip(moved, self.base.slopes, strict=True)]
-        whole = np.maximum(np.sum(white**2, axis=1), NOTHING**2)
+        whole = np.maximum(np.sum(self.data.white(moved, self.base.sizes) ** 2, axis=1), NOTHING**2)
         return parts, left, 1.0 - np.minimum(np.sum(left**2, axis=1) / whole, 1.0)
 
     def evidence(self, own: _Acting, siblings: Sequence[_Acting]) -> np.ndarray:

@@ -87,7 +87,7 @@ def settled(
                 break
         if other is None:
             break
-        found = replace(found, fit=other).at_its_end
+        found = found.instead(other)
     else:
         small = responses(found.prepared.data, found.fit, effects)
     return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)

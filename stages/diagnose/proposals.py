@@ -13,12 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from stringcast.stages.diagnose.linear import Linear
 from stringcast.stages.diagnose.places import APART, touching, varied_parameters
-from stringcast.stages.inference.covariance import PRIOR
-from stringcast.stages.inference.discrepancy import marginal
 from stringcast.stages.inference.evidence import WIDTHS, Data, Fit, Hypothesis
 from stringcast.stages.inference.forward import Case
-from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, components, position_dependent
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model
@@ -70,7 +68,7 @@ def candidates(
 
 def proposals(data: Data, parent: Fit, effects: Sequence[type[Effect]], seed: int) -> list[Proposal]:
     """Of each effect beside those at work, the most promising first; none of what can act nowhere in these trials."""
-    linear = _Linear(data, parent)
+    linear = Linear(data, parent)
     found = [_placed(linear, e, seed) if position_dependent(e) else _anywhere(linear, e, seed) for e in effects]
     return sorted((each for each in found if each is not None), key=lambda each: -each.gain)
 
@@ -78,63 +76,14 @@ def proposals(data: Data, parent: Fit, effects: Sequence[type[Effect]], seed: in
 def elsewhere(data: Data, fit: Fit) -> np.ndarray:
     """Exponents (C, P) at which a parameter of a cause has another value, where that promises more: the most promising
     first. What says when or where leaves ridges and plains, on which a search by slopes ends."""
-    linear, hypothesis = _Linear(data, fit), fit.hypothesis
+    linear, hypothesis = Linear(data, fit), fit.hypothesis
     places = [place for cause in hypothesis.causes for place in hypothesis.places(cause, cause.parameters)]
-    found = [(np.zeros((0, len(fit.chi))), np.zeros(0)), *(linear.elsewhere(place) for place in places)]
+    found = [(np.zeros((0, len(fit.chi))), np.zeros(0)), *(linear.elsewhere(place, VALUES) for place in places)]
     chi, gain = (np.concatenate(each) for each in zip(*found, strict=True))
     return np.asarray(chi[np.argsort(-gain, kind="stable")][: int((gain > 0).sum())][:STARTS])
 
 
-class _Linear:
-    """Data about a fit, to first order."""
-
-    def __init__(self, data: Data, parent: Fit) -> None:
-        self.data, self.parent = data.of(parent.hypothesis), parent
-        self.slopes = self.data.white(parent.slopes, parent.sizes)
-        self.residual = self.data.white([r[None] for r in parent.residuals], parent.sizes)[0]
-        self.covariance = np.linalg.inv(self.slopes @ self.slopes.T + PRIOR * np.eye(len(parent.chi)))
-
-    def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> list[np.ndarray]:
-        """What exponents (C, P) change in each trial, (C, 2 n); LOST where they cannot be simulated."""
-        raw = self.data.residuals(hypothesis.model, chi)
-        lost = np.any([(each == LOST).any(axis=1) for each in raw], axis=0)
-        pairs = zip(raw, self.parent.residuals, strict=True)
-        return [np.where(lost[:, None], LOST, each - own) for each, own in pairs]
-
-    def steps(self, responses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """What the fitted parameters do about responses, (C, P), and what is left of these, white, (C, N)."""
-        white = self.data.white(responses, self.parent.sizes)
-        step = -(white @ self.slopes.T) @ self.covariance
-        return step, white + step @ self.slopes
-
-    def elsewhere(self, place: int) -> tuple[np.ndarray, np.ndarray]:
-        """Exponents (C, P) with one at other values of its range, and the others as they suit that, to first order;
-        with the gain of the log-likelihood, (C,)."""
-        parent = self.parent
-        chi = np.repeat(parent.chi[None], len(VALUES), axis=0)
-        chi[:, place] = VALUES
-        responses = self.responses(parent.hypothesis, chi)
-        step, held = self.steps(responses)[0], self.covariance[place]
-        step = step - step[:, [place]] * held / held[place]  # the least with that one held
-        return np.clip(chi + step, 0.0, 1.0), self.gains(responses, step, np.ones(len(chi)))
-
-    def early_gains(self, responses: Sequence[np.ndarray], ends: np.ndarray) -> np.ndarray:
-        """Of half the sum of squares by responses until a time in each trial [s], (K,); (C,)."""
-        gain = np.zeros(len(responses[0]))
-        for trial, own, each, end in zip(self.data.trials, self.parent.residuals, responses, ends, strict=True):
-            seen = np.repeat(trial.times[trial.frame] <= end, 2)
-            gain += 0.5 * (np.sum(own[seen] ** 2) - np.sum((own + each)[:, seen] ** 2, axis=1))
-        return gain
-
-    def gains(self, responses: Sequence[np.ndarray], step: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """Of the log-likelihood by so many times (C,) a response and what is done about it, (C,)."""
-        told = zip(self.parent.residuals, responses, self.parent.slopes, strict=True)
-        moved = [own + times[:, None] * (each + step @ slope) for own, each, slope in told]
-        gain = (marginal(self.data.log_likelihoods(moved)) - self.parent.by_trial[:, None]).sum(axis=0)
-        return np.where((responses[0] == LOST).any(axis=1), -np.inf, gain)
-
-
-def _anywhere(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | None:
+def _anywhere(linear: Linear, effect: type[Effect], seed: int) -> Proposal | None:
     """Of an effect that acts wherever the string is: at several sizes to both sides, at any time."""
     hypothesis = linear.parent.hypothesis.joined(effect)
     start = hypothesis.carried(linear.parent.named)
@@ -157,7 +106,7 @@ def _anywhere(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | No
     return Proposal(hypothesis, np.clip(starts, 0.0, 1.0), float(gain[order[0]]), beyond[order[0]])
 
 
-def _probes(linear: _Linear, hypothesis: Hypothesis, effect: type[Effect], seed: int) -> np.ndarray:
+def _probes(linear: Linear, hypothesis: Hypothesis, effect: type[Effect], seed: int) -> np.ndarray:
     """Exponents (C, P) at which an effect is tried: such that it moves the tip as far as causes may well do."""
     start = hypothesis.carried(linear.parent.named)
     own, size = hypothesis.places(effect, varied_parameters(effect)), hypothesis.places(effect, components(effect))
@@ -179,7 +128,7 @@ def _probes(linear: _Linear, hypothesis: Hypothesis, effect: type[Effect], seed:
     return np.unique(np.concatenate(found), axis=0)
 
 
-def _placed(linear: _Linear, effect: type[Effect], seed: int) -> Proposal | None:
+def _placed(linear: Linear, effect: type[Effect], seed: int) -> Proposal | None:
     """Of an effect that depends on place: where it touches the string when that departs, ever closer about the places
     that explain most until shortly after. What happens later depends on everything; the parameters stay as they are."""
     hypothesis, rng = linear.parent.hypothesis.joined(effect), np.random.default_rng(seed)

@@ -84,10 +84,9 @@ class Found:
     fit: Fit
     path: Sequence[Step] = ()
 
-    @property
-    def at_its_end(self) -> Found:
-        """With the fit, and numerical error as it is there."""
-        return Found(*polished(self.prepared, self.fit), self.path)
+    def instead(self, fit: Fit) -> Found:
+        """With another fit, gone to its end."""
+        return Found(*polished(self.prepared, fit), self.path)
 
     @cached_property
     def predictions(self) -> list[Prediction]:
@@ -131,7 +130,7 @@ def pruned(found: Found, criteria: Criteria) -> Found:
         log.info("without %s trials left out are %s likelier", cause.name, np.round(-gains, 1))
         if gains[[trial.name not in chaotic for trial in data.trials]].sum() <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
-            found = less.at_its_end
+            found = found.instead(less.fit)
     return found
 
 
@@ -291,7 +290,7 @@ def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generato
         less = refitted(joined.prepared.data, joined.fit, joined.fit.hypothesis.without(cause))
         if less.evidence > joined.fit.evidence - criteria.enough:
             log.info("%s leaves: it is not needed", cause.name)
-            joined = replace(joined, fit=less).at_its_end
+            joined = joined.instead(less)
     return joined
 
 
