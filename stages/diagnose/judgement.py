@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from stringcast.stages.diagnose.prepared import MOST, ROUNDS
 from stringcast.stages.diagnose.single_effects import (
     Criteria,
     Found,
@@ -19,7 +20,7 @@ from stringcast.stages.diagnose.single_effects import (
     unexplained,
 )
 from stringcast.stages.diagnose.small_effects import gains, responses
-from stringcast.stages.inference.evidence import DRAWS, Data, Fit, Hypothesis, evaluated, tip_draws
+from stringcast.stages.inference.evidence import DRAWS, Data, Fit, Hypothesis, evaluated, fitted, tip_draws
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"
@@ -72,9 +73,9 @@ class Judgement:
 def settled(
     found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
 ) -> tuple[Found, Judgement]:
-    """Where each cause is the likeliest in its place, every effect a little wrong, and what is said there: look-alikes
-    may have entered for one another. After so many changes as there are causes, the last is not asked anew.
-    too_few_points: the configured mesh alone puts the tip elsewhere."""
+    """Where no cause is beyond doubt another's look-alike, every effect a little wrong, and what is said there. After so
+    many changes as there are causes, the last is not asked anew. too_few_points: the configured mesh alone puts the
+    tip elsewhere."""
     for changes in range(len(found.fit.hypothesis.causes), -1, -1):
         small, slots, other = responses(found.prepared.data, found.fit, effects), list[Slot](), None
         names = found.fit.hypothesis.names
@@ -88,9 +89,22 @@ def settled(
         if other is None:
             break
         found = found.instead(other)
-    else:
-        small = responses(found.prepared.data, found.fit, effects)
+    found = _with_likeliest(found, slots[::-1])
+    small = responses(found.prepared.data, found.fit, effects)
     return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
+
+
+def _with_likeliest(found: Found, slots: Sequence[Slot]) -> Found:
+    """With what is likeliest in the place of each cause, if that is more evident together than what entered."""
+    fits = [slot.fits.get(slot.credible(0.0)[0]) for slot in slots]
+    likeliest = {fit.hypothesis.causes[-1]: fit for fit in fits if fit is not None}
+    causes, data = found.fit.hypothesis.causes, found.prepared.data
+    if len(likeliest) != len(causes) or likeliest.keys() == {*causes}:
+        return found
+    known = {name: chi for fit in (found.fit, *likeliest.values()) for name, chi in fit.named.items()}
+    together = Hypothesis(found.fit.hypothesis.base, tuple(likeliest))
+    fit = fitted(data, together, together.carried(known)[None], found.fit.sizes, ROUNDS, MOST)
+    return max(found, found.instead(fit), key=lambda each: each.fit.evidence)
 
 
 def judged(
