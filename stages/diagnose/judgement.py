@@ -73,8 +73,8 @@ class Judgement:
 def settled(
     found: Found, effects: Sequence[type[Effect]], criteria: Criteria, too_few_points: bool, seed: int
 ) -> tuple[Found, Judgement]:
-    """Where no cause is beyond doubt another's look-alike, every effect a little wrong, and what is said there. After so
-    many changes as there are causes, the last is not asked anew. too_few_points: the configured mesh alone puts the
+    """Where no cause is another's look-alike beyond doubt, every effect a little wrong, and what is said there. After
+    so many changes as there are causes, the last is not asked anew. too_few_points: the configured mesh alone puts the
     tip elsewhere."""
     for changes in range(len(found.fit.hypothesis.causes), -1, -1):
         small, slots, other = responses(found.prepared.data, found.fit, effects), list[Slot](), None

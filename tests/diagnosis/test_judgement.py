@@ -171,6 +171,35 @@ def test_a_cause_enters_by_which_each_trial_foretells_the_others(foretold, enter
     assert single_effects.enters(SimpleNamespace(trials=range(2)), step, CRITERIA) is enters
 
 
+@pytest.mark.parametrize(
+    ("chances", "evidence", "stands"),
+    [
+        (({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1}), 5.0, ("set", "softening")),
+        (({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1}), -5.0, ("tilt", "play")),
+        (({"set": 0.3, "tilt": 0.7}, {"softening": 0.9, "play": 0.1}), 5.0, ("tilt", "softening")),
+        (({"set": 0.3, "tilt": 0.7}, {"softening": 0.1, "play": 0.9}), 5.0, ("tilt", "play")),
+        (({"play": 0.6, "tilt": 0.4}, {"softening": 0.1, "play": 0.9}), 5.0, ("tilt", "play")),  # one cannot be in both
+        (({"": 0.6, "tilt": 0.4}, {"softening": 0.9, "play": 0.1}), 5.0, ("tilt", "play")),
+    ],
+)
+def test_what_is_likeliest_in_each_place_stands_if_it_is_more_evident_together(chances, evidence, stands, monkeypatch):
+    """Beside a tilt and a play of no evidence."""
+
+    def fit(*causes, evidence=0.0):
+        hypothesis = SimpleNamespace(base=None, causes=causes, carried=lambda known: np.zeros(1))
+        return SimpleNamespace(hypothesis=hypothesis, named={}, sizes=None, evidence=evidence)
+
+    def fitted(data, hypothesis, *given):
+        return fit(*hypothesis.causes, evidence=evidence)
+
+    monkeypatch.setattr(judgement, "Hypothesis", lambda base, causes: fit(*causes).hypothesis)
+    monkeypatch.setattr(judgement, "fitted", fitted)
+    monkeypatch.setattr(single_effects, "polished", lambda prepared, fit: (prepared, fit))
+    slots = [judgement.Slot(own, {name: fit("beside", name) for name in own if name}, fit()) for own in chances]
+    found = Found(SimpleNamespace(data=None), fit("tilt", "play"))
+    assert judgement._with_likeliest(found, slots).fit.hypothesis.causes == stands
+
+
 @pytest.mark.parametrize(("doubt", "left"), [(2.9, ("wind",)), (0.1, ())])
 def test_a_chaotic_trial_has_no_say_in_which_causes_leave(doubt, left, monkeypatch):
     """A hardening string was foretold 150 mm off in one of five trials, in which its numerical error is in doubt by so
