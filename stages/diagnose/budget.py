@@ -43,8 +43,8 @@ def budgeted(found: Found, base: Fit, rng: np.random.Generator) -> Budget:
     noise = min(noise, left - numerical)
     names, full = found.fit.hypothesis.names, fits[-1]
     lost = [full.evidence - refitted(data, full, full.hypothesis.without(c)).evidence for c in full.hypothesis.causes]
-    shares = -np.diff(squares)
-    entries = [Entry(n, float(np.sqrt(max(s, 0.0))), e) for n, s, e in zip(names, shares, lost, strict=True)]
+    shares = squares[:-1] - squares[1:]  # of what explains nothing 0, not -0
+    entries = [Entry(n, float(np.sqrt(s)), e) for n, s, e in zip(names, shares, lost, strict=True)]
     rest = [("numerical error", numerical), ("noise", noise), ("unexplained", left - numerical - noise)]
     entries += [Entry(name, float(np.sqrt(max(square, 0.0)))) for name, square in rest]
     drawn = np.sqrt(np.mean(tip_draws(data, full, rng) ** 2, axis=0))
