@@ -159,7 +159,7 @@ def _searched(
         rng = np.random.default_rng(seed)
         ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress, trusted)
         effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
-        for number, found in enumerate(searched(ready, effects, criteria, seed, starts)):
+        for number, found in enumerate(searched(ready, effects, criteria, seed, starts), 1):
             progress(0.3 + 0.5 * number / (criteria.causes + 1))
             if told := _told_with_causes(found, given):
                 break

@@ -150,7 +150,7 @@ class _Trials:
         """What the string's parameters leave of displacements, the same white, and the share that they do not."""
         step, left = self.linear.steps(moved)
         parts = [each + step @ slope for each, slope in zip(moved, self.base.slopes, strict=True)]
-        whole = np.maximum(np.sum(self.data.white(moved, self.base.sizes) ** 2, axis=1), NOTHING**2)
+        whole = np.maximum(np.sum((left - step @ self.linear.slopes) ** 2, axis=1), NOTHING**2)
         return parts, left, 1.0 - np.minimum(np.sum(left**2, axis=1) / whole, 1.0)
 
     def evidence(self, own: _Acting, siblings: Sequence[_Acting]) -> np.ndarray:

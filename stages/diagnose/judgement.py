@@ -89,9 +89,10 @@ def settled(
         if other is None:
             break
         found = found.instead(other)
-    found = _with_likeliest(found, slots[::-1])
-    small = responses(found.prepared.data, found.fit, effects)
-    return found, judged(found, small, slots[::-1], criteria, too_few_points, seed)
+    end = _with_likeliest(found, slots[::-1])
+    if other is not None or end is not found:
+        small = responses(end.prepared.data, end.fit, effects)
+    return end, judged(end, small, slots[::-1], criteria, too_few_points, seed)
 
 
 def _with_likeliest(found: Found, slots: Sequence[Slot]) -> Found:

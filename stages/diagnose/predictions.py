@@ -61,8 +61,8 @@ def held_out_table(
 ) -> pd.DataFrame:
     """Table HELD_OUT. known: the extended model fitted to all that causes were chosen from."""
     rows = []
-    for number, (plain, more) in enumerate(zip(base, extended, strict=True)):
-        trial, rise = data.trials[number], more.log_likelihood - plain.log_likelihood
+    for number, (plain, more, rise) in enumerate(zip(base, extended, rises(base, extended), strict=True)):
+        trial = data.trials[number]
         row: dict[str, object] = {"trial": trial.name, "log_likelihood_difference": rise}
         row["noise_floor"] = float(np.sqrt(2 * np.mean(trial.sigma**2)))
         for name, one in (("base", plain), ("extended", more)):

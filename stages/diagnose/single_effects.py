@@ -197,9 +197,11 @@ def enters(data: Data, step: Step, criteria: Criteria) -> bool:
         return bool(parts[touched[0]] > criteria.least_share)
     if len(data.trials) == 1:  # which nothing could confirm: it is only said what would be asked of more trials
         return True
-    if least_gain(step.parent, best) > criteria.enough or _gain_anew(data, step) > criteria.enough:
-        return True
-    return _gain_foretold(data, step) > criteria.enough
+    return (
+        least_gain(step.parent, best) > criteria.enough
+        or _gain_anew(data, step) > criteria.enough
+        or _gain_foretold(data, step) > criteria.enough
+    )
 
 
 def least_gain(parent: Fit, fit: Fit) -> float:

@@ -39,7 +39,7 @@ def verdict(config, tmp_path):
     def of(bench):
         bench.write(tmp_path / "data")
         bench.envelope(tmp_path / "envelope.json")
-        said = diagnosed(tmp_path / "data", 1.0, config)
+        said = diagnosed(tmp_path / "data", config)
         return said, json.loads((tmp_path / "envelope.json").read_text())
 
     return of

@@ -265,7 +265,6 @@ def _bin(p: np.ndarray) -> np.ndarray:
     return np.clip(np.digitize(p, BINS) - 1, 0, len(BINS) - 2)
 
 
-KINDS = ("effect", "resolution", *SEVERAL, "none", "outside")
 Chosen = Callable[[pd.DataFrame], pd.Series]
 # What is counted, of which benches, what of them, and the goal: at least, at most.
 COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
@@ -279,5 +278,11 @@ COUNTED: tuple[tuple[str, tuple[str, ...], Chosen, float, float], ...] = (
     ("false alarm", ("none",), lambda b: ~b["correct"], np.nan, 0.02),
     ("outside called unknown", ("outside",), lambda b: b["correct"], 0.90, np.nan),
     ("outside named above 0.5", ("outside",), lambda b: b["named_above_half"], np.nan, 0.0),
-    ("named with half, lost with all", KINDS, lambda b: b.loc[b["half"] != "", "lost"] > 0, np.nan, 0.05),
+    (
+        "named with half, lost with all",
+        ("effect", "resolution", *SEVERAL, "none", "outside"),
+        lambda b: b.loc[b["half"] != "", "lost"] > 0,
+        np.nan,
+        0.05,
+    ),
 )

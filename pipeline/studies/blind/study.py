@@ -63,7 +63,7 @@ class OneBench(StudyJob):
     seed: int
     folder: Path
     draw: Callable[[int], Bench]
-    diagnose: Callable[[Path, float], Mapping[str, Any]]
+    diagnose: Callable[..., Mapping[str, Any]]
     replicated: bool = False
 
     @property
@@ -86,7 +86,7 @@ class OneBench(StudyJob):
 
     def _said(self, dataset: Path, share: float) -> Mapping[str, Any]:
         try:
-            return self.diagnose(dataset, share)
+            return self.diagnose(dataset, share=share)
         except Exception as error:
             return {"verdict": FAILED, "error": f"{type(error).__name__}: {error}"}
 
@@ -128,8 +128,9 @@ class BlindStudy(Study):
         )
 
 
-def diagnosed(folder: Path, share: float, config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The diagnosis.json of the first trials of a dataset. config: settings of the run, to which it adds its own."""
+def diagnosed(folder: Path, config: Mapping[str, Any], share: float = 1.0) -> Mapping[str, Any]:
+    """The diagnosis.json of the first trials of a dataset, such a share of them. config: settings of the run, to which
+    the dataset adds its own."""
     said: Mapping[str, Any] = json.loads(diagnosis(folder, config, share).finding["diagnosis"].iloc[0])
     return said
 
