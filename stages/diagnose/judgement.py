@@ -125,23 +125,31 @@ def judged(
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
-    share = removed(unexplained(data, base), unexplained(data, fit), criteria.tolerance)
-    if not fit.hypothesis.causes or share < (criteria.explained if verdict == "unknown" else criteria.least_share):
+    left, without = unexplained(data, fit), (base, *(slot.less for slot in slots))
+    together, *each = (removed(unexplained(data, less), left, criteria.tolerance) for less in without)
+    enough = together >= criteria.least_share
+    if verdict == "unknown":  # a large cause shall not carry what stands in for one that nobody knows
+        enough = together >= criteria.explained and min(together, *each) >= criteria.least_share
+    if not fit.hypothesis.causes or not enough:
         if verdict == "none" and too_few_points:
             return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion={**inclusion, RESOLUTION: 1.0})
-        return replace(unnamed, sentence=_nearest(fit, share) if verdict == "unknown" else "")
+        said = _nearest(fit, together, dict(zip(fit.hypothesis.names, each, strict=False)))
+        return replace(unnamed, sentence=said if verdict == "unknown" else "")
     groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
     causes = tuple(dict.fromkeys(name for slot in slots for name in _group(slot, criteria)))
     return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
 
 
-def _nearest(fit: Fit, share: float) -> str:
-    """What comes nearest to an explanation, if anything does. share: of what is lacking without it, that it removes."""
-    if not fit.hypothesis.causes or share < 0:
+def _nearest(fit: Fit, together: float, each: Mapping[str, float]) -> str:
+    """What comes nearest to an explanation, if anything does. together, each: shares that the causes remove of what is
+    lacking without them all, and without one."""
+    if not fit.hypothesis.causes or together < 0:
         return ""
-    return (
-        f"What comes nearest, {' with '.join(fit.hypothesis.names)}, removes {100 * share:.0f} % of it in mean square."
-    )
+    said = f"What comes nearest, {' with '.join(each)}, removes {100 * together:.0f} % of it in mean square"
+    least = min(each, key=lambda name: each[name])
+    if len(each) > 1:
+        said += f", {least} {100 * max(each[least], 0):.0f} % of what is lacking without it"
+    return f"{said}."
 
 
 def left_over(data: Data, fit: Fit, criteria: Criteria, rng: np.random.Generator) -> float:

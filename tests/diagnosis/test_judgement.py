@@ -302,3 +302,29 @@ def test_what_leaves_more_than_is_tolerated_is_named_only_if_it_explains_nearly_
     made = judgement.judged(found, [], [Slot({"a": 1.0}, {"a": full}, plain)], CRITERIA, False, 0)
     assert (made.verdict, made.causes) == (verdict, ("a",) if verdict == "effect" else ())
     assert made.sentence == ("" if verdict == "effect" else "What comes nearest, a, removes 83 % of it in mean square.")
+
+
+@pytest.mark.parametrize(
+    ("without", "left", "verdict"),
+    [
+        ((20.0, 20.0), (5.0, 5.0), "effect"),
+        ((20.0, 20.0), (16.0, 16.0), "unknown"),  # with the large one 97 % of all, and 36 % of what that leaves
+        ((2.1, 2.2), (1.9, 1.9), "effect"),  # no more than tolerated
+    ],
+)
+def test_a_large_cause_does_not_carry_one_that_explains_little_where_much_is_left(without, left, verdict, monkeypatch):
+    plain, first, both = (
+        SimpleNamespace(hypothesis=SimpleNamespace(causes=c, names=c, base=None), lost=False)
+        for c in ((), ("large",), ("large", "small"))
+    )
+    other = SimpleNamespace(lost=False)
+    lacking = {id(plain): (90.0, 90.0), id(first): without, id(other): (80.0, 80.0), id(both): left}
+    monkeypatch.setattr(judgement, "unexplained", lambda data, fit: np.array(lacking[id(fit)]) / 1e3)
+    monkeypatch.setattr(judgement, "tip_draws", lambda data, fit, rng: np.array(lacking[id(fit)])[:, None] / 1e3)
+    monkeypatch.setattr(judgement, "refitted", lambda data, fit, hypothesis: plain)
+    found = Found(SimpleNamespace(data=None, base=plain), both)
+    slots = [Slot({"large": 1.0}, {"large": both}, other), Slot({"small": 1.0}, {"small": both}, first)]
+    made = judgement.judged(found, [], slots, CRITERIA, False, 0)
+    assert made.verdict == verdict
+    said = "What comes nearest, large with small, removes 97 % of it in mean square, small 36 % of what is lacking"
+    assert made.sentence == (f"{said} without it." if verdict == "unknown" else "")
