@@ -15,7 +15,7 @@ from stringcast.stages.diagnose.varying import varying
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed, tracked_noise
-from stringcast.stages.inference.evidence import Data, Finer, Fit, Hypothesis, evaluated, fitted, lacked
+from stringcast.stages.inference.evidence import Data, Finer, Fit, Hypothesis, at_best, evaluated, fitted, lacked
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import as_first_told, modes
 from stringcast.stages.inference.likelihood import Likelihood
@@ -158,7 +158,7 @@ def nearer(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
         return here, fitted(here.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
     stays = evaluated(here.data, fit.hypothesis, fit.chi)
     finer = _finer(here, stays)
-    chi = fitted(replace(here.data, finer=finer), fit.hypothesis, fit.chi[None], stays.sizes, ROUNDS, MOST).chi
+    chi = at_best(replace(here.data, finer=finer), fit.hypothesis, fit.chi[None], stays.sizes, ROUNDS, MOST)
     there = here.at(replace(stays, chi=chi))
     there = replace(there, data=replace(there.data, finer=replace(finer, chi=chi)))
     moved = evaluated(there.data, fit.hypothesis, chi)

@@ -33,6 +33,7 @@ DRAWS = 400  # of what may be lacking: a probability is told to 0.025
 TIP = 1e-3  # [m] points so near to the outermost are the tip
 ABSENT = 1e-9  # of a range: nearer than that is not there
 NEAR = 0.05  # of a range: farther off, slopes do not tell what a finer mesh changes
+LATELY = 64  # candidates whose residuals are kept: those of some iterations
 
 
 @dataclass(frozen=True)
@@ -137,13 +138,24 @@ class Data:
 
     def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
         """Simulated less measured over sigma of each trial, (C, 2 n), for exponents (C, P); LOST where a run was
-        rejected."""
-        values = values_of(model.parameters, chi)
-        found = [np.nan_to_num(each, nan=LOST) for each in away(model, self.trials, values)]
-        if self.finer is None:
-            return found
-        pairs = zip(found, self.finer.beside(model.names, chi), strict=True)
-        return [np.where(each == LOST, LOST, each + more) for each, more in pairs]
+        rejected. One candidate alone is not simulated again if it was lately: a fit ends where another begins."""
+        keys = [(id(model), one.tobytes()) for one in chi]
+        if len(chi) == 1 and keys[0] in self._lately:
+            return list(self._lately[keys[0]][1])
+        found = [np.nan_to_num(each, nan=LOST) for each in away(model, self.trials, values_of(model.parameters, chi))]
+        if self.finer is not None:
+            pairs = zip(found, self.finer.beside(model.names, chi), strict=True)
+            found = [np.where(each == LOST, LOST, each + more) for each, more in pairs]
+        for key, *rows in zip(keys, *found, strict=True):
+            self._lately[key] = model, [row[None].copy() for row in rows]
+        while len(self._lately) > LATELY:
+            self._lately.pop(next(iter(self._lately)))
+        return found
+
+    @cached_property
+    def _lately(self) -> dict[tuple[int, bytes], tuple[Model, list[np.ndarray]]]:
+        """By the model, which is kept so that no other has its id, and the exponents."""
+        return {}
 
     def coefficients(self, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
         """(C, 2 M) of each trial's residuals (C, 2 n)."""
@@ -282,6 +294,19 @@ def fitted(
 
     rounds: turns at most. most: iterations of each, until one gains less than `enough` of the log-likelihood.
     """
+    return evaluated(data, hypothesis, at_best(data, hypothesis, starts, sizes, rounds, most, enough))
+
+
+def at_best(
+    data: Data,
+    hypothesis: Hypothesis,
+    starts: np.ndarray,
+    sizes: np.ndarray,
+    rounds: int,
+    most: int,
+    enough: float = solver.ENOUGH,
+) -> np.ndarray:
+    """Exponents (P,) of `fitted`."""
     data = data.of(hypothesis)
     first = solver.fitted(Problem(data, hypothesis, sizes), starts, FEW, enough)
     told = data.log_likelihoods(data.residuals(hypothesis.model, first.chi))
@@ -293,7 +318,7 @@ def fitted(
         if (new == sizes).all():
             break
         sizes = new
-    return evaluated(data, hypothesis, chi)
+    return np.asarray(chi)
 
 
 def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
@@ -302,9 +327,11 @@ def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
     raw = [each[0] for each in data.residuals(hypothesis.model, chi[None])]
     told = data.log_likelihoods([each[None] for each in raw])[:, 0]
     sizes, by_trial = likeliest(told), marginal(told)
-    slopes = _slopes(data, hypothesis, chi, raw, sizes)
+    absent = _absent(hypothesis, chi)
+    slopes, without = _slopes(data, hypothesis, chi, raw, sizes, np.array([*absent.values()]).reshape(-1, len(chi)))
     white = data.white(slopes, sizes)
-    prior, bounded = _prior(data, hypothesis, chi, raw, slopes)
+    moved = [r - w for r, w in zip(raw, without, strict=True)]
+    prior, bounded = _prior(data, hypothesis, chi, absent, moved, slopes)
     normal = white @ white.T + np.diag(bounded)
     occam = 0.5 * (len(chi) * np.log(2 * np.pi) - np.linalg.slogdet(normal)[1])
     evidence = float(by_trial.sum() + prior + occam)
@@ -336,39 +363,48 @@ def tip_draws(data: Data, fit: Fit, rng: np.random.Generator) -> np.ndarray:
 
 
 def _slopes(
-    data: Data, hypothesis: Hypothesis, chi: np.ndarray, raw: Sequence[np.ndarray], sizes: np.ndarray
-) -> list[np.ndarray]:
-    """Slopes (P, 2 n) of each trial's residuals (2 n,): forward differences as wide as the solver's."""
+    data: Data, hypothesis: Hypothesis, chi: np.ndarray, raw: Sequence[np.ndarray], sizes: np.ndarray, more: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Slopes (P, 2 n) of each trial's residuals (2 n,): forward differences as wide as the solver's. Beside them
+    residuals at more exponents (A, P), (A, 2 n): lanes of a batch cost next to nothing."""
     width = np.full(len(chi), solver.FIRST)
     for _ in range(2):  # the first differences say how wide the second should be
         offset = np.where(chi > 0.5, -width, width)
-        beside = data.residuals(hypothesis.model, chi + np.diag(offset))
-        pairs = list(zip(beside, raw, strict=True))
+        found = data.residuals(hypothesis.model, np.concatenate([chi + np.diag(offset), more]))
+        beside, others = zip(*((each[: len(chi)], each[len(chi) :]) for each in found), strict=True)
+        pairs = zip(beside, raw, strict=True)
         slopes = [np.where((b == LOST) | (r == LOST), 0.0, b - r) / offset[:, None] for b, r in pairs]
         width = solver.suited(data.white(slopes, sizes)[None], np.ones(1))[0]
-    return slopes
+    return slopes, list(others)
+
+
+def _absent(hypothesis: Hypothesis, chi: np.ndarray) -> dict[int, np.ndarray]:
+    """Exponents (P,) with one size of a cause as where it is absent, by its place."""
+    found = {}
+    for cause in hypothesis.causes:
+        for place, size in zip(hypothesis.places(cause, components(cause)), components(cause), strict=True):
+            found[place] = np.where(np.arange(len(chi)) == place, float(size.chi(np.asarray(size.start))), chi)
+    return found
 
 
 def _prior(
-    data: Data, hypothesis: Hypothesis, chi: np.ndarray, raw: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
+    data: Data,
+    hypothesis: Hypothesis,
+    chi: np.ndarray,
+    absent: Mapping[int, np.ndarray],
+    moved: Sequence[np.ndarray],
+    slopes: Sequence[np.ndarray],
 ) -> tuple[float, np.ndarray]:
     """Log density of the causes' sizes at exponents (P,), and the curvature (P,) that stands for the ranges of all
-    other parameters."""
-    total, bounded = 0.0, np.full(len(chi), PRIOR)
-    for cause in hypothesis.causes:
-        for place, size in zip(hypothesis.places(cause, components(cause)), components(cause), strict=True):
-            bounded[place] = ABSENT
-            absent = chi.copy()
-            absent[place] = float(size.chi(np.asarray(size.start)))
-            away = abs(float(chi[place] - absent[place]))
-            moved = [slope[place] for slope in slopes]
-            if away > ABSENT:
-                moved = [r - o[0] for r, o in zip(raw, data.residuals(hypothesis.model, absent[None]), strict=True)]
-            (moves,) = data.tip_sizes([each[None] for each in moved]).tolist()
-            rise = moves / away if away > ABSENT else moves
-            two_sided = size.low < size.start < size.high
-            density = size_density(np.asarray(moves if away > ABSENT else 0.0), two_sided) * rise
-            total += float(np.log(max(density, np.finfo(float).tiny)))
+    other parameters. moved: what each is without it of each trial, (A, 2 n)."""
+    total, bounded, places = 0.0, np.full(len(chi), PRIOR), [*absent]
+    bounded[places] = ABSENT
+    by_slope = data.tip_sizes([slope[places] for slope in slopes])
+    for place, moves, rise in zip(places, data.tip_sizes(moved), by_slope, strict=True):
+        size, away = hypothesis.parameters[place], abs(chi[place] - absent[place][place])
+        there, per_chi = (moves, moves / away) if away > ABSENT else (0.0, rise)
+        density = size_density(np.asarray(there), size.low < size.start < size.high) * per_chi
+        total += float(np.log(max(density, np.finfo(float).tiny)))
     return total, bounded
 
 
