@@ -47,6 +47,12 @@ class Proposal:
         """The cause."""
         return self.hypothesis.causes[-1]
 
+    def like(self, other: Proposal) -> float:
+        """Cosine between what both do that the fitted parameters cannot: its square is the share of what one explains
+        that the other could, to first order."""
+        size = float(np.linalg.norm(self.direction) * np.linalg.norm(other.direction))
+        return abs(float(self.direction @ other.direction)) / max(size, np.finfo(float).tiny)
+
 
 def candidates(
     base: Model, library: Mapping[str, type[Effect]], trials: Sequence[Case], without: Sequence[str] = ()

@@ -142,20 +142,31 @@ def compared(
     seed: int,
     at_its_end: Fit | None = None,
 ) -> Step:
-    """Every effect beside those of a fit, the promising ones fitted; all of them where something is to be explained and
-    none of these does. Those that come near to the most evident are fitted to the end: little tells look-alikes.
-    at_its_end: the fit of one of them, where that is known."""
+    """Every effect beside those of a fit, the promising ones fitted, and those like the best of them; all of them where
+    something is to be explained and none of these does. Those that come near to the most evident are fitted to the end:
+    little tells look-alikes. at_its_end: the fit of one of them, where that is known."""
     data, known = prepared.data, [] if at_its_end is None else [at_its_end]
-    free = [e for e in effects if not any(e in fit.hypothesis.causes for fit in (parent, *known))]
-    ranked = proposals(data, parent, free, seed)
-    first = [p for p in ranked[:PROMISING] if p.gain > WORTH]
+    ranked = proposals(data, parent, [e for e in effects if e not in parent.hypothesis.causes], seed)
+    rest = [p for p in ranked if not any(p.effect in fit.hypothesis.causes for fit in known)]
+    first = [p for p in rest[:PROMISING] if p.gain > WORTH]
     step = Step(parent, ranked, _ranked([*known, *_fitted(prepared, parent, first)]))
+    alike = _like_the_best(step, [p for p in rest if p not in first], criteria)
+    step = replace(step, tried=_ranked([*step.tried, *_fitted(prepared, parent, alike)]))
     step = _contested(prepared, step, criteria, at_its_end)
     if not step.entered and unexplained(data, parent).max() > criteria.least_size:
-        rest = [p for p in ranked if p not in first]
-        step = replace(step, tried=_ranked([*step.tried, *_fitted(prepared, parent, rest)]))
+        others = [p for p in rest if p not in first and p not in alike]
+        step = replace(step, tried=_ranked([*step.tried, *_fitted(prepared, parent, others)]))
         step = _contested(prepared, step, criteria, at_its_end)
     return step
+
+
+def _like_the_best(step: Step, others: Sequence[Proposal], criteria: Criteria) -> list[Proposal]:
+    """Those of other proposals that could explain the least share of what the best does, to first order: promises may
+    rank a look-alike lower."""
+    if step.best is None or step.best.evidence < step.parent.evidence + criteria.enough:
+        return []
+    best = [p for p in step.proposals if p.effect is step.best.hypothesis.causes[-1]]
+    return [p for p in others if any(p.like(each) ** 2 > criteria.least_share for each in best)]
 
 
 def _contested(prepared: Prepared, step: Step, criteria: Criteria, at_its_end: Fit | None = None) -> Step:

@@ -94,15 +94,8 @@ def screening(found: Found) -> pd.DataFrame:
 def likeness(found: Found) -> pd.DataFrame:
     """Table LIKENESS: of the most promising effects of the first choice."""
     best = found.path[0].proposals[:ALIKE] if found.path else []
-    rows = [
-        {"effect": a.effect.name, "other": b.effect.name, "cosine": _cosine(a.direction, b.direction)}
-        for b, a in combinations(best, 2)
-    ]
+    rows = [{"effect": a.effect.name, "other": b.effect.name, "cosine": a.like(b)} for b, a in combinations(best, 2)]
     return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
-
-
-def _cosine(a: np.ndarray, b: np.ndarray) -> float:
-    return abs(float(a @ b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), np.finfo(float).tiny)
 
 
 def causes(

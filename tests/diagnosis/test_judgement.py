@@ -1,5 +1,6 @@
 """What is judged: against dense algebra, and by one vote of each trial."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -277,6 +278,34 @@ def test_a_trial_that_is_chaotic_with_the_causes_found_is_set_aside_while_two_ot
     prepared = SimpleNamespace(raw=raw, doubt=np.array(doubts) / 1e3)
     found = Found(prepared, SimpleNamespace(hypothesis=SimpleNamespace(causes=causes)))
     assert stringcast.stages.diagnose.diagnose._chaotic(found, CRITERIA) == chaotic
+
+
+@pytest.mark.parametrize(
+    ("evidence", "turn", "asked"),
+    [
+        (50.0, 0.2, ["e0", "e1", "e2", "e3", "e4", "e5", "e8"]),
+        (50.0, 1.0, ["e0", "e1", "e2", "e3", "e4", "e5"]),  # it could explain 3 tenths of what the best does
+        (1.0, 0.2, ["e0", "e1", "e2", "e3", "e4", "e5"]),  # nothing is named
+    ],
+)
+def test_what_is_like_the_best_is_fitted_however_little_it_promises(evidence, turn, asked, monkeypatch):
+    def proposed(data, parent, effects, seed):
+        along = dict.fromkeys(effects, (0.0, 1.0)) | {"e0": (1.0, 0.0), "e8": (np.cos(turn), np.sin(turn))}
+        told = ((SimpleNamespace(causes=(e,)), np.array(along[e])) for e in effects)
+        return [single_effects.Proposal(h, np.zeros((1, 1)), 20.0 - k, d) for k, (h, d) in enumerate(told)]
+
+    def fitted(prepared, parent, some):
+        fits = [SimpleNamespace(hypothesis=p.hypothesis, evidence=evidence - k) for k, p in enumerate(some)]
+        tried.extend(p.effect for p in some)
+        return fits
+
+    tried, parent = [], SimpleNamespace(evidence=0.0, hypothesis=SimpleNamespace(causes=()))
+    monkeypatch.setattr(single_effects, "proposals", proposed)
+    monkeypatch.setattr(single_effects, "_fitted", fitted)
+    monkeypatch.setattr(single_effects, "_contested", lambda prepared, step, *given: replace(step, entered=True))
+    effects = [f"e{k}" for k in range(10)]
+    single_effects.compared(SimpleNamespace(data=None), parent, effects, CRITERIA, 0)
+    assert tried == asked
 
 
 @pytest.mark.parametrize(
