@@ -3,19 +3,19 @@
 import pandas as pd
 
 from stringcast.data.store import read_table
-from stringcast.pipeline.studies.blind.record import FOLDER, appended, by_code, in_markdown, located
+from stringcast.pipeline.studies.blind.record import FOLDER, appended, by_code, completed, in_markdown
 from stringcast.pipeline.studies.blind.scores import BENCHES, OWN
 
 
 def test_every_recorded_bench_names_its_code():
     benches = read_table(BENCHES, FOLDER / "benches.parquet")
     assert benches["code"].str.fullmatch("[0-9a-f]{7,40}").all()
-    pd.testing.assert_frame_equal(appended([benches, benches.tail(5)]), located(benches))
+    pd.testing.assert_frame_equal(appended([benches, benches.tail(5)]), completed(benches))
 
 
 def test_a_study_is_added_and_counted_by_itself():
     benches = read_table(BENCHES, FOLDER / "benches.parquet")
-    later = benches[located(benches)["laboratory"] == OWN].tail(3).assign(code="f" * 40, correct=False)
+    later = benches[completed(benches)["laboratory"] == OWN].tail(3).assign(code="f" * 40, correct=False)
     rates = by_code(appended([benches, later]))
     before = by_code(benches)
     pd.testing.assert_frame_equal(rates[rates["code"] != "f" * 40].reset_index(drop=True), before)

@@ -40,13 +40,13 @@ def main() -> None:
 
 def appended(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
     """All rows, in order; of one bench that one code was asked twice, the first."""
-    benches = pd.concat([located(table) for table in tables], ignore_index=True)
+    benches = pd.concat([completed(table) for table in tables], ignore_index=True)
     return benches.drop_duplicates(["laboratory", "seed", "version", "code"], ignore_index=True)
 
 
-def located(benches: pd.DataFrame) -> pd.DataFrame:
-    """The benches with their laboratory, the virtual lab itself where nothing says, and what half of their trials
-    named."""
+def completed(benches: pd.DataFrame) -> pd.DataFrame:
+    """The benches with what older tables do not say: their laboratory, which was the virtual lab itself, and what half
+    of their trials named, which was not asked."""
     benches = benches.assign(laboratory=benches.get("laboratory", OWN))
     return benches.assign(half=benches.get("half", ""), lost=benches.get("lost", 0))
 
@@ -55,7 +55,7 @@ def by_code(benches: pd.DataFrame) -> pd.DataFrame:
     """A row for each code, laboratory and rate, in the table's order: code, laboratory, benches, name, right, count,
     share, low, high."""
     rows = []
-    for (one, laboratory), some in located(benches).groupby(["code", "laboratory"], sort=False):
+    for (one, laboratory), some in completed(benches).groupby(["code", "laboratory"], sort=False):
         inside = pd.Series([value["inside"] for kept in some["values"] for value in json.loads(kept)], dtype=bool)
         chosen = {name: of(some[some["kind"].isin(kinds)]) for name, kinds, of, _, _ in COUNTED}
         about = {"code": one, "laboratory": laboratory, "benches": len(some)}
