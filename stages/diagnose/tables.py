@@ -15,8 +15,8 @@ from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria, Found, least_gain, moved, removed, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered
-from stringcast.stages.inference.evidence import Data, Fit, lacked
-from stringcast.stages.model.effect import Effect, ModelChange
+from stringcast.stages.inference.evidence import ABSENT, Data, Fit, lacked
+from stringcast.stages.model.effect import Effect, ModelChange, components
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
 EVERY = 0.02  # [s] from one arrow of what is missing to the next
@@ -113,7 +113,7 @@ def causes(
         fit = fit_with(found, judgement, name)
         differs = MM * found.prepared.data.differs(name)
         each_time = f", and differs from trial to trial, by about {differs:.0f} mm at the tip" if differs else ""
-        common["sentence"] = effect.describe(fit.of(effect)) + each_time
+        common["sentence"] = effect.describe(fit.of(effect)) + each_time + at_an_end(fit, effect)
         rows += [common | row for row in _parameters(fit, effect, tempered[name], z)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
@@ -124,6 +124,19 @@ def fit_with(found: Found, judgement: Judgement, name: str) -> Fit:
         return found.fit
     fits = [slot.fits[name] for slot in judgement.slots if name in slot.fits]
     return max(fits, key=lambda fit: fit.evidence)
+
+
+def at_an_end(fit: Fit, effect: type[Effect]) -> str:
+    """What there is to say of sizes of a cause that end at an end of their range: of 319 that were right one did."""
+    sizes = [p for p in components(effect) if not p.at_least]
+    ends = []
+    for size, place in zip(sizes, fit.hypothesis.places(effect, sizes), strict=True):
+        absent = abs(float(size.chi(np.asarray(size.start))) - fit.chi[place]) < ABSENT
+        if not absent and min(fit.chi[place], 1 - fit.chi[place]) < ABSENT:
+            ends.append(effect.qualified(size))
+    if not ends:
+        return ""
+    return f", with {' and '.join(ends)} at the end of the range: it may stand for what the library does not hold"
 
 
 def _parameters(fit: Fit, effect: type[Effect], tempered: Tempered, z: float) -> list[dict[str, object]]:
