@@ -129,11 +129,9 @@ def fit_with(found: Found, judgement: Judgement, name: str) -> Fit:
 def at_an_end(fit: Fit, effect: type[Effect]) -> str:
     """What there is to say of sizes of a cause that end at an end of their range: of 319 that were right one did."""
     sizes = [p for p in components(effect) if not p.at_least]
-    ends = []
-    for size, place in zip(sizes, fit.hypothesis.places(effect, sizes), strict=True):
-        absent = abs(float(size.chi(np.asarray(size.start))) - fit.chi[place]) < ABSENT
-        if not absent and min(fit.chi[place], 1 - fit.chi[place]) < ABSENT:
-            ends.append(effect.qualified(size))
+    there = (np.abs(fit.chi - fit.hypothesis.carried({})) > ABSENT) & (np.abs(fit.chi - 0.5) > 0.5 - ABSENT)
+    places = fit.hypothesis.places(effect, sizes)
+    ends = [effect.qualified(size) for size, place in zip(sizes, places, strict=True) if there[place]]
     if not ends:
         return ""
     return f", with {' and '.join(ends)} at the end of the range: it may stand for what the library does not hold"

@@ -146,7 +146,7 @@ class Data:
         if self.finer is not None:
             pairs = zip(found, self.finer.beside(model.names, chi), strict=True)
             found = [np.where(each == LOST, LOST, each + more) for each, more in pairs]
-        for key, *rows in zip(keys, *found, strict=True):
+        for key, *rows in zip(keys[-LATELY:], *(each[-LATELY:] for each in found), strict=True):
             self._lately[key] = model, [row[None].copy() for row in rows]
         while len(self._lately) > LATELY:
             self._lately.pop(next(iter(self._lately)))
@@ -327,11 +327,12 @@ def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
     raw = [each[0] for each in data.residuals(hypothesis.model, chi[None])]
     told = data.log_likelihoods([each[None] for each in raw])[:, 0]
     sizes, by_trial = likeliest(told), marginal(told)
-    absent = _absent(hypothesis, chi)
-    slopes, without = _slopes(data, hypothesis, chi, raw, sizes, np.array([*absent.values()]).reshape(-1, len(chi)))
+    places = [place for cause in hypothesis.causes for place in hypothesis.places(cause, components(cause))]
+    absent = np.where(np.eye(len(chi), dtype=bool)[places], hypothesis.carried({}), chi)  # one size each
+    slopes, without = _slopes(data, hypothesis, chi, raw, sizes, absent)
     white = data.white(slopes, sizes)
     moved = [r - w for r, w in zip(raw, without, strict=True)]
-    prior, bounded = _prior(data, hypothesis, chi, absent, moved, slopes)
+    prior, bounded = _prior(data, hypothesis, chi, places, moved, slopes)
     normal = white @ white.T + np.diag(bounded)
     occam = 0.5 * (len(chi) * np.log(2 * np.pi) - np.linalg.slogdet(normal)[1])
     evidence = float(by_trial.sum() + prior + occam)
@@ -378,31 +379,22 @@ def _slopes(
     return slopes, list(others)
 
 
-def _absent(hypothesis: Hypothesis, chi: np.ndarray) -> dict[int, np.ndarray]:
-    """Exponents (P,) with one size of a cause as where it is absent, by its place."""
-    found = {}
-    for cause in hypothesis.causes:
-        for place, size in zip(hypothesis.places(cause, components(cause)), components(cause), strict=True):
-            found[place] = np.where(np.arange(len(chi)) == place, float(size.chi(np.asarray(size.start))), chi)
-    return found
-
-
 def _prior(
     data: Data,
     hypothesis: Hypothesis,
     chi: np.ndarray,
-    absent: Mapping[int, np.ndarray],
+    places: Sequence[int],
     moved: Sequence[np.ndarray],
     slopes: Sequence[np.ndarray],
 ) -> tuple[float, np.ndarray]:
     """Log density of the causes' sizes at exponents (P,), and the curvature (P,) that stands for the ranges of all
-    other parameters. moved: what each is without it of each trial, (A, 2 n)."""
-    total, bounded, places = 0.0, np.full(len(chi), PRIOR), [*absent]
+    other parameters. places: of the causes' sizes, (A,). moved: what each of them does in each trial, (A, 2 n)."""
+    total, bounded = 0.0, np.full(len(chi), PRIOR)
     bounded[places] = ABSENT
-    by_slope = data.tip_sizes([slope[places] for slope in slopes])
-    for place, moves, rise in zip(places, data.tip_sizes(moved), by_slope, strict=True):
-        size, away = hypothesis.parameters[place], abs(chi[place] - absent[place][place])
-        there, per_chi = (moves, moves / away) if away > ABSENT else (0.0, rise)
+    far, by_slope = np.abs(chi - hypothesis.carried({}))[places], data.tip_sizes([slope[places] for slope in slopes])
+    for place, off, moves, rise in zip(places, far, data.tip_sizes(moved), by_slope, strict=True):
+        size = hypothesis.parameters[place]
+        there, per_chi = (moves, moves / off) if off > ABSENT else (0.0, rise)
         density = size_density(np.asarray(there), size.low < size.start < size.high) * per_chi
         total += float(np.log(max(density, np.finfo(float).tiny)))
     return total, bounded

@@ -23,7 +23,8 @@ from stringcast.stages.model.library import library
 def test_a_size_at_an_end_of_its_range_is_said_to_be_there(name, chi, ends):
     effect = library()[name]
     places = {p.name: k for k, p in enumerate(effect.parameters)}
-    hypothesis = SimpleNamespace(places=lambda cause, some: [places[p.name] for p in some])
+    start = np.array([float(p.chi(np.asarray(p.start))) for p in effect.parameters])
+    hypothesis = SimpleNamespace(places=lambda cause, some: [places[p.name] for p in some], carried=lambda known: start)
     fit = SimpleNamespace(hypothesis=hypothesis, chi=np.array(chi))
     said = f", with {ends} at the end of the range: it may stand for what the library does not hold" if ends else ""
     assert at_an_end(fit, effect) == said
