@@ -33,12 +33,13 @@ GUESS = 1e-3  # [m] of noise before anything is known
 STATED_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
 OUTLYING = 6.0  # noises from smooth motion: one point in 5e8 by chance
 HIDDEN = 3  # times that outliers are looked for: one may hide another
-PASSES = 2  # of numerical error and fit: it is a hundredth of a millimetre off then
+PASSES = 8  # of numerical error and fit at most: it mostly takes two
 AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that side; in turns
 ASTRAY = 0.05  # of the length at the tip: a base model that leaves more in a trial may have been taken along by it
 FEWEST = 2  # trials: what is found in one could not be checked on another
 FIRST_ORDER = 0.25  # of what is extrapolated, in doubt: |4 / 2^p - 1| / 4 where halving the mesh is of order p
 CLEARLY = 5.0  # of the log evidence: strong, by Jeffreys' scale
+SETTLED = 1.0  # of the log evidence: to gain less is not worth a mention, by the same
 ROUNDS, MOST = 6, 20  # of a fit that is to stand: it mostly takes three of five
 LEAST_GROWTH = 0.1  # of the largest: early frames are not exact either
 STILL, RESTING = 0.01, 0.2  # of the length: a string at rest stays so near where it ends; [s] of rest that are kept
@@ -144,9 +145,13 @@ def prepared(
 
 
 def converged(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
-    """Data with the numerical error of a fit, and the fit to these."""
+    """Data with the numerical error of a fit, and the fit to these, until that gains no more: where a string whips, the
+    error is another one at every step on the way."""
     for _ in range(PASSES):
+        before = fit.evidence
         prepared, fit = nearer(prepared, fit)
+        if fit.evidence < before + SETTLED:
+            break
     return prepared, fit
 
 
