@@ -92,13 +92,14 @@ def _interval(model: Model, best: np.ndarray, sure: Covariance, likelihood: Like
     determined = (high - low < WIDE) & (best > EDGE) & (best < 1 - EDGE)
     said = undetermined(model.parameters, determined, "This data determines every parameter.")
     said += correlated(model.parameters, determined, sure.correlation)
-    if likelihood.scale >= MISFIT:
+    if max(likelihood.scale) >= MISFIT:
         said += (
-            f" The residual is {likelihood.scale:.1f} times what the points' uncertainty explains: the model lacks "
-            "something, and the intervals do not cover that."
+            f" The residual is up to {max(likelihood.scale):.1f} times what the points' uncertainty explains: the "
+            "model lacks something, and the intervals do not cover that."
         )
     string, error = likelihood.model.string, discretisation_error(likelihood, best)
-    noise = np.sqrt(2) * likelihood.scale * np.median([np.median(trial.sigma) for trial in likelihood.trials])
+    pairs = zip(likelihood.scale, likelihood.trials, strict=True)
+    noise = np.sqrt(2) * np.median([scale * np.median(trial.sigma) for scale, trial in pairs])
     if error > noise:
         finer = f"string.points={2 * string.points - 1} string.largest_step={string.largest_step / 2:.2g}"
         said += (

@@ -30,13 +30,14 @@ STILL = 0.01  # of the string's length, from which the hand has moved
 class Likelihood:
     """Trials that one model explains together.
 
-    scale: times the points' own sigma, the noise, or noise [m] where no sigma is known. nuisance: U of each trial, over
-    sigma, (2 n, M), or of none. limit: standard deviations from which a residual counts less (Huber), or infinite.
+    scale: of each trial, times the points' own sigma, its noise and what the model lacks there; all are one where there
+    are none. nuisance: U of each trial, over sigma, (2 n, M), or of none. limit: standard deviations from which a
+    residual counts less (Huber), or infinite.
     """
 
     model: Model
     trials: tuple[Case, ...]
-    scale: float = 1.0
+    scale: tuple[float, ...] = ()
     nuisance: tuple[np.ndarray, ...] = ()
     limit: float = np.inf
 
@@ -48,7 +49,8 @@ class Likelihood:
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Of candidates (C, P), (C, N): both coordinates of each point of each trial; LOST in a trial that could not be
         simulated."""
-        found = [each / self.scale for each in away(self.model, self.trials, values_of(self.parameters, chi))]
+        found = away(self.model, self.trials, values_of(self.parameters, chi))
+        found = [each / scale for each, scale in zip(found, self._scales, strict=True)]
         if self.nuisance:
             found = [whiten(each) for whiten, each in zip(self._whiten, found, strict=True)]
         return np.nan_to_num(np.concatenate(found, axis=1), copy=False, nan=LOST)
@@ -63,7 +65,11 @@ class Likelihood:
 
     @cached_property
     def _whiten(self) -> list[LowRank]:
-        return [LowRank.of(u / self.scale) for u in self.nuisance]
+        return [LowRank.of(u / scale) for u, scale in zip(self.nuisance, self._scales, strict=True)]
+
+    @property
+    def _scales(self) -> tuple[float, ...]:
+        return self.scale or (1.0,) * len(self.trials)
 
 
 def time_blocks(trials: Sequence[Case]) -> np.ndarray:
