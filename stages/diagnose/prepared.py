@@ -49,18 +49,18 @@ STILL, RESTING = 0.01, 0.2  # of the length: a string at rest stays so near wher
 class Prepared:
     """What a search for causes starts from.
 
-    data: with noise and numerical error. base: the base model at its best. raw: the trials before numerical error was
-    taken off. outliers, resting: points left out. doubt: of numerical error at the tip of each trial [m]. literal: the
-    mesh is a part of the model, and has no error. chaotic: names of trials that no simulation tells to the tolerance;
-    trusted: of those that one with causes tells.
+    data: with noise and numerical error. base: the base model at its best. whole: the trials with their outliers. raw:
+    without them, before numerical error was taken off. resting: points left out, at rest. doubt: of numerical error at
+    the tip of each trial [m]. literal: the mesh is a part of the model, and has no error. chaotic: names of trials that
+    no simulation tells to the tolerance; trusted: of those that one with causes tells.
     configured: the base model with the mesh as it is configured, at its best; None where that is the finer one.
     stated: the data's author states their noise.
     """
 
     data: Data
     base: Fit
+    whole: tuple[Case, ...]
     raw: tuple[Case, ...]
-    outliers: int
     resting: int
     doubt: np.ndarray
     literal: bool = False
@@ -79,9 +79,23 @@ class Prepared:
         finer = None if self.literal else self.data.finer
         return finer and finer.about(fit.named)
 
+    @property
+    def counts(self) -> list[int]:
+        """How many points of each trial causes are sought in."""
+        return [len(trial.s) for trial in self.raw]
+
+    @property
+    def outliers(self) -> int:
+        """How many points are left out for being far from smooth motion."""
+        return sum(len(trial.s) for trial in self.whole) - sum(self.counts)
+
     def heard(self, fit: Fit) -> Prepared:
-        """With noise as what a fit leaves tells it: what a poorer model lacks may have sounded like noise."""
-        return replace(self, raw=_heard(self.raw, fit.residuals, self.stated))
+        """With noise and outliers as what a fit leaves tells them: what a poorer model lacks may have sounded like
+        noise, and points in which the string whips may have looked like outliers."""
+        whole = _begun(self.whole, self.data.begun_anew(fit))
+        kept, left, _ = _cleared(whole, fit.hypothesis.model, fit.chi)
+        raw = _heard(kept, left, self.stated)
+        return replace(self, whole=whole, raw=raw, data=replace(self.data, finer=None))
 
     def told_by(self, fit: Fit) -> Data:
         """Data without the numerical error of a fit as one finer mesh tells it; what may be lacking is as before, which
@@ -108,8 +122,7 @@ class Prepared:
         model, noise = base.hypothesis.model, self.raw[0].noise
         whole = [awake(case(model, o)) for o in observations]
         trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
-        plain = Data(tuple(trials), ()).residuals(model, base.chi[None])
-        kept = [_without_outliers(t, r[0].reshape(-1, 2))[0] for t, r in zip(trials, plain, strict=True)]
+        kept, _, _ = _cleared(trials, model, base.chi)
         first = self.of(kept, fit)
         begun = first[0].begun_anew(fit)
         return first if begun is first[0].trials else self.of(_begun(kept, begun), fit)
@@ -132,13 +145,13 @@ def prepared(
     whole = [case(resolved(model), o) for o in observations]
     moving = tuple(awake(t if stated else replace(t, sigma=np.full(len(t.s), GUESS))) for t in whole)
     likelihood, chi = _base(Likelihood(resolved(model), moving), rng, starts, progress)
-    trials, outliers = _cleaned(likelihood, chi, stated)
+    seen, trials = _cleaned(likelihood, chi, stated)
     hypothesis = Hypothesis(likelihood.model)
     data, doubt = corrected(trials, hypothesis, chi)
     sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
     base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
-    first = Prepared(data, base, trials, outliers, resting, doubt, stated=stated, trusted=tuple(trusted))
+    first = Prepared(data, base, seen, trials, resting, doubt, stated=stated, trusted=tuple(trusted))
     made, base = converged(first, base)
     made = _not_taken_along(replace(made, base=base), tolerance, rng, starts)
     return _with_nearer_mesh(_without_chaotic(made, tolerance), model, tolerance)
@@ -242,8 +255,10 @@ def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
     if not names:
         return prepared
     good = [k for k, trial in enumerate(prepared.raw) if trial.name not in names]
-    base, raw = replace(prepared.base, sizes=prepared.base.sizes[good]), tuple(prepared.raw[k] for k in good)
-    kept = replace(prepared, raw=raw, data=prepared.data.only(good), chaotic=(*prepared.chaotic, *names)).at(base)
+    base = replace(prepared.base, sizes=prepared.base.sizes[good])
+    whole, raw = (tuple(some[k] for k in good) for some in (prepared.whole, prepared.raw))
+    chaotic = (*prepared.chaotic, *names)
+    kept = replace(prepared, whole=whole, raw=raw, data=prepared.data.only(good), chaotic=chaotic).at(base)
     return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes, ROUNDS, MOST))
 
 
@@ -352,20 +367,17 @@ def _widened(likelihood: Likelihood, chi: np.ndarray, place: int) -> tuple[Likel
     return (problem, after.chi[0]) if gain > CLEARLY else (likelihood, chi)
 
 
-def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tuple[Case, ...], int]:
-    """Trials with the noise as sigma and without outliers, and how many these were.
+def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tuple[Case, ...], tuple[Case, ...]]:
+    """Trials with the noise as sigma, and the same without outliers.
 
     Noise is what residuals have beside smooth motion, of which what the model lacks is a part.
     """
-    plain = replace(likelihood, scale=1.0, nuisance=(), limit=np.inf)
-    residual, before = plain.residuals(chi[None])[0], sum(len(t.s) for t in plain.trials)
-    ends = np.cumsum([2 * len(t.s) for t in plain.trials])[:-1]
-    pairs = zip(plain.trials, np.split(residual, ends), strict=True)
-    trials, left, levels = zip(*(_without_outliers(t, off.reshape(-1, 2)) for t, off in pairs), strict=True)
+    kept, left, levels = _cleared(likelihood.trials, likelihood.model, chi)
     level = float(np.median(levels))
     factor = level if not stated or level > STATED_WRONG else 1.0
-    kept = tuple(replace(t, sigma=factor * t.sigma) for t in trials)
-    return _heard(kept, [off.ravel() / factor for off in left], stated), before - sum(len(t.s) for t in kept)
+    pair = (likelihood.trials, kept)
+    whole, raw = (tuple(replace(t, sigma=factor * t.sigma) for t in trials) for trials in pair)
+    return whole, _heard(raw, [off / factor for off in left], stated)
 
 
 def _heard(trials: Sequence[Case], residuals: Sequence[np.ndarray], stated: bool) -> tuple[Case, ...]:
@@ -376,8 +388,18 @@ def _heard(trials: Sequence[Case], residuals: Sequence[np.ndarray], stated: bool
     return tuple(replace(trial, noise=noise) for trial in trials)
 
 
+def _cleared(
+    trials: Sequence[Case], model: Model, chi: np.ndarray
+) -> tuple[tuple[Case, ...], tuple[np.ndarray, ...], tuple[float, ...]]:
+    """Trials without outliers as a model at exponents (P,) tells them, and what `_without_outliers` says of each."""
+    found = Data(tuple(trials), ()).residuals(model, chi[None])
+    pairs = zip(trials, found, strict=True)
+    kept, left, noise = zip(*(_without_outliers(trial, off.reshape(-1, 2)) for trial, off in pairs), strict=True)
+    return kept, left, noise
+
+
 def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, np.ndarray, float]:
-    """A trial without the points whose residuals (n, 2) over sigma are far from smooth motion, the residuals of the
+    """One trial without points whose residuals (n, 2) over sigma are far from smooth motion, the residuals of the
     others, and their noise over sigma."""
     noise = float("nan")
     for _ in range(HIDDEN):

@@ -20,7 +20,7 @@ from pydantic import Field
 from stringcast.stages.diagnose.predictions import Prediction, predicted, rises
 from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, nearer, searched_again, too_chaotic
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, fitted, lacked
+from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.model.effect import Effect, components, position_dependent
 
 log = logging.getLogger(__name__)
@@ -73,6 +73,13 @@ class Step:
     def best(self) -> Fit | None:
         """The most evident."""
         return self.tried[0] if self.tried else None
+
+    def told_by(self, data: Data) -> Step:
+        """The same of data with other points: those fitted to the end are so anew."""
+        parent, *ended = (refitted(data, fit, fit.hypothesis) for fit in (self.parent, *self.to_the_end))
+        others = [fit for fit in self.tried if not any(fit is other for other in self.to_the_end)]
+        tried = _ranked([*ended, *(evaluated(data, fit.hypothesis, fit.chi) for fit in others)])
+        return replace(self, parent=parent, tried=tried, to_the_end=ended)
 
 
 @dataclass(frozen=True)
@@ -293,7 +300,11 @@ def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
 def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generator, starts: int) -> Found:
     """With one more cause, numerical error as it is there, and without causes that are not needed any more. Other
     strings are no better whose trials cannot be simulated as well: what is in doubt of these may explain anything."""
-    prepared, fit = nearer(found.prepared.heard(best), best)
+    heard = found.prepared.heard(best)
+    prepared, fit = nearer(heard, best)
+    if heard.counts != found.prepared.counts:
+        log.info("%d outliers instead of %d", heard.outliers, found.prepared.outliers)
+        found = replace(found, path=[step.told_by(prepared.data) for step in found.path])
     if unexplained(prepared.data, fit).max() > criteria.least_size:
         again = polished(prepared, searched_again(prepared.data, fit, rng, starts))
         if again[1].evidence > fit.evidence and _told(again[0], prepared, criteria) == len(prepared.doubt):

@@ -46,7 +46,7 @@ def ready(arm, model, values, seed):
     cases, hypothesis = seen(arm, model, values, seed), Hypothesis(model)
     data = lacking(cases, hypothesis, start(hypothesis))
     fit = fitted(data, hypothesis, start(hypothesis)[None], np.zeros(3, dtype=int), 2, 8)
-    return Prepared(data, evaluated(data, hypothesis, fit.chi), cases, 0, 0, np.zeros(3), literal=True)
+    return Prepared(data, evaluated(data, hypothesis, fit.chi), cases, cases, 0, np.zeros(3), literal=True)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from conftest import TRUTH, ordinary
 from performed import performed, swings
 
 from stringcast.stages.diagnose.prepared import (
+    MOST,
     RESTING,
     Prepared,
     _finer,
@@ -20,9 +21,10 @@ from stringcast.stages.diagnose.prepared import (
     resolved,
 )
 from stringcast.stages.inference.discrepancy import smoothed
-from stringcast.stages.inference.evidence import Hypothesis, evaluated
+from stringcast.stages.inference.evidence import Data, Hypothesis, evaluated
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.search import refined, screened, searched
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.parameter import chi_of
 
@@ -109,7 +111,7 @@ def prepared(model, observed):
     trials, hypothesis = tuple(case(model, o) for o in observed), Hypothesis(model)
     chi = chi_of(hypothesis.parameters, np.array([TRUTH[p.name] for p in hypothesis.parameters]))
     data = lacking(trials, hypothesis, chi)
-    return Prepared(data, evaluated(data, hypothesis, chi), trials, 0, 0, np.zeros(3))
+    return Prepared(data, evaluated(data, hypothesis, chi), trials, trials, 0, np.zeros(3))
 
 
 @pytest.mark.parametrize(
@@ -124,6 +126,29 @@ def test_a_chaotic_trial_is_set_aside_while_two_others_are_left(prepared, doubts
     assert len(kept.base.residuals) == len(kept.raw) == 3 - len(chaotic)
     told = replace(prepared, doubt=np.array(doubts) * TOLERANCE, trusted=("t0", "t1", "t2"))
     assert _without_chaotic(told, TOLERANCE) is told
+
+
+def test_what_a_poorer_model_took_for_outliers_is_looked_at_again(prepared):
+    some = prepared.raw[0]
+    parts = {name: getattr(some, name)[40:] for name in ("frame", "s", "points", "sigma")}
+    poorer = replace(prepared, raw=(replace(some, **parts), *prepared.raw[1:]))
+    assert poorer.outliers == 40
+    assert poorer.heard(prepared.base).counts == prepared.counts
+
+
+def test_a_search_is_not_taken_along_by_the_trial_that_another_string_made(arm, model):
+    """Of four: three casts of one string, and one of a string four times as stiff."""
+    rng, places, strings = np.random.default_rng(3), np.array([8, 14, 20]), [TRUTH] * 3
+    strings.append(TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]})
+    given = zip(strings, swings(arm, 4, 0.3), strict=True)
+    cases = tuple(case(model, performed(f"t{k}", arm, model, *each, places, rng)) for k, each in enumerate(given))
+    likelihood = Likelihood(model, cases)
+    start = chi_of(model.parameters, np.array([p.start for p in model.parameters]))
+    tried = np.concatenate([start[None], rng.uniform(size=(64, len(start)))])
+    _, chi = refined(likelihood, searched(likelihood, screened(likelihood, tried, 8), MOST))
+    off = [np.sqrt(np.mean(each**2)) for each in Data(cases, ()).residuals(model, chi[None])]
+    assert max(off[:3]) < 1.1
+    assert off[3] > 10
 
 
 def test_a_range_that_ends_too_early_is_widened_where_the_data_press(model, prepared):
@@ -153,7 +178,7 @@ def test_numerical_error_is_followed_as_parameters_move(model, observed):
     raw = tuple(replace(case(model, o), model=hypothesis.model) for o in observed)
     data, doubt = corrected(raw, hypothesis, here)
     fit = evaluated(data, hypothesis, here)
-    made = Prepared(data, fit, raw, 0, 0, doubt)
+    made = Prepared(data, fit, raw, raw, 0, doubt)
     true = np.hstack([r[0] for r in corrected(raw, hypothesis, there)[0].residuals(hypothesis.model, there[None])])
     off = {}
     for name, finer in (("as it was", None), ("followed", _finer(made, fit))):
