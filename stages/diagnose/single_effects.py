@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from stringcast.stages.diagnose.predictions import Prediction, predicted, rises
-from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, nearer, searched_again, too_chaotic
+from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, nearer, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.model.effect import Effect, components, position_dependent
@@ -123,19 +123,19 @@ def pruned(found: Found, criteria: Criteria) -> Found:
     """Without causes that do not help to predict trials left out, the last that entered first.
 
     The log-likelihood of what was not seen must rise (cross-validation by trials: Vehtari, Gelman and Gabry 2017, Stat.
-    Comput. 27, 1413); of what acts in one trial alone no other trial can tell. A chaotic one, foretold 150 mm off by
-    the right cause, has no say.
+    Comput. 27, 1413), in the median trial: one that is foretold badly, such as a chaotic one 150 mm off by the
+    right cause, would outvote all others. Of what acts in one trial alone no other trial can tell.
     """
     if len(found.prepared.data.trials) < 2:
         return found
     for cause in reversed(found.fit.hypothesis.causes):
-        data, chaotic = found.prepared.data, too_chaotic(found.prepared, criteria.tolerance)
+        data = found.prepared.data
         if len(_touched(data, found.fit, cause, criteria.least_size)) == 1:
             continue
         less = replace(found, fit=refitted(data, found.fit, found.fit.hypothesis.without(cause)))
         gains = rises(less.predictions, found.predictions)
         log.info("without %s trials left out are %s likelier", cause.name, np.round(-gains, 1))
-        if gains[[trial.name not in chaotic for trial in data.trials]].sum() <= 0:
+        if np.median(gains) <= 0:
             log.info("%s leaves: it does not help to predict trials left out", cause.name)
             found = found.instead(less.fit)
     return found
