@@ -33,6 +33,7 @@ GUESS = 1e-3  # [m] of noise before anything is known
 STATED_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
 OUTLYING = 6.0  # noises from smooth motion: one point in 5e8 by chance
 HIDDEN = 3  # times that outliers are looked for: one may hide another
+STAY = 0.5  # of outliers: if fewer are so beside a better model, the poorer one made them
 PASSES = 8  # of numerical error and fit at most: it mostly takes two
 AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that side; in turns
 ASTRAY = 0.05  # of the length at the tip: a base model that leaves more in a trial may have been taken along by it
@@ -90,12 +91,14 @@ class Prepared:
         return sum(len(trial.s) for trial in self.whole) - sum(self.counts)
 
     def heard(self, fit: Fit) -> Prepared:
-        """With noise and outliers as what a fit leaves tells them: what a poorer model lacks may have sounded like
-        noise, and points in which the string whips may have looked like outliers."""
+        """With noise as what a fit leaves tells it, and with outliers if most of them are none: what a poorer model
+        lacks may have sounded like noise, and where the string whips it may have looked like outliers."""
         whole = _begun(self.whole, self.data.begun_anew(fit))
         kept, left, _ = _cleared(whole, fit.hypothesis.model, fit.chi)
-        raw = _heard(kept, left, self.stated)
-        return replace(self, whole=whole, raw=raw, data=replace(self.data, finer=None))
+        anew = replace(self, whole=whole, raw=_heard(kept, left, self.stated), data=replace(self.data, finer=None))
+        if anew.outliers < STAY * self.outliers:
+            return anew
+        return replace(self, raw=_heard(self.raw, fit.residuals, self.stated))
 
     def told_by(self, fit: Fit) -> Data:
         """Data without the numerical error of a fit as one finer mesh tells it; what may be lacking is as before, which
