@@ -36,7 +36,6 @@ HIDDEN = 3  # times that outliers are looked for: one may hide another
 STAY = 0.5  # of outliers: if fewer are so beside a better model, the poorer one made them
 PASSES = 8  # of numerical error and fit at most: it mostly takes two
 AT_END, WIDER, WIDENINGS = 0.02, 30.0, 3  # of a range; times as wide on that side; in turns
-ASTRAY = 0.05  # of the length at the tip: a base model that leaves more in a trial may have been taken along by it
 FEWEST = 2  # trials: what is found in one could not be checked on another
 FIRST_ORDER = 0.25  # of what is extrapolated, in doubt: |4 / 2^p - 1| / 4 where halving the mesh is of order p
 CLEARLY = 5.0  # of the log evidence: strong, by Jeffreys' scale
@@ -156,8 +155,7 @@ def prepared(
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
     first = Prepared(data, base, seen, trials, resting, doubt, stated=stated, trusted=tuple(trusted))
     made, base = converged(first, base)
-    made = _not_taken_along(replace(made, base=base), tolerance, rng, starts)
-    return _with_nearer_mesh(_without_chaotic(made, tolerance), model, tolerance)
+    return _with_nearer_mesh(_without_chaotic(replace(made, base=base), tolerance), model, tolerance)
 
 
 def converged(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
@@ -230,25 +228,6 @@ def _configured(prepared: Prepared, model: Model) -> Fit | None:
     trials = tuple(as_first_told(replace(trial, model=own.model), told.modes) for trial, told in pairs)
     data = Data(trials, prepared.data.discrepancies)
     return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes, ROUNDS, MOST)
-
-
-def _not_taken_along(prepared: Prepared, tolerance: float, rng: np.random.Generator, starts: int) -> Prepared:
-    """With a base model that the trial it is furthest from has not taken along, if there is a better one without that;
-    and without the trial, if it is chaotic there."""
-    data, base = prepared.data, prepared.base
-    off = data.tip_rms(data.begun(base.residuals, base.sizes))
-    others = [k for k in range(len(off)) if k != np.argmax(off)]
-    if off.max() < ASTRAY * base.hypothesis.model.string.length or not others:
-        return prepared
-    kept = data.only(others)
-    near = fitted(kept, base.hypothesis, base.chi[None], base.sizes[others], 2, MOST)
-    chi = searched_again(kept, near, rng, starts).chi
-    there = prepared.at(replace(base, chi=chi))
-    if there.doubt.max() > tolerance and np.argmax(there.doubt) == np.argmax(off):
-        return _without_chaotic(replace(there, base=replace(base, chi=chi)), tolerance)
-    sizes = evaluated(there.data, base.hypothesis, chi).sizes
-    other = fitted(there.data, base.hypothesis, chi[None], sizes, ROUNDS, MOST)
-    return prepared if base.evidence > other.evidence else replace(there, base=other)
 
 
 def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
