@@ -125,30 +125,43 @@ def judged(
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
-    left, without = unexplained(data, fit), (base, *(slot.less for slot in slots))
-    together, *each = (removed(unexplained(data, less), left, criteria.tolerance) for less in without)
-    enough = together >= criteria.least_share
-    if verdict == "unknown":  # a large cause shall not carry what stands in for one that nobody knows
-        enough = together >= criteria.explained and min(together, *each) >= criteria.least_share
+    together = removed(unexplained(data, base), unexplained(data, fit), criteria.tolerance)
+    enough, nearest = together >= criteria.least_share, ""
+    if verdict == "unknown":
+        largest, beside = _beside_largest(data, fit, slots, criteria)
+        enough = together >= criteria.explained and beside >= criteria.least_share
+        nearest = _nearest(fit, together, largest, beside)
     if not fit.hypothesis.causes or not enough:
         if verdict == "none" and too_few_points:
             return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion={**inclusion, RESOLUTION: 1.0})
-        said = _nearest(fit, together, dict(zip(fit.hypothesis.names, each, strict=False)))
-        return replace(unnamed, sentence=said if verdict == "unknown" else "")
+        return replace(unnamed, sentence=nearest)
     groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
     causes = tuple(dict.fromkeys(name for slot in slots for name in _group(slot, criteria)))
     return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
 
 
-def _nearest(fit: Fit, together: float, each: Mapping[str, float]) -> str:
-    """What comes nearest to an explanation, if anything does. together, each: shares that the causes remove of what is
-    lacking without them all, and without one."""
-    if not fit.hypothesis.causes or together < 0:
+def _beside_largest(data: Data, fit: Fit, slots: Sequence[Slot], criteria: Criteria) -> tuple[str, float]:
+    """The cause without which most is lacking, and the share of what it alone leaves that the others remove: a large
+    cause shall not carry what stands in for one that nobody knows. All of it where there are no others."""
+    causes = fit.hypothesis.causes
+    if len(causes) < 2:
+        return "", 1.0
+    lacking = [float(np.mean(unexplained(data, slot.less) ** 2)) for slot in slots]
+    largest = causes[int(np.argmax(lacking))]
+    alone = refitted(data, fit, Hypothesis(fit.hypothesis.base, (largest,)))
+    return largest.name, removed(unexplained(data, alone), unexplained(data, fit), criteria.tolerance)
+
+
+def _nearest(fit: Fit, together: float, largest: str, beside: float) -> str:
+    """What comes nearest to an explanation, if anything does. together, beside: shares that the causes remove of what
+    is lacking without them all, and with the largest alone."""
+    names = fit.hypothesis.names
+    if not names or together < 0:
         return ""
-    said = f"What comes nearest, {' with '.join(each)}, removes {100 * together:.0f} % of it in mean square"
-    least = min(each, key=lambda name: each[name])
-    if len(each) > 1:
-        said += f", {least} {100 * max(each[least], 0):.0f} % of what is lacking without it"
+    said = f"What comes nearest, {' with '.join(names)}, removes {100 * together:.0f} % of it in mean square"
+    if largest:
+        others = " with ".join(name for name in names if name != largest)
+        said += f", {others} {100 * max(beside, 0):.0f} % of what {largest} leaves"
     return f"{said}."
 
 

@@ -334,26 +334,41 @@ def test_what_leaves_more_than_is_tolerated_is_named_only_if_it_explains_nearly_
 
 
 @pytest.mark.parametrize(
-    ("without", "left", "verdict"),
+    ("alone", "left", "names", "verdict"),
     [
-        ((20.0, 20.0), (5.0, 5.0), "effect"),
-        ((20.0, 20.0), (16.0, 16.0), "unknown"),  # with the large one 97 % of all, and 36 % of what that leaves
-        ((2.1, 2.2), (1.9, 1.9), "effect"),  # no more than tolerated
+        ((20.0, 20.0), (5.0, 5.0), ("large", "small"), "effect"),
+        (
+            (20.0, 20.0),
+            (16.0, 16.0),
+            ("large", "small"),
+            "unknown",
+        ),  # 97 % of all, and 36 % of what the large one leaves
+        ((20.0, 20.0), (5.0, 5.0), ("large", "small", "least"), "effect"),  # whatever each of the others does
+        ((2.1, 2.2), (1.9, 1.9), ("large", "small"), "effect"),  # no more than tolerated
     ],
 )
-def test_a_large_cause_does_not_carry_one_that_explains_little_where_much_is_left(without, left, verdict, monkeypatch):
-    plain, first, both = (
-        SimpleNamespace(hypothesis=SimpleNamespace(causes=c, names=c, base=None), lost=False)
-        for c in ((), ("large",), ("large", "small"))
-    )
-    other = SimpleNamespace(lost=False)
-    lacking = {id(plain): (90.0, 90.0), id(first): without, id(other): (80.0, 80.0), id(both): left}
-    monkeypatch.setattr(judgement, "unexplained", lambda data, fit: np.array(lacking[id(fit)]) / 1e3)
-    monkeypatch.setattr(judgement, "tip_draws", lambda data, fit, rng: np.array(lacking[id(fit)])[:, None] / 1e3)
-    monkeypatch.setattr(judgement, "refitted", lambda data, fit, hypothesis: plain)
-    found = Found(SimpleNamespace(data=None, base=plain), both)
-    slots = [Slot({"large": 1.0}, {"large": both}, other), Slot({"small": 1.0}, {"small": both}, first)]
+def test_a_large_cause_does_not_carry_others_that_explain_little_of_what_it_leaves(
+    alone, left, names, verdict, monkeypatch
+):
+    causes = [SimpleNamespace(name=name) for name in names]
+
+    def fit(*some):
+        hypothesis = SimpleNamespace(causes=some, names=tuple(cause.name for cause in some), base=None)
+        return SimpleNamespace(hypothesis=hypothesis, lost=False)
+
+    def lacking(data, fit):
+        there = fit.hypothesis.names
+        short = {(): (90.0, 90.0), ("large",): alone, names: left}.get(there, (6.0, 6.0))
+        return np.array(short if "large" in there else (80.0, 80.0) if there else (90.0, 90.0)) / 1e3
+
+    monkeypatch.setattr(judgement, "unexplained", lacking)
+    monkeypatch.setattr(judgement, "tip_draws", lambda data, fit, rng: lacking(data, fit)[:, None])
+    monkeypatch.setattr(judgement, "Hypothesis", lambda base, causes=(): SimpleNamespace(causes=causes))
+    monkeypatch.setattr(judgement, "refitted", lambda data, near, hypothesis: fit(*hypothesis.causes))
+    full = fit(*causes)
+    found = Found(SimpleNamespace(data=None, base=fit()), full)
+    slots = [Slot({c.name: 1.0}, {c.name: full}, fit(*(o for o in causes if o is not c))) for c in causes]
     made = judgement.judged(found, [], slots, CRITERIA, False, 0)
     assert made.verdict == verdict
-    said = "What comes nearest, large with small, removes 97 % of it in mean square, small 36 % of what is lacking"
-    assert made.sentence == (f"{said} without it." if verdict == "unknown" else "")
+    said = "What comes nearest, large with small, removes 97 % of it in mean square, small 36 % of what large leaves."
+    assert made.sentence == (said if verdict == "unknown" else "")
