@@ -41,7 +41,7 @@ class Criteria:
     """The seven numbers that decide. causes: at most. coverage: of credible sets and intervals. alpha: an effect enters
     with a Bayes factor of more than one over it. tolerance: [m] at the tip that may be left unexplained. least_size:
     [m] by which a cause must move the tip. least_share: of what is unexplained that the causes must remove; where they
-    leave more than is tolerated, each of them. explained: the same there of all together."""
+    leave more than is tolerated, all but the largest of what that leaves. explained: the same there of all together."""
 
     causes: Annotated[int, Field(ge=1, le=8)]
     coverage: Share
