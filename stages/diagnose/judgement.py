@@ -125,10 +125,11 @@ def judged(
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
-    together = removed(unexplained(data, base), unexplained(data, fit), criteria.tolerance)
+    left = unexplained(data, fit)
+    together = removed(unexplained(data, base), left, criteria.tolerance)
     enough, nearest = together >= criteria.least_share, ""
     if verdict == "unknown":
-        largest, beside = _beside_largest(data, fit, slots, criteria)
+        largest, beside = _beside_largest(data, fit, slots, left, criteria)
         enough = together >= criteria.explained and beside >= criteria.least_share
         nearest = _nearest(fit, together, largest, beside)
     if not fit.hypothesis.causes or not enough:
@@ -140,16 +141,19 @@ def judged(
     return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
 
 
-def _beside_largest(data: Data, fit: Fit, slots: Sequence[Slot], criteria: Criteria) -> tuple[str, float]:
+def _beside_largest(
+    data: Data, fit: Fit, slots: Sequence[Slot], left: np.ndarray, criteria: Criteria
+) -> tuple[str, float]:
     """The cause without which most is lacking, and the share of what it alone leaves that the others remove: a large
-    cause shall not carry what stands in for one that nobody knows. All of it where there are no others."""
+    cause shall not carry what stands in for one that nobody knows. All of it where there are no others. left: what all
+    of them leave in each trial [m], (K,)."""
     causes = fit.hypothesis.causes
     if len(causes) < 2:
         return "", 1.0
     lacking = [float(np.mean(unexplained(data, slot.less) ** 2)) for slot in slots]
     largest = causes[int(np.argmax(lacking))]
     alone = refitted(data, fit, Hypothesis(fit.hypothesis.base, (largest,)))
-    return largest.name, removed(unexplained(data, alone), unexplained(data, fit), criteria.tolerance)
+    return largest.name, removed(unexplained(data, alone), left, criteria.tolerance)
 
 
 def _nearest(fit: Fit, together: float, largest: str, beside: float) -> str:

@@ -92,11 +92,12 @@ class Prepared:
     def heard(self, fit: Fit) -> Prepared:
         """With noise as what a fit leaves tells it, and with outliers if most of them are none: what a poorer model
         lacks may have sounded like noise, and where the string whips it may have looked like outliers."""
-        whole = _begun(self.whole, self.data.begun_anew(fit))
-        kept, left, _ = _cleared(whole, fit.hypothesis.model, fit.chi)
-        anew = replace(self, whole=whole, raw=_heard(kept, left, self.stated), data=replace(self.data, finer=None))
-        if anew.outliers < STAY * self.outliers:
-            return anew
+        if self.outliers:
+            whole = _begun(self.whole, self.data.begun_anew(fit))
+            kept, left, _ = _cleared(whole, fit.hypothesis.model, fit.chi)
+            anew = replace(self, whole=whole, raw=kept, data=replace(self.data, finer=None))
+            if anew.outliers < STAY * self.outliers:
+                return replace(anew, raw=_heard(kept, left, self.stated))
         return replace(self, raw=_heard(self.raw, fit.residuals, self.stated))
 
     def told_by(self, fit: Fit) -> Data:
@@ -363,7 +364,8 @@ def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tup
 
 
 def _heard(trials: Sequence[Case], residuals: Sequence[np.ndarray], stated: bool) -> tuple[Case, ...]:
-    """Trials with the noise that residuals (2 n,) over sigma tell; with a white one where it is less than is stated."""
+    """Trials with the noise that residuals (n, 2) or (2 n,) over sigma tell; with a white one where it is less than is
+    stated."""
     pairs = zip(trials, residuals, strict=True)
     noise = told([tracked_noise(trial, off.reshape(-1, 2)) for trial, off in pairs])
     noise = WHITE if stated and noise.of_means < 1 else noise
@@ -381,7 +383,7 @@ def _cleared(
 
 
 def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, np.ndarray, float]:
-    """One trial without points whose residuals (n, 2) over sigma are far from smooth motion, the residuals of the
+    """A trial without the points whose residuals (n, 2) over sigma are far from smooth motion, the residuals of the
     others, and their noise over sigma."""
     noise = float("nan")
     for _ in range(HIDDEN):

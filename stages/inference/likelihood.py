@@ -49,11 +49,15 @@ class Likelihood:
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Of candidates (C, P), (C, N): both coordinates of each point of each trial; LOST in a trial that could not be
         simulated."""
+        return np.concatenate(self.by_trial(chi), axis=1)
+
+    def by_trial(self, chi: np.ndarray) -> list[np.ndarray]:
+        """The same, of each trial, (C, 2 n)."""
         found = away(self.model, self.trials, values_of(self.parameters, chi))
         found = [each / scale for each, scale in zip(found, self._scales, strict=True)]
         if self.nuisance:
             found = [whiten(each) for whiten, each in zip(self._whiten, found, strict=True)]
-        return np.nan_to_num(np.concatenate(found, axis=1), copy=False, nan=LOST)
+        return [np.nan_to_num(each, copy=False, nan=LOST) for each in found]
 
     def until(self, seconds: float) -> Likelihood:
         """The beginning of each trial: so long after its hand moved, or after it began moving."""

@@ -14,12 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.stages.common import Progress, mad_sigma
-from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.huber import LIMIT
 from stringcast.stages.inference.initial_modes import SPAN, modes, settled
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import rungs
-from stringcast.stages.inference.solver import LOST, fitted
+from stringcast.stages.inference.solver import fitted
 from stringcast.stages.model.parameter import values_of
 from stringcast.stages.model.statics import GRAVITY
 
@@ -116,6 +115,5 @@ def with_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     four trials, of which a hardening bends two, a search ended 2.5 to 20 noises off, and ends 1 to 9 off with these.
     """
     plain = replace(likelihood, scale=(), nuisance=())
-    found = away(plain.model, plain.trials, values_of(plain.parameters, chi[None]))
-    scale = tuple(float(mad_sigma(np.nan_to_num(each, nan=LOST))) + TINY for each in found)
+    scale = tuple(float(mad_sigma(each)) + TINY for each in plain.by_trial(chi[None]))
     return replace(plain, scale=scale, nuisance=modes(plain.trials, values_of(likelihood.parameters, chi)))

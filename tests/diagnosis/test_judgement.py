@@ -337,12 +337,7 @@ def test_what_leaves_more_than_is_tolerated_is_named_only_if_it_explains_nearly_
     ("alone", "left", "names", "verdict"),
     [
         ((20.0, 20.0), (5.0, 5.0), ("large", "small"), "effect"),
-        (
-            (20.0, 20.0),
-            (16.0, 16.0),
-            ("large", "small"),
-            "unknown",
-        ),  # 97 % of all, and 36 % of what the large one leaves
+        ((20.0, 20.0), (16.0, 16.0), ("large", "small"), "unknown"),  # 97 % of all, 36 % of what the large one leaves
         ((20.0, 20.0), (5.0, 5.0), ("large", "small", "least"), "effect"),  # whatever each of the others does
         ((2.1, 2.2), (1.9, 1.9), ("large", "small"), "effect"),  # no more than tolerated
     ],
@@ -358,7 +353,7 @@ def test_a_large_cause_does_not_carry_others_that_explain_little_of_what_it_leav
 
     def lacking(data, fit):
         there = fit.hypothesis.names
-        short = {(): (90.0, 90.0), ("large",): alone, names: left}.get(there, (6.0, 6.0))
+        short = {("large",): alone, names: left}.get(there, (6.0, 6.0))
         return np.array(short if "large" in there else (80.0, 80.0) if there else (90.0, 90.0)) / 1e3
 
     monkeypatch.setattr(judgement, "unexplained", lacking)
