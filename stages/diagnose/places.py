@@ -120,7 +120,7 @@ def _departures(trials: Sequence[Case], lacking: Sequence[np.ndarray]) -> np.nda
 def _way(trial: Case, parent: Fit, values: np.ndarray) -> dict[str, np.ndarray]:
     """Of the fitted string through a trial: arguments of laws, (M,) each."""
     model = parent.hypothesis.model
-    points = model.true(trial.motion, values, trial.times, trial.initial).points[0]
+    points = model.true(trial.motion, values, trial.times, trial.initial, trial.turn).points[0]
     return way_of(points, model.string.arc_lengths(), trial.times)
 
 

@@ -15,7 +15,6 @@ from stringcast.stages.inference.evidence import TIP, Data, Fit, fitted
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
-from stringcast.stages.model.state import State
 
 FRAMES = 20  # of a trial, from which E is counted
 TURNS, STEPS = 3, 8  # of a fit without one trial, from that with all
@@ -67,9 +66,7 @@ def held_out_table(
         row["noise_floor"] = float(np.sqrt(2 * np.mean(trial.sigma**2)))
         for name, one in (("base", plain), ("extended", more)):
             row |= distances(trial, one.residual, name)
-            row[f"E_{name}"] = rate(
-                one.fit.hypothesis.model, one.fit.chi, trial.initial, observations[number], matching
-            )
+            row[f"E_{name}"] = rate(one.fit.hypothesis.model, one.fit.chi, trial, observations[number], matching)
         own = _predicted(data, known, number).residual
         rows.append(row | {"rms_known": distances(trial, own, "known")["rms_known"]})
     return HELD_OUT.check(pd.DataFrame(rows)) if rows else HELD_OUT.empty()
@@ -94,10 +91,10 @@ def distances(trial: Case, residual: np.ndarray, name: str) -> dict[str, float]:
     return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
 
 
-def rate(model: Model, chi: np.ndarray, begin: State | None, observation: Observation, matching: Matching) -> float:
-    """Matching rate E (Eq. 5) of a trial that begins in a state, or at rest."""
+def rate(model: Model, chi: np.ndarray, trial: Case, observation: Observation, matching: Matching) -> float:
+    """Matching rate E (Eq. 5) of an observation that begins as a trial does."""
     goal = targets(model, [thinned(observation)], matching)[0]
-    goal = replace(goal, case=replace(goal.case, initial=begin))
+    goal = replace(goal, case=replace(goal.case, initial=trial.initial, turn=trial.turn))
     return float(np.mean(goal.per_frame(values_of(model.parameters, chi[None]))[0]))
 
 

@@ -68,7 +68,7 @@ def _seen(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.nd
     """Of trials that are simulated side by side. Clocks of strings that move count from there, shorter trials stay at
     their last moment, and hands that end earlier rest."""
     if len(cases) == 1:
-        return [model.seen(case.motion, values, case.times, case.initial).points for case in cases]
+        return [model.seen(case.motion, values, case.times, case.initial, case.turn).points for case in cases]
     count = len(values)
     begun = [model.begun(case.initial, values) for case in cases]
     moments = [np.atleast_2d(model.moments(values, case.times)) for case in cases]
@@ -85,7 +85,8 @@ def _seen(model: Model, cases: Sequence[Case], values: np.ndarray) -> list[np.nd
 
     string = np.tile(values[:, : len(model.string.parameters)], (len(cases), 1))
     states = _together([begin for begin in begun if begin is not None], count)
-    points = simulate(model.string, hand, string, _below(lasting, count), states).points
+    turn = np.repeat([case.turn for case in cases], count)
+    points = simulate(model.string, hand, string, _below(lasting, count), states, turn).points
     told = zip(np.split(points, len(cases)), moments, cases, strict=True)
     return [model.reported(own[:, : m.shape[-1]], values, case.times) for own, m, case in told]
 

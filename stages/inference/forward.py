@@ -27,8 +27,9 @@ class Case:
 
     times: (F,) frame times [s] with valid readings. points: (N, 2) measured [m] at frame
     index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m]. initial: the state in which the
-    trial begins, by the camera's clock; None if at rest before the hand moves. change: how far that is from what the
-    first frames say, in modes (`initial_modes`). noise: how the points' is correlated.
+    trial begins, by the camera's clock; None if at rest before the hand moves. turn: on which side of the hand it is
+    at rest, as of `equilibrium.hanging`. change: how far the state is from what the first frames say, in modes
+    (`initial_modes`). noise: how the points' is correlated.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Case:
     points: np.ndarray
     sigma: np.ndarray
     initial: State | None = None
+    turn: float = 0.0
     change: np.ndarray = field(default_factory=lambda: np.zeros(2 * MODES))
     noise: Noise = WHITE
 
@@ -48,7 +50,7 @@ class Case:
         for first in range(0, len(values), CHUNK):
             some = slice(first, min(first + CHUNK, len(values)))
             begin = None if self.initial is None else self.initial.of(some)
-            yield some, self.model.seen(self.motion, values[some], self.times, begin)
+            yield some, self.model.seen(self.motion, values[some], self.times, begin, self.turn)
 
     def at_measured(self, points: np.ndarray) -> np.ndarray:
         """Where strings (C, F, n, 2) are at the measured arc lengths and times, (C, N, 2) [m]."""
@@ -80,7 +82,10 @@ def case(model: Model, observation: Observation) -> Case:
     position = points[["x", "y"]].to_numpy()
     s, motion = points["s"].to_numpy(), motion_of(observation).lasting(times[-1])
     ready = Case(observation.trial, model, motion, times, frame, s, position, sigma)
-    return replace(ready, initial=_begun(ready, "sigma" in points)) if observation.moving else ready
+    known = "sigma" in points
+    if observation.moving:
+        return replace(ready, initial=_begun(ready, known))
+    return replace(ready, turn=_turn(ready, known))
 
 
 def _begun(ready: Case, known: bool) -> State:
@@ -92,6 +97,19 @@ def _begun(ready: Case, known: bool) -> State:
     except DataError as error:
         raise DataError(f"trial {ready.name}: {error}") from error
     return initial_state(ready.motion.actual(ready.model.arm, ()), length, ready.times, seen)
+
+
+def _turn(ready: Case, known: bool) -> float:
+    """How far a string at rest is seen to turn from a hand that points up to its end [rad]: this way or the other, down
+    it hangs. 0 where the first frames do not show it, or where the hand points down, and there is one way. known: the
+    points' sigma is."""
+    theta = float(ready.motion.actual(ready.model.arm, ()).since(float(ready.times[0])).pose[0, 0, 2])
+    if np.sin(theta) < 0:
+        return 0.0
+    try:
+        return float(_begun(ready, known).angle[-1] - theta)
+    except DataError:
+        return 0.0
 
 
 def motion_of(observation: Observation) -> JointMotion | HandMotion:

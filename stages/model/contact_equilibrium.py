@@ -37,12 +37,14 @@ RISE = 0.5  # of the energy's slope where the step begins: so steeply it may ris
 NEAR = 1e-9  # [m] over which the change of a force is asked: what is hard is hardly entered
 
 
-def contact_equilibrium(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def contact_equilibrium(
+    string: String, material: np.ndarray, pose: np.ndarray, turn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Angles [rad] (continuous from the grasp) and lengths [m] of the segments at rest, (C, n - 1) each.
 
-    material: (C, P). pose: (C, 3) of the grasp.
+    material: (C, P). pose: (C, 3) of the grasp. turn: (C,), as of `equilibrium.hanging`.
     """
-    angles = guessed(string, material, pose[:, 2])
+    angles = guessed(string, material, pose[:, 2], turn)
     now = _Strings(Chain.of(string, material), pose, angles, plain(string, material))
     moving = np.arange(len(material))
     for _ in range(ITERATIONS):

@@ -37,29 +37,33 @@ from stringcast.stages.model.string import String
 CLOSE = 1e-3  # of the moment of the weight: what is left of a balance that is nearly found
 
 
-def hanging(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def hanging(
+    string: String, material: np.ndarray, pose: np.ndarray, turn: float | np.ndarray = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Angles [rad] (continuous from the grasp) and lengths [m] of the segments at rest, (C, n - 1) each.
 
-    material: (C, P). pose: (1 or C, 3) of the grasp. First as if nothing depended on place; where the string then
-    touches something, or is pulled, it is sought anew.
+    material: (C, P). pose: (1 or C, 3) of the grasp. turn: about how far a string turns from the hand to its end [rad],
+    (C,) or of all: from a hand that points up it hangs down on one side or on the other, the nearer of which this
+    tells. First as if nothing depended on place; where the string then touches something, or is pulled, it is sought
+    anew.
     """
-    pose = np.broadcast_to(pose, (len(material), 3))
+    pose, turn = np.broadcast_to(pose, (len(material), 3)), np.broadcast_to(turn, len(material))
     free, own = string.only(tuple(e for e in string.effects if not position_dependent(e)), material)
-    angles, lengths = _settled(free, own, pose)
+    angles, lengths = _settled(free, own, pose, turn)
     if free.effects != string.effects:
         with_all, without = (
             forces(Chain.of(*each), pose, angles, lengths) for each in ((string, material), (free, own))
         )
         held = np.any(with_all != without, axis=(1, 2))
         if held.any():
-            angles[held], lengths[held] = contact_equilibrium(string, material[held], pose[held])
+            angles[held], lengths[held] = contact_equilibrium(string, material[held], pose[held], turn[held])
     return angles, lengths
 
 
-def _settled(string: String, material: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and lengths, as `hanging`, where no force depends on the place. pose: (C, 3)."""
+def _settled(string: String, material: np.ndarray, pose: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles and lengths, as `hanging`, where no force depends on the place. pose: (C, 3). turn: (C,)."""
     chain = Chain.of(string, material)
-    angles, lengths = guessed(string, material, pose[:, 2]), plain(string, material)
+    angles, lengths = guessed(string, material, pose[:, 2], turn), plain(string, material)
     force = forces(chain, pose, angles, lengths)
     turning = string.asks(("load", "flow", "acceleration"), ("x", "y", "tx", "ty"))  # what pulls, with the string
     last, share = np.zeros_like(angles), np.ones((len(angles), 1))

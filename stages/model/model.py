@@ -105,26 +105,37 @@ class Model(Parametrised):
         return motion.joints(self._acts(values))
 
     def true(
-        self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
+        self,
+        motion: JointMotion | HandMotion,
+        values: np.ndarray,
+        times: np.ndarray,
+        initial: State | None = None,
+        turn: float = 0.0,
     ) -> StringMotion:
         """Positions of the strings of candidates. values: (C, P); times: (F,) or (C, F) of the arm's clock [s].
 
-        initial: the state from which they move, of the same clock; else they rest before the hand moves.
+        initial: the state from which they move, of the same clock; else they rest before the hand moves. turn: on which
+        side of the hand they do, as of `equilibrium.hanging`.
         """
         hand = self.hand(motion, values)
         if initial is not None:
             hand, times = hand.since(initial.t), initial.counted(times)
-        return simulate(self.string, hand, values[:, : len(self.string.parameters)], times, initial)
+        return simulate(self.string, hand, values[:, : len(self.string.parameters)], times, initial, turn)
 
     def seen(
-        self, motion: JointMotion | HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
+        self,
+        motion: JointMotion | HandMotion,
+        values: np.ndarray,
+        times: np.ndarray,
+        initial: State | None = None,
+        turn: float = 0.0,
     ) -> StringMotion:
         """The strings of candidates as the camera reports them. values: (C, P); times: (F,) of the camera's clock [s].
 
-        initial: the state from which they move, of the same clock; else they rest before the hand moves.
+        initial, turn: as of `true`, a state by the camera's clock.
         """
         initial = self.begun(initial, values)
-        real = self.true(motion, values, self.moments(values, times), initial)
+        real = self.true(motion, values, self.moments(values, times), initial, turn)
         return StringMotion(self.reported(real.points, values, times), real.finite)
 
     def begun(self, initial: State | None, values: np.ndarray) -> State | None:

@@ -36,15 +36,21 @@ class StringMotion:
 
 
 def simulate(
-    string: String, hand: HandMotion, values: np.ndarray, times: np.ndarray, initial: State | None = None
+    string: String,
+    hand: HandMotion,
+    values: np.ndarray,
+    times: np.ndarray,
+    initial: State | None = None,
+    turn: float | np.ndarray = 0.0,
 ) -> StringMotion:
     """Move candidates along the hand's motion, from static equilibrium or from the state at its first tick.
 
     hand: one motion for all candidates, or one each. values: (C, P) parameters in the order
     of `string.parameters`. times: (F,), or (C, F) of their own, when the string is wanted [s];
     before the hand's first tick nothing moves, after the last the hand rests. initial: how the string lies and
-    moves at the first tick, whatever the time it names; in equilibrium without it. A candidate that does not stay
-    finite, or whose stable step is impractically small, is rejected.
+    moves at the first tick, whatever the time it names; in equilibrium without it. turn: on which side of the hand it
+    hangs at rest, as of `hanging`. A candidate that does not stay finite, or whose stable step is impractically small,
+    is rejected.
 
     Results do not depend on the number of threads nor on which candidates run together.
     """
@@ -54,13 +60,13 @@ def simulate(
     count = int(last.max()) + 1
     poses, rates = rested(hand.pose[:, :count], hand.rate[:, :count], max(count - hand.pose.shape[1], 0))
     steps, possible = steps_per_tick(*string.active(material), hand.tick)
-    parts = []
+    turn, parts = np.broadcast_to(turn, len(material)), []
     for level in np.unique(steps[possible]):  # those that share a step share the loop
         chosen = np.flatnonzero(possible & (steps == level))
         own = (each if len(each) == 1 else each[chosen] for each in (poses, rates))
         pose, rate = _begun(string, material[chosen], *own)
         begins = None if initial is None else initial.of(chosen)
-        ticks = _run(string, material[chosen], pose, rate, hand, int(level), begins)
+        ticks = _run(string, material[chosen], pose, rate, hand, int(level), begins, turn[chosen])
         asked_for, end = (position, last) if times.ndim == 1 else (position[chosen], last[chosen])
         points = sampled(ticks, asked_for, end)
         longer = string.longer(material[chosen])[:, None]
@@ -104,6 +110,7 @@ def _run(
     hand: HandMotion,
     steps: int,
     initial: State | None,
+    turn: np.ndarray,
 ) -> np.ndarray:
     """Run candidates that share a step. Returns positions at the ticks (C, K, n, 2), of no meaning once one is lost."""
     count, (looped, filled) = len(material), string.in_loop(material)
@@ -114,7 +121,7 @@ def _run(
     # the loop loads a number of all candidates of a block at once: lanes stand last, side by side
     parameters = np.ascontiguousarray(filled[index].reshape(blocks, width, -1).transpose(0, 2, 1))
     own = pose if len(pose) == 1 else pose[index]
-    angles, lengths, velocity, hung = (part[index] for part in _laid(string, material, pose, rate, initial))
+    angles, lengths, velocity, hung = (part[index] for part in _laid(string, material, pose, rate, initial, turn))
     working, acting = string.active(material[index])
     chain = (working.masses(acting)[0], working.segments(acting), partial(averaged, working, acting))
     constants = string.integrator.constants(*chain, hand.tick / steps)
@@ -137,17 +144,22 @@ def _run(
 
 
 def _laid(
-    string: String, material: np.ndarray, pose: np.ndarray, rate: np.ndarray, initial: State | None
+    string: String,
+    material: np.ndarray,
+    pose: np.ndarray,
+    rate: np.ndarray,
+    initial: State | None,
+    turn: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
     """How strings lie and move at first: angles [rad] and lengths [m] of the segments, (C, n - 1) each, velocities of
     the points (C, n, 2) [m/s], and the angles at which hinges would hold nothing: where the string would hang at rest,
     if they hold anything.
 
     In equilibrium, or as `initial` says; then each candidate is stretched as it would be if it hung there at rest: let
-    go without strain, a string would ring.
+    go without strain, a string would ring. turn: (C,), as of `hanging`.
     """
     if initial is None:
-        angles, lengths = hanging(*string.active(material), pose[:, 0])
+        angles, lengths = hanging(*string.active(material), pose[:, 0], turn)
         return angles, lengths, np.zeros((len(material), string.points, 2)), angles
     shape = (len(material), string.points - 1)
     middles = string.middles()
@@ -160,7 +172,7 @@ def _laid(
     relative = np.cumsum((lengths * turns)[..., None] * across, axis=1)
     hand = np.broadcast_to(rate[:, :1, :2], (len(material), 1, 2))
     velocity = np.concatenate([hand, hand + relative], axis=1)
-    hung = hanging(*string.active(material), pose[:, 0])[0] if any(map(string.holds, HELD)) else angles
+    hung = hanging(*string.active(material), pose[:, 0], turn)[0] if any(map(string.holds, HELD)) else angles
     return angles, lengths, velocity, hung
 
 

@@ -52,12 +52,13 @@ class Chain:
         return Chain(self.string, *(part[which] for part in parts))
 
 
-def guessed(string: String, material: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """A first guess: from the grasp's direction to straight down, over the length on which weight bends the rod."""
+def guessed(string: String, material: np.ndarray, theta: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """A first guess: from the grasp's direction to straight down, over the length on which weight bends the rod, by
+    way of whichever side is nearer to a turn [rad]. theta, turn: (C,)."""
     zero = np.zeros((1, 1))
     _, stiffness = sloped(string, material, "moment", "curvature", zero, {"rate": zero})
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY) ** (1 / 3)
-    fall = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
+    fall = turn + (-np.pi / 2 - theta - turn + np.pi) % (2 * np.pi) - np.pi
     middles = string.middles() * string.longer(material)[:, None]
     return theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
 

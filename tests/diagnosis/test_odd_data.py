@@ -61,8 +61,8 @@ def test_the_matching_rate_is_that_of_the_state_in_which_the_trial_begins(model,
     """Some twenty frames of a trial are too far apart to tell it from."""
     ready, chi = case(model, begun), np.array([float(p.chi(np.asarray(TRUTH[p.name]))) for p in model.parameters])
     assert FRAMES <= thinned(begun).points["t"].nunique() < 2 * FRAMES
-    right = rate(model, chi, ready.initial, begun, FINE)
-    elsewhere = replace(ready.initial, angle=ready.initial.angle + 0.5)
+    right = rate(model, chi, ready, begun, FINE)
+    elsewhere = replace(ready, initial=replace(ready.initial, angle=ready.initial.angle + 0.5))
     assert right > 0.8  # measured: 0.825, and 0.25 elsewhere
     assert rate(model, chi, elsewhere, begun, FINE) < right - 0.3
 

@@ -57,6 +57,18 @@ def test_a_stiff_string_sags_like_a_cantilever():
     assert sag == pytest.approx(9.81 * 0.3**4 / (8 * bending), rel=2e-3)
 
 
+@pytest.mark.parametrize("lean", [0.0, 0.2])
+def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean):
+    """On either, though one is the longer way: of a hand as far off to the other side it is the mirror image."""
+    string, named = String(0.3, points=31, **SECOND_ORDER), STIFF | {"bending_stiffness": 30.0}
+    values = string.material(string.values(named)[None])
+    poses = (np.array([[0.0, 0.0, np.pi / 2 + side * lean]]) for side in (1, -1))
+    right, left = (hanging(string, values, pose, -2.0 * side) for side, pose in zip((1, -1), poses, strict=True))
+    np.testing.assert_allclose(right[0] - np.pi / 2, np.pi / 2 - left[0], atol=1e-9)
+    assert (right[1] * np.cos(right[0])).sum() > 0.05
+    assert right[0][0, -1] < -0.8
+
+
 def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
     string = String(0.3, points=25)
     limp = STIFF | {"bending_stiffness": 8e-3, "grasp_stiffness": 1e-3}
