@@ -31,7 +31,7 @@ SAME = 0.1  # of what is left, root mean square: runs that differ by less have c
 CONVERGE = 60  # iterations at most on all there is; it mostly takes fewer than ten
 CLOSE = 0.005  # of the log-likelihood: gains so small still add up, on the way along a valley to its end
 ROUNDS = 10  # at most, in which initial states, noise and parameters are found; it mostly takes three
-STAYS = 0.01  # of each trial's noise: from one round to the next it may change by that
+STAYS = 0.01  # of the trials' noise, in the geometric mean: a round that lowers it by less is the last
 TINY = 1e-9  # of the noise: of exact data something is left, too
 
 
@@ -91,10 +91,12 @@ def refined(likelihood: Likelihood, chi: np.ndarray) -> tuple[Likelihood, np.nda
     chi (P,)."""
     likelihood = with_initial_states(likelihood, chi, SPAN)
     for _ in range(ROUNDS):
-        before = likelihood.scale
-        chi = fitted(likelihood, chi[None], CONVERGE, CLOSE).chi[0]
-        likelihood = with_initial_states(likelihood, chi)
-        if np.allclose(likelihood.scale, before, rtol=STAYS):
+        there = fitted(likelihood, chi[None], CONVERGE, CLOSE).chi[0]
+        anew = with_initial_states(likelihood, there)
+        gain = np.mean(np.log(likelihood.scale)) - np.mean(np.log(anew.scale))
+        if gain > 0:
+            likelihood, chi = anew, there
+        if gain < STAYS:
             break
     return likelihood, chi
 
