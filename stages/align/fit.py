@@ -26,7 +26,6 @@ ALWAYS = ("time_offset", "camera_rotation", "pixel_scale", "camera_offset")
 SOUGHT = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
 BLOCKS = 20  # pieces into which the time is cut
 STEP = 1e-4  # of a parameter's range, for the central difference
-STEPS = 60  # iterations of the solver at most; it mostly takes five
 ENOUGH = 1e-3  # of the log-likelihood: an improvement that ends them, for deviances are compared
 ROUNDS = 3  # in which the robust scale settles
 SURE = 9.0  # deviance that an effect must explain to be seen: by chance 1 in 400
@@ -185,7 +184,7 @@ def fitted(
     chi = chi_of(sought.parameters, np.array([(start or {}).get(name, 0.0) for name in names]))
     for _ in range(ROUNDS if limit is None else 1):
         scale = limit or LIMIT * robust(sought.residuals(chi[None]))
-        chi = solver.fitted(replace(sought, limit=scale), chi[None], STEPS, ENOUGH).chi[0]
+        chi = solver.fitted(replace(sought, limit=scale), chi[None], enough=ENOUGH).chi[0]
     residual = sought.residuals(chi[None])[0]
     scale = limit or LIMIT * robust(residual)
     low, high = problem.ranges(names)

@@ -25,7 +25,7 @@ from stringcast.stages.diagnose.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
 from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, settled
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
-from stringcast.stages.diagnose.prepared import MOST, ROUNDS, Prepared, prepared, too_chaotic, usable
+from stringcast.stages.diagnose.prepared import Prepared, prepared, too_chaotic, usable
 from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria, Found, searched, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered, tempered
@@ -216,7 +216,7 @@ def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria
     varying = {name: seen.varying[name] + aside.varying[name] for name in seen.varying.keys() & aside.varying.keys()}
     data = Data(seen.trials + aside.trials, seen.discrepancies + aside.discrepancies, varying)
     sizes = np.concatenate([found.fit.sizes, np.zeros(len(aside.trials), dtype=int)])
-    fit = fitted(data, found.fit.hypothesis, found.fit.chi[None], sizes, ROUNDS, MOST)
+    fit = fitted(data, found.fit.hypothesis, found.fit.chi[None], sizes)
     return bool(unexplained(data, fit).max() > criteria.tolerance)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from stringcast.stages.diagnose.prepared import MOST, ROUNDS
 from stringcast.stages.diagnose.single_effects import (
     Criteria,
     Found,
@@ -104,7 +103,7 @@ def _with_likeliest(found: Found, slots: Sequence[Slot]) -> Found:
         return found
     known = {name: chi for fit in (found.fit, *likeliest.values()) for name, chi in fit.named.items()}
     together = Hypothesis(found.fit.hypothesis.base, tuple(likeliest))
-    fit = fitted(data, together, together.carried(known)[None], found.fit.sizes, ROUNDS, MOST)
+    fit = fitted(data, together, together.carried(known)[None], found.fit.sizes)
     return max(found, found.instead(fit), key=lambda each: each.fit.evidence)
 
 

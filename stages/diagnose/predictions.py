@@ -17,7 +17,6 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
 
 FRAMES = 20  # of a trial, from which E is counted
-TURNS, STEPS = 3, 8  # of a fit without one trial, from that with all
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ def predicted(data: Data, fit: Fit, unseen: bool = False) -> list[Prediction]:
     for number in numbers:
         others = data.only([k for k in numbers if k != number])
         sizes = np.full(len(others.trials), int(np.median(fit.sizes)))  # those of the trial left out are in none
-        found.append(_predicted(data, fitted(others, fit.hypothesis, fit.chi[None], sizes, TURNS, STEPS), number))
+        found.append(_predicted(data, fitted(others, fit.hypothesis, fit.chi[None], sizes), number))
     return found
 
 

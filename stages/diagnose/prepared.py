@@ -21,7 +21,7 @@ from stringcast.stages.inference.initial_modes import as_first_told, modes
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import on_mesh
 from stringcast.stages.inference.noise import WHITE, told
-from stringcast.stages.inference.search import CONVERGE, refined, screened, searched, with_noise
+from stringcast.stages.inference.search import refined, screened, searched, with_noise
 from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.accuracy import extrapolated
 from stringcast.stages.model.implicit import ImplicitLeapfrog
@@ -40,7 +40,7 @@ FEWEST = 2  # trials: what is found in one could not be checked on another
 FIRST_ORDER = 0.25  # of what is extrapolated, in doubt: |4 / 2^p - 1| / 4 where halving the mesh is of order p
 CLEARLY = 5.0  # of the log evidence: strong, by Jeffreys' scale
 SETTLED = 1.0  # of the log evidence: to gain less is not worth a mention, by the same
-ROUNDS, MOST = 6, 20  # of a fit that is to stand: it mostly takes three of five
+MOST = 20  # iterations of the search before its last horizon
 LEAST_GROWTH = 0.1  # of the largest: early frames are not exact either
 STILL, RESTING = 0.01, 0.2  # of the length: a string at rest stays so near where it ends; [s] of rest that are kept
 
@@ -152,7 +152,7 @@ def prepared(
     hypothesis = Hypothesis(likelihood.model)
     data, doubt = corrected(trials, hypothesis, chi)
     sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None])))[:, 0]
-    base = fitted(data, hypothesis, chi[None], sizes, ROUNDS, MOST)
+    base = fitted(data, hypothesis, chi[None], sizes)
     resting = sum(len(t.s) for t in whole) - sum(len(t.s) for t in moving)
     first = Prepared(data, base, seen, trials, resting, doubt, stated=stated, trusted=tuple(trusted))
     made, base = converged(first, base)
@@ -175,10 +175,10 @@ def nearer(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
     parameters, which a fit follows; then as it is there."""
     here = prepared.at(fit)
     if prepared.literal:
-        return here, fitted(here.data, fit.hypothesis, fit.chi[None], fit.sizes, ROUNDS, MOST)
+        return here, fitted(here.data, fit.hypothesis, fit.chi[None], fit.sizes)
     stays = evaluated(here.data, fit.hypothesis, fit.chi)
     finer = _finer(here, stays)
-    chi = at_best(replace(here.data, finer=finer), fit.hypothesis, fit.chi[None], stays.sizes, ROUNDS, MOST)
+    chi = at_best(replace(here.data, finer=finer), fit.hypothesis, fit.chi[None], stays.sizes)
     there = here.at(replace(stays, chi=chi))
     there = replace(there, data=replace(there.data, finer=replace(finer, chi=chi)))
     moved = evaluated(there.data, fit.hypothesis, chi)
@@ -228,7 +228,7 @@ def _configured(prepared: Prepared, model: Model) -> Fit | None:
     pairs = zip(prepared.raw, prepared.data.discrepancies, strict=True)
     trials = tuple(as_first_told(replace(trial, model=own.model), told.modes) for trial, told in pairs)
     data = Data(trials, prepared.data.discrepancies)
-    return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes, ROUNDS, MOST)
+    return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes)
 
 
 def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
@@ -242,7 +242,7 @@ def _without_chaotic(prepared: Prepared, tolerance: float) -> Prepared:
     whole, raw = (tuple(some[k] for k in good) for some in (prepared.whole, prepared.raw))
     chaotic = (*prepared.chaotic, *names)
     kept = replace(prepared, whole=whole, raw=raw, data=prepared.data.only(good), chaotic=chaotic).at(base)
-    return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes, ROUNDS, MOST))
+    return replace(kept, base=fitted(kept.data, base.hypothesis, base.chi[None], base.sizes))
 
 
 def too_chaotic(prepared: Prepared, tolerance: float) -> list[str]:
@@ -260,7 +260,7 @@ def _with_nearer_mesh(prepared: Prepared, model: Model, tolerance: float) -> Pre
         return replace(prepared, configured=own)
     raw = tuple(replace(trial, model=own.hypothesis.model) for trial in prepared.raw)
     literal = replace(prepared, literal=True, raw=raw).at(own)
-    fit = fitted(literal.data, own.hypothesis, own.chi[None], own.sizes, ROUNDS, MOST)
+    fit = fitted(literal.data, own.hypothesis, own.chi[None], own.sizes)
     if literal.data.tip_rms(lacked(literal.data, fit)).max() > tolerance:
         return replace(prepared, configured=own)
     return replace(literal, base=fit)
@@ -281,7 +281,7 @@ def searched_again(data: Data, fit: Fit, rng: np.random.Generator, starts: int) 
     likelihood = Likelihood(hypothesis.model, tuple(replace(t, model=hypothesis.model) for t in data.trials))
     tried = np.concatenate([fit.chi[None], screened(likelihood, drawn, starts - 1)])
     chi = searched(likelihood, tried, MOST)
-    other = fitted(data, hypothesis, chi[None], fit.sizes, ROUNDS, MOST)
+    other = fitted(data, hypothesis, chi[None], fit.sizes)
     return max(fit, other, key=lambda each: each.evidence)
 
 
@@ -345,7 +345,7 @@ def _widened(likelihood: Likelihood, chi: np.ndarray, place: int) -> tuple[Likel
     trials = tuple(replace(trial, model=wider) for trial in likelihood.trials)
     start = chi_of(wider.parameters, values_of(likelihood.parameters, chi[None]))
     problem = with_noise(replace(likelihood, model=wider, trials=trials), start[0])
-    before, after = problem.residuals(start)[0], solver.fitted(problem, start, CONVERGE)
+    before, after = problem.residuals(start)[0], solver.fitted(problem, start)
     gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
     return (problem, after.chi[0]) if gain > CLEARLY else (likelihood, chi)
 

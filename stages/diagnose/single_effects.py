@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from stringcast.stages.diagnose.predictions import Prediction, predicted, rises
-from stringcast.stages.diagnose.prepared import FEWEST, MOST, ROUNDS, Prepared, nearer, searched_again
+from stringcast.stages.diagnose.prepared import FEWEST, Prepared, nearer, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.model.effect import Effect, components, position_dependent
@@ -26,8 +26,6 @@ from stringcast.stages.model.effect import Effect, components, position_dependen
 log = logging.getLogger(__name__)
 
 PROMISING = 6  # proposals fitted first; the others, if none of these explains what is left
-TURNS = 4  # between a candidate's parameters and sizes of discrepancies
-STEPS = 8  # of each
 SOON = 1.0  # of the log-likelihood: a step that gains less does not say which candidates are worth fitting to the end
 WORTH = 5.0  # of the log-likelihood to first order: less is not fitted first
 RIVALS = 3  # fitted to the end, at most
@@ -237,7 +235,7 @@ def _gain_anew(data: Data, step: Step) -> float:
     if not rest:
         return -np.inf
     fits = (best, step.parent)
-    others = [fitted(data.only(rest), f.hypothesis, f.chi[None], f.sizes[rest], TURNS, STEPS) for f in fits]
+    others = [fitted(data.only(rest), f.hypothesis, f.chi[None], f.sizes[rest]) for f in fits]
     return others[0].evidence - others[1].evidence
 
 
@@ -293,7 +291,7 @@ def polished(prepared: Prepared, fit: Fit) -> tuple[Prepared, Fit]:
     others = elsewhere(prepared.data, fit)
     if not len(others):
         return prepared, fit
-    other = fitted(prepared.data, fit.hypothesis, others, fit.sizes, ROUNDS, MOST)
+    other = fitted(prepared.data, fit.hypothesis, others, fit.sizes)
     return nearer(prepared, other) if other.evidence > fit.evidence else (prepared, fit)
 
 
@@ -320,7 +318,7 @@ def _joined(found: Found, best: Fit, criteria: Criteria, rng: np.random.Generato
 
 def refitted(data: Data, fit: Fit, hypothesis: Hypothesis) -> Fit:
     """Another hypothesis at its best, from where a fit is."""
-    return fitted(data, hypothesis, hypothesis.carried(fit.named)[None], fit.sizes, ROUNDS, MOST)
+    return fitted(data, hypothesis, hypothesis.carried(fit.named)[None], fit.sizes)
 
 
 def _fitted(prepared: Prepared, parent: Fit, some: Sequence[Proposal]) -> list[Fit]:
@@ -329,10 +327,10 @@ def _fitted(prepared: Prepared, parent: Fit, some: Sequence[Proposal]) -> list[F
     fits = []
     for proposal in some:
         log.info("fitting %s", " + ".join(proposal.hypothesis.names))
-        fit = fitted(prepared.data, proposal.hypothesis, proposal.starts, parent.sizes, TURNS, STEPS, SOON)
+        fit = fitted(prepared.data, proposal.hypothesis, proposal.starts, parent.sizes, SOON)
         first = fit.evidence - parent.evidence
         if first > 0:
-            fit = fitted(prepared.told_by(fit), fit.hypothesis, fit.chi[None], fit.sizes, TURNS, STEPS, SOON)
+            fit = fitted(prepared.told_by(fit), fit.hypothesis, fit.chi[None], fit.sizes, SOON)
         gains = (fit.evidence - parent.evidence, first, proposal.gain)
         log.info("%s: evidence %+.1f, at first %+.1f, promised %.1f", proposal.effect.name, *gains)
         fits.append(fit)

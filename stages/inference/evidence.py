@@ -28,6 +28,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter, values_of
 
 WIDTHS = np.array([1e-3, 3e-3, 1e-2, 3e-2])  # [m] by which a cause may well move the tip, each as likely
+ROUNDS = 6  # at most, in turns with the sizes of discrepancies: it mostly takes three
 FEW = 4  # iterations of several starts, before the best alone goes on
 DRAWS = 400  # of what may be lacking: a probability is told to 0.025
 TIP = 1e-3  # [m] points so near to the outermost are the tip
@@ -286,15 +287,13 @@ def fitted(
     hypothesis: Hypothesis,
     starts: np.ndarray,
     sizes: np.ndarray,
-    rounds: int,
-    most: int,
     enough: float = solver.ENOUGH,
 ) -> Fit:
     """A hypothesis at its best from these starts (C, P), in turns with the sizes of the discrepancies, from (K,) on.
 
-    rounds: turns at most. most: iterations of each, until one gains less than `enough` of the log-likelihood.
+    enough: a step that gains less of the log-likelihood is the last of its turn.
     """
-    return evaluated(data, hypothesis, at_best(data, hypothesis, starts, sizes, rounds, most, enough))
+    return evaluated(data, hypothesis, at_best(data, hypothesis, starts, sizes, enough))
 
 
 def at_best(
@@ -302,8 +301,6 @@ def at_best(
     hypothesis: Hypothesis,
     starts: np.ndarray,
     sizes: np.ndarray,
-    rounds: int,
-    most: int,
     enough: float = solver.ENOUGH,
 ) -> np.ndarray:
     """Exponents (P,) of `fitted`."""
@@ -312,8 +309,8 @@ def at_best(
     told = data.log_likelihoods(data.residuals(hypothesis.model, first.chi))
     best = int(np.argmax(marginal(told).sum(axis=0)))
     chi, sizes = first.chi[best], likeliest(told[:, best])
-    for _ in range(rounds - 1):
-        chi = solver.fitted(Problem(data, hypothesis, sizes), chi[None], most, enough).chi[0]
+    for _ in range(ROUNDS - 1):
+        chi = solver.fitted(Problem(data, hypothesis, sizes), chi[None], enough=enough).chi[0]
         new = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None]))[:, 0])
         if (new == sizes).all():
             break

@@ -26,7 +26,6 @@ TURN = 0.1  # [rad] by which a mode of the shape may well be off
 RATE = 3.0  # [rad/s] by which a mode of the rates may
 STEP = 1e-3  # of those, for the differences
 FARTHEST = 20.0  # of those, that a mode may be off
-TRIES = 20  # iterations at most; it mostly takes 5
 LET_BACK = 0.5  # by which hinges may well have been let back, as a share of all the way (`State.let_back`)
 COEFFICIENTS = tuple(Parameter(f"mode_{k}", "1", "", -FARTHEST, FARTHEST, 0.0) for k in range(2 * MODES))
 HELD = Parameter("let_back", "1", "", 0.0, 1 / LET_BACK, 0.0)
@@ -53,7 +52,7 @@ def suited(
     """The case with the initial state by which what is seen of it is likeliest. white: of residuals over sigma (C,
     2 N). limit: standard deviations from which one counts less."""
     problem = _Beginning(seen, values, coefficients(ready.model.string), white, limit)
-    found = fitted(problem, chi_of(problem.parameters, change(ready))[None], TRIES)
+    found = fitted(problem, chi_of(problem.parameters, change(ready))[None])
     return with_change(ready, values_of(problem.parameters, found.chi[0]))
 
 

@@ -18,7 +18,7 @@ from stringcast.stages.inference.huber import LIMIT
 from stringcast.stages.inference.initial_modes import SPAN, modes, settled
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import rungs
-from stringcast.stages.inference.solver import fitted
+from stringcast.stages.inference.solver import ITERATIONS, fitted
 from stringcast.stages.model.parameter import values_of
 from stringcast.stages.model.statics import GRAVITY
 
@@ -28,7 +28,6 @@ GROWTH = 1.75  # of the horizon, from one to the next
 NEARLY = 0.8  # of the longest trial: a horizon beyond that is all there is
 FINALISTS = 8  # starts that go on to the end, if they have come to different places
 SAME = 0.1  # of what is left, root mean square: runs that differ by less have come to the same place
-CONVERGE = 60  # iterations at most on all there is; it mostly takes fewer than ten
 CLOSE = 0.005  # of the log-likelihood: gains so small still add up, on the way along a valley to its end
 ROUNDS = 10  # at most, in which initial states, noise and parameters are found; it mostly takes three
 STAYS = 0.01  # of the trials' noise, in the geometric mean: a round that lowers it by less is the last
@@ -63,7 +62,7 @@ def searched(
     few = max(most // max(len(ahead) - 1, 1), 1)
     for number, (horizon, mesh) in enumerate(zip(ahead, _meshes(likelihood, len(ahead)), strict=True)):
         some = with_noise(mesh.until(horizon), chi[0])
-        fits = fitted(some, chi, few if np.isfinite(horizon) else CONVERGE)
+        fits = fitted(some, chi, few if np.isfinite(horizon) else ITERATIONS)
         chi = fits.chi[_survivors(fits.residual, fits.loss)]
         progress((number + 1) / len(ahead))
     return chi[0]
@@ -91,7 +90,7 @@ def refined(likelihood: Likelihood, chi: np.ndarray) -> tuple[Likelihood, np.nda
     chi (P,)."""
     likelihood = with_initial_states(likelihood, chi, SPAN)
     for _ in range(ROUNDS):
-        there = fitted(likelihood, chi[None], CONVERGE, CLOSE).chi[0]
+        there = fitted(likelihood, chi[None], enough=CLOSE).chi[0]
         anew = with_initial_states(likelihood, there)
         gain = np.mean(np.log(likelihood.scale)) - np.mean(np.log(anew.scale))
         if gain > 0:

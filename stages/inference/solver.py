@@ -21,6 +21,7 @@ from stringcast.stages.model.parameter import Parameter, chi_of, slopes_of, valu
 
 LOST = 1e3  # standard deviations: each residual of what cannot be simulated
 ENOUGH = 0.05  # of the log-likelihood: an improvement that matters to nobody
+ITERATIONS = 60  # at most; it mostly takes fewer than ten
 
 # Differences of chi. A tenth of what is left keeps their error, half their width times the curvature, far below it.
 # Rounding, 1e-13 of the points, is 1e-6 of a difference over the narrowest; over the widest any string is curved.
@@ -83,7 +84,7 @@ class Fits:
         return cls(chi.copy(), residual, loss(residual, problem.limit), width, damping, stale, active, normal, gradient)
 
 
-def fitted(problem: Problem, starts: np.ndarray, most: int, enough: float = ENOUGH) -> Fits:
+def fitted(problem: Problem, starts: np.ndarray, most: int = ITERATIONS, enough: float = ENOUGH) -> Fits:
     """Each run from its start (K, P), `most` iterations at most, until one gains less than `enough`."""
     fits = Fits.begun(problem, starts)
     for _ in range(most):

@@ -71,7 +71,7 @@ def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
     data = lacking([case(model, each) for each in seen], base, chi)
     parent = evaluated(data, base, chi)
     (plane,) = proposals(data, parent, [library()["contact"]], 0)
-    found = fitted(data, plane.hypothesis, plane.starts, parent.sizes, 4, 8)
+    found = fitted(data, plane.hypothesis, plane.starts, parent.sizes)
     known = np.array([{**dict.fromkeys(touched.model.names, 0.0), **there}[name] for name in touched.model.names])
     true = evaluated(data, touched, chi_of(touched.parameters, known))
     assert true.evidence - parent.evidence > 50

@@ -68,7 +68,7 @@ def rivals(model, slow, *effects):
     for effect in effects:
         hypothesis = base.joined(effect)
         start = [TRUTH.get(p.name, p.start) for p in hypothesis.parameters]
-        fits[effect.name] = fitted(data, hypothesis, chi_of(hypothesis.parameters, np.array(start))[None], sizes, 3, 10)
+        fits[effect.name] = fitted(data, hypothesis, chi_of(hypothesis.parameters, np.array(start))[None], sizes)
     return Rivals(fits, data, ENOUGH)
 
 

@@ -45,7 +45,7 @@ def ready(arm, model, values, seed):
     """Data of three swings, and the base model fitted to them from where the string is."""
     cases, hypothesis = seen(arm, model, values, seed), Hypothesis(model)
     data = lacking(cases, hypothesis, start(hypothesis))
-    fit = fitted(data, hypothesis, start(hypothesis)[None], np.zeros(3, dtype=int), 2, 8)
+    fit = fitted(data, hypothesis, start(hypothesis)[None], np.zeros(3, dtype=int))
     return Prepared(data, evaluated(data, hypothesis, fit.chi), cases, cases, 0, np.zeros(3), literal=True)
 
 
@@ -94,7 +94,7 @@ def test_an_effect_is_evident_from_the_size_on_that_is_said(arm, model, told, ti
         cases = seen(arm, windy.model, TRUTH | strength, seed)
         chi = start(base)
         data = lacking([replace(each, model=model) for each in cases], base, chi)
-        plain, fit = (fitted(data, h, start(h)[None], np.zeros(3, dtype=int), 3, 8) for h in (base, windy))
+        plain, fit = (fitted(data, h, start(h)[None], np.zeros(3, dtype=int)) for h in (base, windy))
         evident.append(least_gain(plain, fit) > CRITERIA.enough)
     assert (np.mean(evident) > 0.5) == found
 

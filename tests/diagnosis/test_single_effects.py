@@ -99,7 +99,7 @@ def test_what_one_trial_says_alone_is_asked_of_the_others(arm, heavy, believed):
     observed = [performed(name, arm, heavier.model, own, angles, places, rng) for name, own, angles in masses]
     chi = chi_of(base.parameters, np.array([TRUTH[p.name] for p in base.parameters]))
     data = lacking_at([case(base.model, each) for each in observed], base, chi)
-    parent = fitted(data, base, chi[None], np.full(3, 9), 4, 10)
+    parent = fitted(data, base, chi[None], np.full(3, 9))
     best = evaluated(data, heavier, chi_of(heavier.parameters, np.array(base_values(heavier, 0.1))))
     said = np.array([623.0, -36.0, -75.0])
     best = replace(best, by_trial=parent.by_trial + said, evidence=parent.evidence + said.sum())

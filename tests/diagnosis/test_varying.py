@@ -39,7 +39,7 @@ def test_sets_that_differ_are_told_with_the_one_that_they_share(arm, hypothesis)
     offsets = np.array([0.6, -0.5, 0.3, -0.4])
     data, plain = seen(arm, hypothesis, offsets)
     assert data.differs("rest_curvature") > 0
-    fit = fitted(data, hypothesis, plain.chi[None], plain.sizes, 4, 10)
+    fit = fitted(data, hypothesis, plain.chi[None], plain.sizes)
     assert fit.by_trial.sum() > plain.by_trial.sum() + 20
     assert fit.values[CURVATURE] == pytest.approx(SET + offsets.mean(), abs=2 * offsets.std() / np.sqrt(TRIALS))
     less = fitted(
@@ -47,8 +47,6 @@ def test_sets_that_differ_are_told_with_the_one_that_they_share(arm, hypothesis)
         hypothesis.without(library()["rest_curvature"]),
         plain.chi[None, hypothesis.base_places],
         plain.sizes,
-        4,
-        10,
     )
     assert fit.evidence > less.evidence + 20  # what differs about a size is no excuse for leaving that away
 

@@ -23,7 +23,6 @@ from stringcast.stages.model.parameter import Parameter, chi_of, values_of
 from stringcast.stages.spec import Call
 
 RESTING = 0.005  # of the string's length: a hand that takes the tip no further rests; a marker's noise, 2 to 4 mm
-STEPS = 60  # iterations of the solver at most; it mostly takes five
 
 
 def run(call: Call, trials: TrialSet, estimate: Estimate) -> Prediction:
@@ -43,7 +42,7 @@ def predict(model: Model, estimate: Estimate, observation: Observation, own: Col
     if len(places) and still is not None:
         at_rest = _AtRest(still, values, places)
         start = chi_of(at_rest.parameters, values[places])
-        values, free = at_rest.values_at(fitted(at_rest, start[None], STEPS).chi)[0], free + len(places)
+        values, free = at_rest.values_at(fitted(at_rest, start[None]).chi)[0], free + len(places)
     _, motion = next(ready.simulate(values[None]))
     found = ready.at_measured(motion.points)[0]
     squares, tip = np.sum((found - ready.points) ** 2, axis=-1), ready.s == ready.s.max()
