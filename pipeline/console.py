@@ -24,14 +24,14 @@ from stringcast.stages.common import Progress as Report
 
 Bar = Callable[[str], AbstractContextManager[Report]]
 TITLE = 74  # characters of a panel's title in 80 columns; a longer one would be cut
-MOST = 30  # characters of a log line that find room behind a bar, of 80 columns
+MOST = 36  # characters of a log line that find room behind a bar, of 80 columns
 
 
 @contextmanager
 def bars(console: Terminal) -> Iterator[Bar]:
     """A bar for each step, with the last line of the log behind it; one that reports no share pulses."""
     name_of, doing = (TextColumn(text, markup=False) for text in ("{task.description:<14}", "{task.fields[doing]}"))
-    with Progress(name_of, BarColumn(24), TimeElapsedColumn(), doing, console=console) as progress:
+    with Progress(name_of, BarColumn(18), TimeElapsedColumn(), doing, console=console) as progress:
 
         @contextmanager
         def bar(name: str) -> Iterator[Report]:

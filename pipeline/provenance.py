@@ -37,6 +37,7 @@ LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect wi
 MODEL = ROOT / "stages" / "model" / "model.py"
 LAB = "hardware.virtual."  # what it does can be done again, to the bit
 ABSENT = "absent"
+INTERRUPTED = "interrupted"  # in the origin of a step that ended with what it knew
 HASHED = ("input ", "source ")  # kinds of things of which an origin holds a hash, which tells people nothing
 
 
@@ -158,7 +159,8 @@ def look(config: Mapping[str, Any], folder: Path, step: Step) -> StoredStep:
     except DataError as error:
         return StoredStep(None, (str(error),))
     made = store.origin_of(place)
-    return StoredStep(artifact, tuple(changes(made, made_now(config, folder, step), step.stage.uses)))
+    early = ("it was interrupted",) if INTERRUPTED in made else ()
+    return StoredStep(artifact, (*early, *changes(made, made_now(config, folder, step), step.stage.uses)))
 
 
 def made_now(config: Mapping[str, Any], folder: Path, step: Step) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,9 @@ from stringcast.pipeline.inherited import FROM_DATASETS
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.provenance import look, made_now, origin, performed, repeatable
+from stringcast.pipeline.provenance import INTERRUPTED, look, made_now, origin, performed, repeatable
 from stringcast.pipeline.result import Result, in_numbers
+from stringcast.pipeline.stopping import stoppable
 
 log = logging.getLogger(__name__)
 
@@ -39,12 +40,14 @@ NOTHING = {"config.json", LOCK, FAILED, LOG}  # what a run that made nothing lea
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Makes the steps of a run and keeps them in its folder. say: tells the user of a step that is made again."""
+    """Makes the steps of a run and keeps them in its folder. say: tells the user of a step that is made again.
+    interrupted: steps that ended with what they knew, which is kept until they are made again."""
 
     experiment: Experiment
     folder: Path
     bar: Bar
     say: Callable[[str], object]
+    interrupted: list[Step] = field(default_factory=list)
 
     def obtain(self, step: Step) -> Any:
         """Read a step's artifact if it is there and fresh, else make and store it. Raises DataError for a damaged one
@@ -68,10 +71,15 @@ class RunFolder:
             if stays:
                 return found.artifact
         disk.remove(self.folder / ENDED)
-        with self.bar(f"{step.number}. {step.stage.name}") as progress:
+        with self.bar(f"{step.number}. {step.stage.name}") as progress, stoppable() as stopped:
             at, begun = datetime.now(UTC), time.monotonic()
             made = self.experiment.run(step, progress)
-            took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
+            took: dict[str, Any] = {
+                "made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}
+            }
+            if stopped():
+                self.interrupted.append(step)
+                took[INTERRUPTED] = True
             store.save(made, place, made_now(config, self.folder, step) | took)
             log.info("%s made in %.1f s", step.place, took["made"]["seconds"])
         stored: Any = store.load(step.stage.makes, place)
@@ -146,12 +154,16 @@ def _less(config: Mapping[str, Any], growing: Mapping[str, Sequence[str]]) -> di
     return less
 
 
-def end(result: Result) -> None:
-    """Write what the stage leaves that the run was for, and last run.json: the run in a few numbers."""
+def leave(result: Result) -> None:
+    """Write what the stage leaves that the run was for."""
     if result.stage is not None:
         ahead = place_of(result.iterations[-1].number + 1)
         for name, text in result.stage.files(result.answer, ahead).items():
             store.write_text(result.folder / name, text)
+
+
+def end(result: Result) -> None:
+    """Write run.json: the run in a few numbers."""
     store.write_text(result.folder / ENDED, json.dumps(in_numbers(result), indent=2))
 
 

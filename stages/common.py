@@ -20,6 +20,11 @@ class SettingsGroup:
     side by side with its others."""
 
 
+class Enough(KeyboardInterrupt):
+    """Raised in a stage when whoever waits for it interrupts it: it may end with what it knows and say so, or let this
+    pass."""
+
+
 def part(progress: Progress, number: int, count: int) -> Progress:
     """The progress of one of so many parts that take as long as each other."""
     return lambda share: progress((number + share) / count)

@@ -23,6 +23,7 @@ from stringcast.pipeline.console import bars
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.modes.stored import held_out
 from stringcast.pipeline.report import made_by
+from stringcast.pipeline.stopping import stoppable
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.check.check import refuse
 from stringcast.stages.check.measured import Measured
@@ -147,9 +148,9 @@ class Estimated:
 
 def diagnose(trials: Trials, *settings: str) -> Diagnosed:
     """Diagnose the discrepancy between the simulation and these trials. Takes a minute or more, and shows its
-    progress."""
+    progress. Ctrl-C, or the stop button of a notebook, ends it with what it knows: `verdict` is `insufficient` then."""
     here, data = _ready(trials, ("+experiment=diagnose", *settings))
-    with progress_bar("diagnose") as progress:
+    with progress_bar("diagnose") as progress, stoppable():
         given = (here.model, list(data.trials.values()), data.rejected, held_out(data), here.obstacles)
         return Diagnosed(here.stages["diagnose"](*given, seed=here.seed, progress=progress), here)
 

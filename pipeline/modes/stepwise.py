@@ -27,7 +27,8 @@ class Stepwise(Mode):
         """All steps in their order. folder: the run's."""
 
     def perform(self, experiment: Experiment, folder: Path, console: Terminal) -> Result:
-        """Make the steps, the report, and at last run.json, whose presence says that all is there."""
+        """Make the steps, the report, and at last run.json, whose presence says that all is there. Raises
+        KeyboardInterrupt instead of that where a step was interrupted, and ended with what it knew."""
         if self.moves(experiment.config) and not (folder / ENDED).exists():
             check_devices(experiment)
         with bars(console) as bar:
@@ -36,10 +37,14 @@ class Stepwise(Mode):
             if "report" in experiment.config["keep"]:
                 with bar("report"):  # which draws: it takes a second and more to load
                     import_module("stringcast.pipeline.report").write(experiment, result)
-            run_folder.end(result)
-        if "frames" not in experiment.config["keep"]:
+            run_folder.leave(result)
+            if not kept.interrupted:
+                run_folder.end(result)
+        if "frames" not in experiment.config["keep"] and not kept.interrupted:
             run_folder.without_frames(experiment, result)
         show(result, experiment.config, console)
+        if kept.interrupted:
+            raise KeyboardInterrupt
         return result
 
 

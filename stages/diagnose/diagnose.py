@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,13 +17,13 @@ from scipy.stats import norm
 
 from stringcast.data.artifacts import FINDING, HELD_OUT, Diagnosis, Observation, TrialSet
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Enough, Progress
 from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.budget import Budget, budgeted
 from stringcast.stages.diagnose.casts import Design
-from stringcast.stages.diagnose.design import Proposal, Rivals, designed
+from stringcast.stages.diagnose.design import Proposal, Rivals, designed, without_motion
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
-from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, settled
+from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, interrupted, settled
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
 from stringcast.stages.diagnose.prepared import Prepared, prepared, too_chaotic, usable
 from stringcast.stages.diagnose.proposals import candidates
@@ -76,19 +76,30 @@ def diagnose(
     rejected: trials that cannot be used, with the reason. held_out: names of trials kept for measuring the gain; where
     there are none, each is left out in turn. starts: of the base model's search. matching: how E is counted. design: of
     the motion that would decide between look-alikes, clear of the obstacles; nothing is moved here. without: effects
-    that are no candidates. Raises DataError where no trial can be used.
+    that are no candidates. One that is interrupted (`Enough`) once it has the base model ends with what it knows, and
+    names nothing. Raises DataError where no trial can be used.
     """
-    given = _given(model, observations, rejected, held_out, criteria, matching)
-    given, ready, effects, found = _searched(given, without, seed, starts, progress)
-    found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
-    if given.rest and not judgement.causes and _shown(found, given.aside, criteria):
-        log.info("the trials set aside show what the others do not: they are looked at as well")
-        again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
-        return again(model, given.observations, given.rejected, (), obstacles, without=without, progress=progress)
-    gained = _gained(given, found, judgement.base)
-    judgement = _checked(judgement, gained, len(given.kept))
+    given, known = _given(model, observations, rejected, held_out, criteria, matching), list[Reached]()
+    try:
+        for reached in _searched(given, without, seed, starts, progress):
+            known.append(reached)
+        given, ready, effects, found = known[-1]
+        found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
+        if given.rest and not judgement.causes and _shown(found, given.aside, criteria):
+            log.info("the trials set aside show what the others do not: they are looked at as well")
+            again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
+            return again(model, given.observations, given.rejected, (), obstacles, without=without, progress=progress)
+        gained = _gained(given, found, judgement.base)
+        judgement = _checked(judgement, gained, len(given.kept))
+        proposal = _proposal(found, judgement, criteria, obstacles, design, seed)
+    except Enough:
+        if not known:
+            raise
+        log.warning("interrupted: ending with what is known")
+        given, _, effects, found = known[-1]
+        judgement = interrupted(found, effects, criteria, seed)
+        gained, proposal = Gained(HELD_OUT.empty(), False), without_motion(None)
     log.info("verdict: %s", judgement.verdict)
-    proposal = _proposal(found, judgement, criteria, obstacles, design, seed)
     made = written(given, found, judgement, gained, proposal, seed)
     progress(1.0)
     return made
@@ -127,6 +138,15 @@ class Given:
         return replace(self, kept=kept, rejected={**self.rejected, **dict.fromkeys(chaotic, CHAOTIC)})
 
 
+class Reached(NamedTuple):
+    """How far a search has come. ready: the base model, before any cause."""
+
+    given: Given
+    ready: Prepared
+    effects: list[type[Effect]]
+    found: Found
+
+
 def _given(
     model: Model,
     observations: Sequence[Observation],
@@ -148,21 +168,23 @@ def _given(
     return Given(model, good, rejected, kept, rest, criteria, matching)
 
 
-def _searched(
-    given: Given, without: Sequence[str], seed: int, starts: int, progress: Progress
-) -> tuple[Given, Prepared, list[type[Effect]], Found]:
-    """Base model, candidates and causes. Trials that no simulation with the causes tells are set aside, as those that
-    none without them does, unless it tells them with the causes; then the others, or they as well, are asked anew."""
+def _searched(given: Given, without: Sequence[str], seed: int, starts: int, progress: Progress) -> Iterator[Reached]:
+    """Base model and candidates, without causes and with one after another. Trials that no simulation with the causes
+    tells are set aside, as those that none without them does, unless it tells them with the causes; then the others, or
+    they as well, are asked anew."""
     criteria, trusted = given.criteria, list[str]()
     while True:
         log.info("fitting the base model")
         rng = np.random.default_rng(seed)
         ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress, trusted)
         effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
+        good = given.without(ready.chaotic)
+        yield Reached(good, ready, effects, Found(ready, ready.base))
         for number, found in enumerate(searched(ready, effects, criteria, seed, starts), 1):
             progress(0.3 + 0.5 * number / (criteria.causes + 1))
             if told := _told_with_causes(found, given):
                 break
+            yield Reached(good, ready, effects, found)
         if told:
             log.info("told with the causes found: %s", ", ".join(told))
             trusted += told
@@ -170,7 +192,7 @@ def _searched(
             log.info("chaotic with the causes found: %s", ", ".join(chaotic))
             given = given.without((*ready.chaotic, *chaotic))
         else:
-            return given.without(ready.chaotic), ready, effects, found
+            return
 
 
 def _chaotic(found: Found, criteria: Criteria) -> list[str]:

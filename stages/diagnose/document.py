@@ -42,6 +42,7 @@ def document(
     return {
         "format": FORMAT,
         "verdict": judgement.verdict,
+        "interrupted": judgement.interrupted,
         "causes": [cause_entry(causes[causes["effect"] == name]) for name in listed],
         "alternatives": alternatives + [{"effect": n, "probability": p} for n, p in rest.items() if n not in listed],
         "indistinguishable": [list(group) for group in judgement.groups],
@@ -146,7 +147,7 @@ def sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
     fixed = {
         "none": ["The simulation agrees with what was measured, within noise and tolerance: there is nothing to name."],
         "unknown": ["The simulation disagrees with what was measured, and nothing in the library explains it."],
-        "insufficient": ["This data cannot answer."],
+        "insufficient": [] if judgement.interrupted else ["This data cannot answer."],
     }
     stated = causes_in_words(judgement.causes, judgement.groups, judgement.inclusion, causes)
     return " ".join(fixed.get(judgement.verdict, stated))

@@ -48,7 +48,7 @@ class Judgement:
     """verdict: as in diagnosis.json. causes: named, as they entered, and those that cannot be told from them. groups:
     of effects that cannot be told apart. inclusion: probability that each effect is at work. unknown: probability that
     more is left at the tip than is tolerated. base: the base model's fit to the same data. small: what other effects
-    do, as of `responses`. sentence: what else there is to say."""
+    do, as of `responses`. sentence: what else there is to say. interrupted: not all was asked."""
 
     verdict: str
     causes: tuple[str, ...]
@@ -59,6 +59,7 @@ class Judgement:
     base: Fit
     small: Sequence[np.ndarray]
     sentence: str = ""
+    interrupted: bool = False
 
     @property
     def unsupported(self) -> Judgement:
@@ -105,6 +106,17 @@ def _with_likeliest(found: Found, slots: Sequence[Slot]) -> Found:
     together = Hypothesis(found.fit.hypothesis.base, tuple(likeliest))
     fit = fitted(data, together, together.carried(known)[None], found.fit.sizes)
     return max(found, found.instead(fit), key=lambda each: each.fit.evidence)
+
+
+def interrupted(found: Found, effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Judgement:
+    """What a search that was interrupted knows: it names nothing before all was asked."""
+    data, small = found.prepared.data, responses(found.prepared.data, found.fit, effects)
+    given = (small, _bootstrap(len(data.trials), seed), len(effects), criteria.least_size)
+    slots = [_slot(data, step, *given) for step in found.path if step.entered]
+    likely = [f"{name} ({chance:.2f})" for name, chance in _inclusion(slots).items() if chance > NOTHING]
+    said = f"The search for causes was interrupted, when it had come to {', '.join(likely) or 'none'}."
+    known = judged(found, small, slots, criteria, False, seed)
+    return replace(known, verdict="insufficient", causes=(), groups=(), sentence=said, interrupted=True)
 
 
 def judged(
@@ -190,11 +202,15 @@ def _slots(
     """Of each cause, the last that entered first: it is most often another's look-alike. Of what might yet enter where
     none did."""
     data, causes = found.prepared.data, reversed(found.fit.hypothesis.causes)
-    trials = len(data.trials)
-    often = trials * np.random.default_rng([seed, SAMPLES]).dirichlet(np.ones(trials), SAMPLES)
+    often = _bootstrap(len(data.trials), seed)
     steps = (_beside(found, cause, effects, criteria, seed) for cause in causes)
     for step in steps if found.fit.hypothesis.causes else found.path[-1:]:
         yield _slot(data, step, small, often, len(effects), criteria.least_size)
+
+
+def _bootstrap(trials: int, seed: int) -> np.ndarray:
+    """How often each trial counts in samples of those that might have been, (SAMPLES, K) (Bayesian bootstrap)."""
+    return trials * np.random.default_rng([seed, SAMPLES]).dirichlet(np.ones(trials), SAMPLES)
 
 
 def _slot(

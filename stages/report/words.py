@@ -134,6 +134,8 @@ def headline(document: Mapping[str, Any]) -> str:
     alike = {name for group in groups for name in group}
     certain = [plain(cause["effect"]) for cause in document["causes"] if cause["effect"] not in alike]
     causes = enumerated([*certain, *(enumerated([plain(name) for name in group], "or") for group in groups)])
+    if document.get("interrupted"):
+        return "The search for causes was interrupted"
     return {
         "none": "The simulation agrees with what was measured",
         "effect": f"The cause: {causes}" if len(certain) == 1 else f"The causes: {causes}",

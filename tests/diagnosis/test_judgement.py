@@ -264,7 +264,7 @@ def test_a_trial_that_simulation_tells_with_the_causes_alone_is_asked_as_well(do
     monkeypatch.setattr(module, "searched", lambda ready, *given: further(ready))
     observations = [SimpleNamespace(trial=f"t{k}") for k in range(3)]
     given = module.Given(None, observations, {}, [0, 1, 2], [], CRITERIA, None)
-    given, ready, _, _ = module._searched(given, (), 0, 4, lambda share: None)
+    *_, (given, ready, _, _) = module._searched(given, (), 0, 4, lambda share: None)
     assert trusted_each_time == asked
     assert [*given.rejected] == rejected == [*ready.chaotic]
 

@@ -58,7 +58,7 @@ def decide(data, folder, experiment="decide"):
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
     result = here.mode.work(here, folder, run_folder.RunFolder(here, folder, silent, print))
-    run_folder.end(result)
+    run_folder.leave(result)
     return result
 
 

@@ -103,7 +103,9 @@ def _verdict(record: DiagnosisRecord) -> list[Markup | str]:
                 "shown under {}."
             ).format(link("#left", "What is left"))
         )
-    if verdict == "insufficient":
+    if record.document.get("interrupted"):
+        said.append("Nothing is named before all was asked. What was known by then is shown below.")
+    elif verdict == "insufficient":
         said.append("Naming a cause takes more data than this. What was seen is shown below.")
     return said
 
