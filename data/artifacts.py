@@ -462,6 +462,21 @@ THEORIES = Table(
         Column("probability", "1", "of the last cause in its place, all others staying"),
     ),
 )
+ENTRIES = Table(
+    "entries",
+    "what each cause explains beside those that entered before it: in which trial, when, and where along the string",
+    (
+        Column("number", "1", "of the cause, as they entered, from 1", "int"),
+        Column("cause", "", "name", "text"),
+        Column("evidence", "1", "log evidence of the cause beside those before it"),
+        _TRIAL,
+        Column("log_likelihood", "1", "by how much it raises that of the trial"),
+        _TIME,
+        Column("s", "m", "arc length from the grasp"),
+        Column("before", "m", "how far the string without the cause lies from the measured one, root mean square"),
+        Column("after", "m", "the same with it"),
+    ),
+)
 SCREENING = Table(
     "screening",
     "what each effect would explain to first order",
@@ -559,6 +574,7 @@ class Diagnosis:
     held_out: pd.DataFrame
     residuals: pd.DataFrame
     theories: pd.DataFrame
+    entries: pd.DataFrame
     screening: pd.DataFrame
     likeness: pd.DataFrame
     missing: pd.DataFrame
@@ -572,6 +588,7 @@ class Diagnosis:
         "held_out": HELD_OUT,
         "residuals": RESIDUALS,
         "theories": THEORIES,
+        "entries": ENTRIES,
         "screening": SCREENING,
         "likeness": LIKENESS,
         "missing": MISSING,

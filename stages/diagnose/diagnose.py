@@ -274,6 +274,7 @@ def written(
         gained.held_out,
         tables.residuals(found.prepared, judgement.base, shown.fit),
         tables.theories(found, budget.by_cause, judgement, given.criteria.tolerance),
+        tables.entries(data, budget.by_cause),
         tables.screening(found),
         tables.likeness(found),
         tables.missing(data, shown.fit, given.criteria),

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import CAUSES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
+from stringcast.data.artifacts import CAUSES, ENTRIES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
 from stringcast.stages.diagnose.document import MM
 from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria, Found, least_gain, moved, removed, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered
 from stringcast.stages.inference.evidence import ABSENT, Data, Fit, lacked
+from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.effect import Effect, ModelChange, components
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
-EVERY = 0.02  # [s] from one arrow of what is missing to the next
-ARROWS = 4  # along the string
+EVERY, PARTS = 0.02, 4  # [s], and parts of the string, that what is missing or explained is averaged over
 TOGETHER = 0.8  # correlation beyond which two parameters are better read together than each by its interval
 
 
@@ -79,6 +79,29 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
         for name, fit in tried.items()
     ]
     return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
+
+
+def entries(data: Data, by_cause: Sequence[Fit]) -> pd.DataFrame:
+    """Table ENTRIES. by_cause: the fits with no cause, with the first, and so on, to the same data."""
+    frames = []
+    for number, (less, more) in enumerate(pairwise(by_cause), 1):
+        before, after = (data.of(fit.hypothesis).begun(fit.residuals, fit.sizes) for fit in (less, more))
+        rises = more.by_trial - less.by_trial
+        for trial, rise, *both in zip(data.trials, rises, before, after, strict=True):
+            squares = [np.sum((each.reshape(-1, 2) * trial.sigma[:, None]) ** 2, axis=1) for each in both]
+            table = _averaged(trial, dict(zip(("before", "after"), squares, strict=True)))
+            table[["before", "after"]] **= 0.5
+            table = table.assign(number=number, cause=more.hypothesis.names[-1], log_likelihood=rise)
+            frames.append(table.assign(evidence=more.evidence - less.evidence))
+    return ENTRIES.check(pd.concat(frames, ignore_index=True)) if frames else ENTRIES.empty()
+
+
+def _averaged(trial: Case, columns: Mapping[str, np.ndarray]) -> pd.DataFrame:
+    """Columns (n,) of a trial's points, with their t and s, averaged over short times and parts of the string."""
+    table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, **columns})
+    part = np.ceil(trial.s / trial.s.max() * PARTS).clip(1, PARTS)
+    moment = np.floor((table["t"] - trial.times[0]) / EVERY)
+    return table.groupby([moment, part]).mean().reset_index(drop=True).assign(trial=trial.name)
 
 
 def screening(found: Found) -> pd.DataFrame:
@@ -183,8 +206,5 @@ def missing(data: Data, fit: Fit, criteria: Criteria) -> pd.DataFrame:
         return MISSING.empty()
     for trial, each in zip(data.trials, lacked(data, fit), strict=True):
         x, y = -(each.reshape(-1, 2) * trial.sigma[:, None]).T
-        table = pd.DataFrame({"t": trial.times[trial.frame], "s": trial.s, "x": x, "y": y})
-        place = np.ceil(trial.s / trial.s.max() * ARROWS).clip(1, ARROWS)
-        moment = np.floor((table["t"] - trial.times[0]) / EVERY)
-        frames.append(table.groupby([moment, place]).mean().reset_index(drop=True).assign(trial=trial.name))
+        frames.append(_averaged(trial, {"x": x, "y": y}))
     return MISSING.check(pd.concat(frames, ignore_index=True))

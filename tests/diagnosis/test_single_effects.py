@@ -163,6 +163,19 @@ def test_a_mass_that_is_hidden_at_the_tip_is_found_and_the_budget_adds_up(arm, c
     known = yaml.safe_load(made.finding["extended"].iloc[0])
     assert known["effects"] == ["tip_mass"]
     assert known["known"]["tip_mass.ratio"]["low"] < 0.05 < known["known"]["tip_mass.ratio"]["high"]
+    # how it entered: in every trial, and by as much as the residuals become less
+    by_trial = made.entries.groupby("trial")[["log_likelihood", "evidence"]].first()
+    assert set(made.entries["cause"]) == {"tip_mass"}
+    assert [*by_trial.index] == ["t0", "t1", "t2"]
+    assert by_trial["log_likelihood"].sum() > by_trial["evidence"].iloc[0] > 20
+    assert by_trial["evidence"].iloc[0] == pytest.approx(said["budget"][0]["log_evidence"], rel=0.01)
+    off = made.residuals
+    squares = [
+        ((off[["x", "y"]].to_numpy() - off[[f"{m}_x", f"{m}_y"]].to_numpy()) ** 2).sum(axis=1)
+        for m in ("base", "extended")
+    ]
+    gone = (made.entries["before"] ** 2 - made.entries["after"] ** 2).mean()
+    assert gone == pytest.approx((squares[0] - squares[1]).mean(), rel=0.05)
 
 
 def test_a_cause_that_cannot_be_at_work_is_no_candidate(arm, camera, monkeypatch):

@@ -119,6 +119,12 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
     return Diagnosis(**own | tables)
 
 
+def entered():
+    rows = [(1, "tip_mass", 56716.0, "t00", 9000.0, 0.1, 0.1, 0.004, 0.001)]
+    rows += [(1, "tip_mass", 56716.0, "t01", 48000.0, t, 0.29, off, 0.001) for t, off in ((0.2, 0.003), (0.3, 0.0123))]
+    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["entries"].columns])
+
+
 def nothing_tried():
     nothing = {name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")}
     return nothing | {"theories": theories()[1:2]}
@@ -126,7 +132,7 @@ def nothing_tried():
 
 VERDICTS = {
     "none": lambda: diagnosed("none", **nothing_tried()),
-    "effect": lambda: diagnosed("effect", ["tip_mass"]),
+    "effect": lambda: diagnosed("effect", ["tip_mass"], entries=entered()),
     "pair": lambda: diagnosed("effect", ["tip_mass", "arm_lag"]),
     "ambiguous": lambda: diagnosed("ambiguous", ["arm_lag", "time_offset"]),
     "unknown": lambda: diagnosed("unknown", missing=displaced(), left="What is left looks like a force."),
@@ -218,6 +224,7 @@ SAID = {
         *("The cause: tip mass", "A mass of 5.1 % of the string's sits at the tip.", "97 %"),
         *("0.051", "0.046 to 0.057", "The extended model adds tip mass", "81 234 ± 90", "0.710 to 0.930"),
         *("3.4 mm → 0.9 mm", "6.1 mm → 1.3 mm", "noise alone leaves 1.0 mm", "56 716", "65 432", "base model alone"),
+        *("Path of entry", "t01 48 000, t00 9 000", "t01, 0.30 s, 290 mm along the string", "12.3 mm → 1.0 mm"),
         *("Newton's second law", "leaves 3 % of what the base model lacks at the tip", "0.37", "seed 7"),
     ],
     "pair": ["The causes: tip mass and arm lag", "48 %", "12.0 ms", "11.3 to 12.7 ms"],
@@ -341,6 +348,15 @@ def test_nothing_measured_has_a_page(worded):
     page = Page(worded(diagnosed("insufficient", gain={"held_out_trials": []}, **nothing_tried() | empty)))
     assert "Nothing was measured that could be compared." in page.text
     assert page.pictures() == []
+
+
+def test_an_interrupted_search_is_said_to_be(worded):
+    made = diagnosed("insufficient", left="The search for causes was interrupted, when it had come to none.")
+    text = json.dumps(json.loads(made.finding["diagnosis"].iloc[0]) | {"interrupted": True})
+    said = Page(worded(replace(made, finding=made.finding.assign(diagnosis=text)))).text
+    assert "Nothing is named before all was asked." in said
+    assert "cannot answer" not in said
+    assert "takes more data" not in said
 
 
 def test_a_search_is_described_where_there_was_one(worded):

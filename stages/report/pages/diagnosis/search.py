@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from stringcast.stages.report.charts.parameters import likeness, screenings
 from stringcast.stages.report.page import Card, Cell, Details, Figure, Grid, Part, Section, Table, Text, number
@@ -18,6 +19,11 @@ SEARCH = (
     "enters if it has enough of it whichever trial is left out. What the others make needless leaves again."
 )
 NO_SEARCH = "The base model left nothing that was worth a search for causes."
+WAY = (
+    "Log evidence: beside the causes that entered before. Of each trial: by how much the cause raises its "
+    "log-likelihood. Off: how far the simulated string lies from the measured one without the cause and with it. All "
+    "moments and places are in table `entries`."
+)
 FEW = 12  # theories shown at once; the others are folded
 EVIDENCE = (
     "Log evidence: logarithm of the Bayes factor over the base model, all sizes of what the model may lack taken into "
@@ -49,7 +55,22 @@ def found(record: DiagnosisRecord) -> Section:
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
     searched = len(record.diagnosis.theories) > 1 or not record.diagnosis.screening.empty
     fitted = Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])
-    return Section("How it was found", [Text(SEARCH if searched else NO_SEARCH), Grid(drawn), fitted])
+    way = [Card("Path of entry", [_way(record.diagnosis.entries), Text(WAY, "caption")])]
+    way = way if len(record.diagnosis.entries) else []
+    return Section("How it was found", [Text(SEARCH if searched else NO_SEARCH), *way, Grid(drawn), fitted])
+
+
+def _way(entries: pd.DataFrame) -> Table:
+    """Which cause entered when, by what evidence, in which trials, and where it explains most."""
+    rows = []
+    for order, own in entries.groupby("number"):
+        rises = own.groupby("trial", sort=False)["log_likelihood"].first().sort_values(ascending=False)
+        most = own.loc[(own["before"] ** 2 - own["after"] ** 2).idxmax()]
+        place = f"{most['trial']}, {most['t']:.2f} s, {mm(most['s'])} along the string"
+        moved = f"{mm(most['before'], 1)} → {mm(most['after'], 1)}"
+        trials = ", ".join(f"{name} {gain(rise)}" for name, rise in rises.items())
+        rows.append([number(order), plain(most["cause"]), number(gain(most["evidence"])), trials, place, moved])
+    return Table(("", "cause", "log evidence", "of each trial", "explains most in", "off there"), rows)
 
 
 def _theories_table(theories: Sequence[Mapping[str, Any]]) -> Table:
