@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -606,6 +607,11 @@ class Diagnosis:
     def sentence(self) -> str:
         """The verdict in words."""
         return str(self.finding["sentence"].iloc[0])
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether somebody ended it before all was asked."""
+        return bool(json.loads(self.finding["diagnosis"].iloc[0]).get("interrupted"))
 
     @property
     def motion(self) -> Motion | None:

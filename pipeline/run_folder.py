@@ -1,6 +1,7 @@
 """A run's folder: steps are made once and kept, each whole before the next begins.
 
-A step that is there and fresh is read, not made again: an interrupted run goes on where it stopped, with the same
+One that was interrupted, and ended with what it knew, is kept until it is made again; no other follows it. A step that
+is there and fresh is read, not made again: an interrupted run goes on where it stopped, with the same
 result, for every step's seed is its own. One that is stale or damaged is made again, unless a real arm has moved by
 it. `run.json` is there if, and only if, the run has ended.
 """
@@ -38,7 +39,7 @@ log = logging.getLogger(__name__)
 NOTHING = {"config.json", LOCK, FAILED, LOG}  # what a run that made nothing leaves
 
 
-@dataclass(frozen=True)
+@dataclass
 class RunFolder:
     """Makes the steps of a run and keeps them in its folder. say: tells the user of a step that is made again.
     interrupted: steps that ended with what they knew, which is kept until they are made again."""
@@ -51,7 +52,9 @@ class RunFolder:
 
     def obtain(self, step: Step) -> Any:
         """Read a step's artifact if it is there and fresh, else make and store it. Raises DataError for a damaged one
-        that cannot be made again."""
+        that cannot be made again, KeyboardInterrupt after one that was interrupted."""
+        if self.interrupted:
+            raise KeyboardInterrupt
         config, place = self.experiment.config, self.folder / step.place
         found = look(config, self.folder, step)
         if found.artifact is not None and not found.reasons:
@@ -71,13 +74,14 @@ class RunFolder:
             if stays:
                 return found.artifact
         disk.remove(self.folder / ENDED)
-        with self.bar(f"{step.number}. {step.stage.name}") as progress, stoppable() as stopped:
+        with self.bar(f"{step.number}. {step.stage.name}") as progress:
             at, begun = datetime.now(UTC), time.monotonic()
-            made = self.experiment.run(step, progress)
+            with stoppable():
+                made = self.experiment.run(step, progress)
             took: dict[str, Any] = {
                 "made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}
             }
-            if stopped():
+            if getattr(made, "interrupted", False):
                 self.interrupted.append(step)
                 took[INTERRUPTED] = True
             store.save(made, place, made_now(config, self.folder, step) | took)

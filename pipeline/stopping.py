@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import current_thread, main_thread
 
 from stringcast.stages.common import Enough
 
 
 @contextmanager
-def stoppable() -> Iterator[Callable[[], bool]]:
-    """Meanwhile a first SIGINT raises `Enough`; gives what tells whether there was one. Only the main thread receives
-    signals: in another one this does nothing."""
-    before, asked = signal.getsignal(signal.SIGINT), list[int]()
+def stoppable() -> Iterator[None]:
+    """Meanwhile a first SIGINT raises `Enough`; not where signals are ignored, or left to others, and not in threads,
+    which receive none."""
+    before = signal.getsignal(signal.SIGINT)
 
     def stop(number: int, frame: object) -> None:
         signal.signal(signal.SIGINT, before)
-        asked.append(number)
         raise Enough
 
-    with suppress(ValueError):
-        signal.signal(signal.SIGINT, stop)
+    if not callable(before) or current_thread() is not main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, stop)
     try:
-        yield lambda: bool(asked)
+        yield
     finally:
-        with suppress(ValueError):
-            signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, before)

@@ -34,7 +34,7 @@ class Budget:
 def budgeted(found: Found, base: Fit, rng: np.random.Generator) -> Budget:
     """Causes share in the order in which they entered. What is left of the misfit beside noise and numerical error, as
     these are known, is unexplained. base: the base model's fit to the same data."""
-    data, fits = found.prepared.data, _one_after_another(found, base)
+    data, fits = found.prepared.data, one_after_another(found, base)
     begun = [data.of(fit.hypothesis).begun(fit.residuals, fit.sizes) for fit in fits]
     squares = np.minimum.accumulate([np.mean(data.tip_rms(each) ** 2) for each in begun])  # [m2], over trials
     noise, numerical = _known(found.prepared)
@@ -54,7 +54,7 @@ def budgeted(found: Found, base: Fit, rng: np.random.Generator) -> Budget:
     return Budget(tuple(entries), ends, tuple(fits))
 
 
-def _one_after_another(found: Found, base: Fit) -> list[Fit]:
+def one_after_another(found: Found, base: Fit) -> list[Fit]:
     """The fits with no cause, with the first, and so on, to the same data."""
     data, full = found.prepared.data, found.fit
     if not full.hypothesis.causes:

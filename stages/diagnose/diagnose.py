@@ -19,7 +19,7 @@ from stringcast.data.artifacts import FINDING, HELD_OUT, Diagnosis, Observation,
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Enough, Progress
 from stringcast.stages.diagnose import tables
-from stringcast.stages.diagnose.budget import Budget, budgeted
+from stringcast.stages.diagnose.budget import Budget, budgeted, one_after_another
 from stringcast.stages.diagnose.casts import Design
 from stringcast.stages.diagnose.design import Proposal, Rivals, designed, without_motion
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
@@ -79,11 +79,10 @@ def diagnose(
     that are no candidates. One that is interrupted (`Enough`) once it has the base model ends with what it knows, and
     names nothing. Raises DataError where no trial can be used.
     """
-    given, known = _given(model, observations, rejected, held_out, criteria, matching), list[Reached]()
+    given, reached = _given(model, observations, rejected, held_out, criteria, matching), None
     try:
         for reached in _searched(given, without, seed, starts, progress):
-            known.append(reached)
-        given, ready, effects, found = known[-1]
+            given, ready, effects, found = reached
         found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
         if given.rest and not judgement.causes and _shown(found, given.aside, criteria):
             log.info("the trials set aside show what the others do not: they are looked at as well")
@@ -93,10 +92,10 @@ def diagnose(
         judgement = _checked(judgement, gained, len(given.kept))
         proposal = _proposal(found, judgement, criteria, obstacles, design, seed)
     except Enough:
-        if not known:
+        if reached is None:
             raise
         log.warning("interrupted: ending with what is known")
-        given, _, effects, found = known[-1]
+        given, _, effects, found = reached
         judgement = interrupted(found, effects, criteria, seed)
         gained, proposal = Gained(HELD_OUT.empty(), False), without_motion(None)
     log.info("verdict: %s", judgement.verdict)
@@ -274,7 +273,7 @@ def written(
         gained.held_out,
         tables.residuals(found.prepared, judgement.base, shown.fit),
         tables.theories(found, budget.by_cause, judgement, given.criteria.tolerance),
-        tables.entries(data, budget.by_cause),
+        tables.entries(data, budget.by_cause if named else one_after_another(found, judgement.base)),
         tables.screening(found),
         tables.likeness(found),
         tables.missing(data, shown.fit, given.criteria),

@@ -110,13 +110,16 @@ def _with_likeliest(found: Found, slots: Sequence[Slot]) -> Found:
 
 def interrupted(found: Found, effects: Sequence[type[Effect]], criteria: Criteria, seed: int) -> Judgement:
     """What a search that was interrupted knows: it names nothing before all was asked."""
-    data, small = found.prepared.data, responses(found.prepared.data, found.fit, effects)
-    given = (small, _bootstrap(len(data.trials), seed), len(effects), criteria.least_size)
-    slots = [_slot(data, step, *given) for step in found.path if step.entered]
-    likely = [f"{name} ({chance:.2f})" for name, chance in _inclusion(slots).items() if chance > NOTHING]
+    data, fit = found.prepared.data, found.fit
+    small, often = responses(data, fit, effects), _bootstrap(len(data.trials), seed)
+    last = {step.best.hypothesis.names[-1]: step for step in found.path if step.entered and step.best is not None}
+    steps = (last[name] for name in fit.hypothesis.names if name in last)  # of what has not left again
+    slots = tuple(_slot(data, step, small, often, len(effects), criteria.least_size) for step in steps)
+    inclusion, base = _inclusion(slots), refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base))
+    likely = [f"{name} ({chance:.2f})" for name, chance in inclusion.items() if chance > NOTHING]
     said = f"The search for causes was interrupted, when it had come to {', '.join(likely) or 'none'}."
-    known = judged(found, small, slots, criteria, False, seed)
-    return replace(known, verdict="insufficient", causes=(), groups=(), sentence=said, interrupted=True)
+    unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
+    return Judgement("insufficient", (), (), inclusion, unknown, slots, base, small, said, interrupted=True)
 
 
 def judged(

@@ -84,8 +84,12 @@ def case(model: Model, observation: Observation) -> Case:
     ready = Case(observation.trial, model, motion, times, frame, s, position, sigma)
     known = "sigma" in points
     if observation.moving:
-        return replace(ready, initial=_begun(ready, known))
-    return replace(ready, turn=_turn(ready, known))
+        begun = _begun(ready, known)
+        return replace(ready, initial=begun, turn=_turn(ready, begun))
+    try:
+        return replace(ready, turn=_turn(ready, _begun(ready, known)) if _points_up(ready) else 0.0)
+    except DataError:  # the first frames do not show it
+        return ready
 
 
 def _begun(ready: Case, known: bool) -> State:
@@ -99,17 +103,19 @@ def _begun(ready: Case, known: bool) -> State:
     return initial_state(ready.motion.actual(ready.model.arm, ()), length, ready.times, seen)
 
 
-def _turn(ready: Case, known: bool) -> float:
-    """How far a string at rest is seen to turn from a hand that points up to its end [rad]: this way or the other, down
-    it hangs. 0 where the first frames do not show it, or where the hand points down, and there is one way. known: the
-    points' sigma is."""
-    theta = float(ready.motion.actual(ready.model.arm, ()).since(float(ready.times[0])).pose[0, 0, 2])
-    if np.sin(theta) < 0:
-        return 0.0
-    try:
-        return float(_begun(ready, known).angle[-1] - theta)
-    except DataError:
-        return 0.0
+def _turn(ready: Case, begun: State) -> float:
+    """How far the string turns from a hand that points up to its end [rad]; 0 where the hand points down, from where
+    there is one way."""
+    return float(begun.angle[-1] - _theta(ready)) if _points_up(ready) else 0.0
+
+
+def _points_up(ready: Case) -> bool:
+    return bool(np.sin(_theta(ready)) > 0)
+
+
+def _theta(ready: Case) -> float:
+    """Of the hand at first [rad]."""
+    return float(ready.motion.actual(ready.model.arm, ()).pose[0, 0, 2])
 
 
 def motion_of(observation: Observation) -> JointMotion | HandMotion:

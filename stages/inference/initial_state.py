@@ -29,6 +29,7 @@ RATES = np.geomspace(0.1, 100.0, 12)  # [rad/s] by which its rate does
 HINGES = (0.0, 1.0)  # the same at the grasp alone, as shares of those: clamped, or loose
 CLEAR = 3.0  # gain in log evidence from which the string moves: 20 to 1
 STEPS = 12  # of Gauss-Newton to the shape
+CORNERS = 10  # of the line that they begin with: nearer places are as far apart by noise as along the string
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ def kinematics(
     """
     tracks, places = _tracks(frame, s, points, length)
     usual = np.isfinite(tracks[..., 0]).sum(axis=0) >= 3
-    if not usual.any():
+    if not np.any(places[usual] > 0):
         raise DataError(
             f"it begins moving, but no place on the string is seen in 3 of its first {FRAMES} frames. Begin it where "
             "the string is seen, or say 'initial: rest' in dataset.yaml."
@@ -127,10 +128,12 @@ def _shape(seen: Kinematics, pose: np.ndarray, length: float) -> np.ndarray:
 
 
 def _direct(seen: Kinematics, pose: np.ndarray, length: float) -> np.ndarray:
-    """Directions (PIECES,) [rad] of the straight lines from the grasp from place to place."""
-    apart = seen.s > 1e-9 * length
-    line = np.concatenate([pose[None, :2], seen.place[apart]])
-    ends = np.concatenate([[0.0], seen.s[apart]])
+    """Directions (PIECES,) [rad] of the straight lines from the grasp by way of a few places."""
+    away = np.flatnonzero(seen.s > 1e-9 * length)
+    evenly = np.linspace(0.0, seen.s[-1], CORNERS + 1)[1:]
+    corners = np.unique(away[np.abs(seen.s[away] - evenly[:, None]).argmin(axis=1)])
+    line = np.concatenate([pose[None, :2], seen.place[corners]])
+    ends = np.concatenate([[0.0], seen.s[corners]])
     step = np.diff(line, axis=0)
     angles = np.unwrap(np.concatenate([pose[2:], np.arctan2(step[:, 1], step[:, 0])]))[1:]
     return np.interp((np.arange(PIECES) + 0.5) * length / PIECES, (ends[1:] + ends[:-1]) / 2, angles)

@@ -89,11 +89,11 @@ def refined(likelihood: Likelihood, chi: np.ndarray) -> tuple[Likelihood, np.nda
     """The likelihood with noise and initial states as they are at its maximum, and the parameters there, from near ones
     chi (P,)."""
     likelihood = with_initial_states(likelihood, chi, SPAN)
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         there = fitted(likelihood, chi[None], enough=CLOSE).chi[0]
         anew = with_initial_states(likelihood, there)
         gain = np.mean(np.log(likelihood.scale)) - np.mean(np.log(anew.scale))
-        if gain > 0:
+        if gain > 0 or number == 0:
             likelihood, chi = anew, there
         if gain < STAYS:
             break

@@ -76,19 +76,19 @@ def _settled(string: String, material: np.ndarray, pose: np.ndarray, turn: np.nd
         # to where all is balanced, by the tangents of the laws here: to ask the laws takes longer than all else
         stretch = lengths[moving] / some.segment - 1
         pull = sloped(some.string, some.material, "tension", "stretch", stretch, {"rate": np.zeros((1, 1))})
-        turn, long = np.zeros_like(stretch), np.empty_like(stretch)
+        step, long = np.zeros_like(stretch), np.empty_like(stretch)
         hinges = moments(some, pose[moving, 2], angles[moving])
-        _balanced(force[moving], angles[moving], (stretch, *pull), hinges, some.segment[:, 0], turn, long)
+        _balanced(force[moving], angles[moving], (stretch, *pull), hinges, some.segment[:, 0], step, long)
         lengths[moving] = long
 
         # half a step where it goes back by most of the last, as from one side of a kink in a law to the other: whole
         # steps would do so for ever
-        most = np.abs(turn).max(axis=1, keepdims=True)
-        against = np.sum(turn * last[moving], axis=1, keepdims=True) < 0
+        most = np.abs(step).max(axis=1, keepdims=True)
+        against = np.sum(step * last[moving], axis=1, keepdims=True) < 0
         back = against & (most > 0.5 * np.abs(last[moving]).max(axis=1, keepdims=True))
         share[moving] = np.where(back, 0.5 * share[moving], np.minimum(2 * share[moving], 1))
-        angles[moving] += share[moving] * turn
-        last[moving] = turn
+        angles[moving] += share[moving] * step
+        last[moving] = step
         # Each candidate ends on its own, so that its shape does not depend on its company.
         moving = moving[most[:, 0] > ENOUGH]
         if moving.size == 0:

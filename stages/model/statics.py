@@ -53,12 +53,14 @@ class Chain:
 
 
 def guessed(string: String, material: np.ndarray, theta: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """A first guess: from the grasp's direction to straight down, over the length on which weight bends the rod, by
-    way of whichever side is nearer to a turn [rad]. theta, turn: (C,)."""
+    """A first guess: from the grasp's direction to straight down, over the length on which weight bends the rod, the
+    shorter way or the other, whichever is nearer to a turn [rad]. theta, turn: (C,)."""
     zero = np.zeros((1, 1))
     _, stiffness = sloped(string, material, "moment", "curvature", zero, {"rate": zero})
     scale = (np.maximum(stiffness, 1e-12) / GRAVITY) ** (1 / 3)
-    fall = turn + (-np.pi / 2 - theta - turn + np.pi) % (2 * np.pi) - np.pi
+    shorter = (-np.pi / 2 - theta + np.pi) % (2 * np.pi) - np.pi
+    other = shorter - 2 * np.pi * np.sign(shorter)
+    fall = np.where(np.abs(turn - other) < np.abs(turn - shorter), other, shorter)
     middles = string.middles() * string.longer(material)[:, None]
     return theta[:, None] + fall[:, None] * (1 - np.exp(-middles / scale))
 

@@ -1,12 +1,17 @@
 """A diagnosis that is interrupted ends with what it knows, and names nothing."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 import yaml
 
 from stringcast.stages.common import Enough
 from stringcast.stages.diagnose import diagnose as module
+from stringcast.stages.diagnose import judgement
+from stringcast.stages.diagnose.judgement import Slot
+from stringcast.stages.diagnose.single_effects import Found, Step
+from tests.diagnosis.performed import CRITERIA
 from tests.diagnosis.test_single_effects import casts, said_of
 
 
@@ -25,6 +30,26 @@ def test_what_had_entered_is_said_and_nothing_is_named(arm, camera, monkeypatch)
     assert yaml.safe_load(made.finding["extended"].iloc[0])["effects"] == []
     assert len(made.held_out) == 0
     assert made.theories["causes"].str.contains("tip_mass").any()
+    assert set(made.entries["cause"]) == {"tip_mass"}
+
+
+def test_what_left_again_is_not_said_to_be_at_work(monkeypatch):
+    """Of two that entered, the first was not needed beside the second."""
+    asked = []
+    hypotheses = {n: SimpleNamespace(names=n, base=None, causes=n) for n in (("a",), ("a", "b"), ("b",))}
+    fit = SimpleNamespace(hypothesis=hypotheses["b",])
+    steps = [Step(None, (), [SimpleNamespace(hypothesis=hypotheses[n])], entered=True) for n in (("a",), ("a", "b"))]
+    found = Found(SimpleNamespace(data=SimpleNamespace(trials=(1, 2)), base=None), fit, steps)
+    monkeypatch.setattr(judgement, "responses", lambda *given: ())
+    monkeypatch.setattr(judgement, "refitted", lambda *given: None)
+    monkeypatch.setattr(judgement, "Hypothesis", lambda base: None)
+    monkeypatch.setattr(judgement, "left_over", lambda *given: 1.0)
+    monkeypatch.setattr(
+        judgement, "_slot", lambda data, step, *given: asked.append(step) or Slot({"b": 0.9, "": 0.1}, {}, None)
+    )
+    known = judgement.interrupted(found, (), CRITERIA, 0)
+    assert asked == steps[1:]
+    assert known.sentence.endswith("when it had come to b (0.90).")
 
 
 def test_before_there_is_a_base_model_nothing_is_known(arm, camera, monkeypatch):

@@ -12,11 +12,11 @@ from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
-LENGTH, NOISE = 0.3, 1e-3
+LENGTH, NOISE = 0.3, 1.5e-3
 NAMED = {"bending_stiffness": 30.0, "bending_damping": 0.05, "linear_drag": 1.0, "grasp_stiffness": 5.0}
 T = np.arange(0, 0.5, 1 / 120)
 GRASP = np.column_stack([0.2 * np.clip(T - 0.1, 0, None) ** 2, 0 * T, 0 * T])
-PLACES = {"line": np.linspace(0.01, LENGTH, 30), "tip": np.array([LENGTH])}
+PLACES = {"line": np.linspace(0.01, LENGTH, 30), "dense": np.linspace(0.002, LENGTH, 150), "tip": np.array([LENGTH])}
 
 
 @pytest.fixture

@@ -69,6 +69,13 @@ def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean)
     assert right[0][0, -1] < -0.8
 
 
+@pytest.mark.parametrize("turn", [-8.3, 8.3])
+def test_a_limp_string_is_not_wound_about_its_hand(turn):
+    string, named = String(0.3, points=31, **SECOND_ORDER), STIFF | {"bending_stiffness": 0.05}
+    angles, _ = hanging(string, string.material(string.values(named)[None]), np.array([[0.0, 0.0, np.pi / 2]]), turn)
+    assert angles[0, -1] - np.pi / 2 == pytest.approx(np.sign(turn) * np.pi, abs=0.1)
+
+
 def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
     string = String(0.3, points=25)
     limp = STIFF | {"bending_stiffness": 8e-3, "grasp_stiffness": 1e-3}

@@ -1,11 +1,13 @@
 """Ctrl-C while a stage works: what it knows then is kept and shown, and made again by who goes on."""
 
+import json
 import os
 import signal
 import threading
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
@@ -17,7 +19,7 @@ from stringcast.pipeline.layout import ENDED
 from stringcast.pipeline.stopping import stoppable
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.common import Enough
-from tests.pipeline.test_decide import COARSE, proposing
+from tests.pipeline.test_decide import COARSE
 
 
 @pytest.fixture(scope="module")
@@ -41,27 +43,29 @@ def performed(data, folder, diagnose):
     return console.export_text()
 
 
-def asked(*given, **more) -> Diagnosis:
-    """Proposes nothing, whatever it is given."""
-    made = proposing(*given, **more)
-    tables = {name: table.empty() for name, table in Diagnosis.TABLES.items()}
-    return Diagnosis(
-        **tables | {"finding": made.finding.assign(diagnosis='{"trials": {"rejected": {}}, "next_experiment": null}')}
-    )
+def said(**more):
+    text = {"trials": {"rejected": {}}, "next_experiment": None, **more}
+    row = {"verdict": "insufficient", "sentence": "So.", "diagnosis": json.dumps(text), "extended": "effects: []"}
+    return Diagnosis(**{n: table.empty() for n, table in Diagnosis.TABLES.items()} | {"finding": pd.DataFrame([row])})
+
+
+def whole(*given, **more) -> Diagnosis:
+    """Ends when all was asked."""
+    return said(interrupted=False)
 
 
 def patient(*given, **more) -> Diagnosis:
     """Ends with what it knows."""
     try:
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
     except Enough:
-        return asked(*given, **more)
+        return said(interrupted=True)
     raise AssertionError("nobody interrupted it")
 
 
 def hasty(*given, **more) -> Diagnosis:
     """Lets it pass."""
-    os.kill(os.getpid(), signal.SIGINT)
+    signal.raise_signal(signal.SIGINT)
     raise AssertionError("nobody interrupted it")
 
 
@@ -69,11 +73,11 @@ def test_what_a_step_knew_is_kept_and_made_again(data, tmp_path):
     assert performed(data, tmp_path, patient).startswith("interrupted")
     assert (tmp_path / "diagnosis.json").exists()
     assert not (tmp_path / ENDED).exists()
-    said = performed(data, tmp_path, asked)
-    assert "recomputing" in said
-    assert "it was interrupted" in said
+    shown = performed(data, tmp_path, whole)
+    assert "recomputing" in shown
+    assert "it was interrupted" in shown
     assert (tmp_path / ENDED).exists()
-    assert "recomputing" not in performed(data, tmp_path, asked)
+    assert "recomputing" not in performed(data, tmp_path, whole)
 
 
 def test_a_stage_that_knows_nothing_leaves_nothing(data, tmp_path):
@@ -84,25 +88,33 @@ def test_a_stage_that_knows_nothing_leaves_nothing(data, tmp_path):
 
 def test_only_the_first_asks_for_an_end_and_only_meanwhile():
     before = signal.getsignal(signal.SIGINT)
-    with stoppable() as stopped:
-        assert not stopped()
+    with stoppable():
         with pytest.raises(Enough):
-            os.kill(os.getpid(), signal.SIGINT)
-        assert stopped()
+            signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt) as raised:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
         assert raised.type is KeyboardInterrupt
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_where_signals_are_ignored_they_stay_so():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with stoppable():
+            signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_in_another_thread_it_does_nothing():
     seen = []
 
     def work():
-        with stoppable() as stopped:
-            seen.append(stopped())
+        with stoppable():
+            seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert seen == [False]
+    assert seen == [signal.getsignal(signal.SIGINT)]

@@ -20,9 +20,10 @@ SEARCH = (
 )
 NO_SEARCH = "The base model left nothing that was worth a search for causes."
 WAY = (
-    "Log evidence: beside the causes that entered before. Of each trial: by how much the cause raises its "
-    "log-likelihood. Off: how far the simulated string lies from the measured one without the cause and with it. All "
-    "moments and places are in table `entries`."
+    "Of the causes that the search found, named or not, as they entered. Log evidence: beside those before, all that "
+    "is known in the end taken into account. Of each trial: by how much the cause raises its log-likelihood. Off: how "
+    "far the simulated string lies from the measured one without the cause and with it. All moments and places are in "
+    "table `entries`."
 )
 FEW = 12  # theories shown at once; the others are folded
 EVIDENCE = (
@@ -55,8 +56,8 @@ def found(record: DiagnosisRecord) -> Section:
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
     searched = len(record.diagnosis.theories) > 1 or not record.diagnosis.screening.empty
     fitted = Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])
-    way = [Card("Path of entry", [_way(record.diagnosis.entries), Text(WAY, "caption")])]
-    way = way if len(record.diagnosis.entries) else []
+    entries = record.diagnosis.entries
+    way = [Card("Path of entry", [_way(entries), Text(WAY, "caption")])] if len(entries) else []
     return Section("How it was found", [Text(SEARCH if searched else NO_SEARCH), *way, Grid(drawn), fitted])
 
 
