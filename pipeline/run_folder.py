@@ -73,6 +73,10 @@ class RunFolder:
             self.say(message)
             if stays:
                 return found.artifact
+        return self._made(step, place)
+
+    def _made(self, step: Step, place: Path) -> Any:
+        """A step's artifact, made now and stored."""
         disk.remove(self.folder / ENDED)
         with self.bar(f"{step.number}. {step.stage.name}") as progress:
             at, begun = datetime.now(UTC), time.monotonic()
@@ -84,7 +88,7 @@ class RunFolder:
             if getattr(made, "interrupted", False):
                 self.interrupted.append(step)
                 took[INTERRUPTED] = True
-            store.save(made, place, made_now(config, self.folder, step) | took)
+            store.save(made, place, made_now(self.experiment.config, self.folder, step) | took)
             log.info("%s made in %.1f s", step.place, took["made"]["seconds"])
         stored: Any = store.load(step.stage.makes, place)
         return replace(stored, images=Fresh(stored.images, made.images)) if isinstance(made, Trial) else stored

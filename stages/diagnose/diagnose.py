@@ -76,8 +76,8 @@ def diagnose(
     rejected: trials that cannot be used, with the reason. held_out: names of trials kept for measuring the gain; where
     there are none, each is left out in turn. starts: of the base model's search. matching: how E is counted. design: of
     the motion that would decide between look-alikes, clear of the obstacles; nothing is moved here. without: effects
-    that are no candidates. One that is interrupted (`Enough`) once it has the base model ends with what it knows, and
-    names nothing. Raises DataError where no trial can be used.
+    that are no candidates. Interrupted (`Enough`), it ends with what it knows, once it has the base model. Raises
+    DataError where no trial can be used.
     """
     given, reached = _given(model, observations, rejected, held_out, criteria, matching), None
     try:
@@ -94,14 +94,9 @@ def diagnose(
     except Enough:
         if reached is None:
             raise
-        log.warning("interrupted: ending with what is known")
-        given, _, effects, found = reached
-        judgement = interrupted(found, effects, criteria, seed)
-        gained, proposal = Gained(HELD_OUT.empty(), False), without_motion(None)
+        return _so_far(reached, seed)
     log.info("verdict: %s", judgement.verdict)
-    made = written(given, found, judgement, gained, proposal, seed)
-    progress(1.0)
-    return made
+    return written(given, found, judgement, gained, proposal, seed)
 
 
 @dataclass(frozen=True)
@@ -192,6 +187,14 @@ def _searched(given: Given, without: Sequence[str], seed: int, starts: int, prog
             given = given.without((*ready.chaotic, *chaotic))
         else:
             return
+
+
+def _so_far(reached: Reached, seed: int) -> Diagnosis:
+    """The diagnosis of a search that was interrupted."""
+    log.warning("interrupted: ending with what is known")
+    judgement = interrupted(reached.found, reached.effects, reached.given.criteria, seed)
+    nothing = Gained(HELD_OUT.empty(), False)
+    return written(reached.given, reached.found, judgement, nothing, without_motion(None), seed)
 
 
 def _chaotic(found: Found, criteria: Criteria) -> list[str]:

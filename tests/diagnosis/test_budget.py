@@ -18,7 +18,7 @@ def test_a_cause_that_explains_nothing_by_itself_has_nothing_and_not_less(monkey
     data = SimpleNamespace(begun=lambda names, sizes: off[names], tip_rms=lambda each: np.full(2, each))
     data.of = lambda hypothesis: data
     found = SimpleNamespace(prepared=SimpleNamespace(data=data), fit=fit("clamp", "set"))
-    monkeypatch.setattr(budget, "_one_after_another", lambda found, base: [fit(), fit("clamp"), fit("clamp", "set")])
+    monkeypatch.setattr(budget, "one_after_another", lambda found, base: [fit(), fit("clamp"), fit("clamp", "set")])
     monkeypatch.setattr(budget, "refitted", lambda *given: fit())
     monkeypatch.setattr(budget, "_known", lambda prepared: (0.0, 0.0))
     monkeypatch.setattr(budget, "tip_draws", lambda *given: np.ones((2, 4)))
