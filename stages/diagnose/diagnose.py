@@ -75,9 +75,8 @@ def diagnose(
 
     rejected: trials that cannot be used, with the reason. held_out: names of trials kept for measuring the gain; where
     there are none, each is left out in turn. starts: of the base model's search. matching: how E is counted. design: of
-    the motion that would decide between look-alikes, clear of the obstacles; nothing is moved here. without: effects
-    that are no candidates. Interrupted (`Enough`), it ends with what it knows, once it has the base model. Raises
-    DataError where no trial can be used.
+    the motion that would decide between look-alikes, clear of the obstacles. without: effects that are no candidates.
+    Interrupted (`Enough`) after the base model, it ends with what it knows. Raises DataError without a trial to use.
     """
     given, reached = _given(model, observations, rejected, held_out, criteria, matching), None
     try:
