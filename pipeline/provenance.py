@@ -37,7 +37,6 @@ LIBRARY = ROOT / "stages" / "model" / "library.py"  # it imports every effect wi
 MODEL = ROOT / "stages" / "model" / "model.py"
 LAB = "hardware.virtual."  # what it does can be done again, to the bit
 ABSENT = "absent"
-INTERRUPTED = "interrupted"  # in the origin of a step that ended with what it knew
 HASHED = ("input ", "source ")  # kinds of things of which an origin holds a hash, which tells people nothing
 
 
@@ -159,7 +158,7 @@ def look(config: Mapping[str, Any], folder: Path, step: Step) -> StoredStep:
     except DataError as error:
         return StoredStep(None, (str(error),))
     made = store.origin_of(place)
-    early = ("it was interrupted",) if INTERRUPTED in made else ()
+    early = ("it was interrupted",) if getattr(artifact, "interrupted", False) else ()
     return StoredStep(artifact, (*early, *changes(made, made_now(config, folder, step), step.stage.uses)))
 
 

@@ -1,9 +1,9 @@
 """A run's folder: steps are made once and kept, each whole before the next begins.
 
-One that was interrupted, and ended with what it knew, is kept until it is made again; no other follows it. A step that
-is there and fresh is read, not made again: an interrupted run goes on where it stopped, with the same
+A step that is there and fresh is read, not made again: an interrupted run goes on where it stopped, with the same
 result, for every step's seed is its own. One that is stale or damaged is made again, unless a real arm has moved by
-it. `run.json` is there if, and only if, the run has ended.
+it, and so is one that was interrupted and ended with what it knew, which no other follows. `run.json` is there if, and
+only if, the run has ended.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from stringcast.pipeline.inherited import FROM_DATASETS
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
 from stringcast.pipeline.older import modern
-from stringcast.pipeline.provenance import INTERRUPTED, look, made_now, origin, performed, repeatable
+from stringcast.pipeline.provenance import look, made_now, origin, performed, repeatable
 from stringcast.pipeline.result import Result, in_numbers
 from stringcast.pipeline.stopping import stoppable
 
@@ -42,13 +42,13 @@ NOTHING = {"config.json", LOCK, FAILED, LOG}  # what a run that made nothing lea
 @dataclass
 class RunFolder:
     """Makes the steps of a run and keeps them in its folder. say: tells the user of a step that is made again.
-    interrupted: steps that ended with what they knew, which is kept until they are made again."""
+    interrupted: whether one ended with what it knew, which is kept until it is made again."""
 
     experiment: Experiment
     folder: Path
     bar: Bar
     say: Callable[[str], object]
-    interrupted: list[Step] = field(default_factory=list)
+    interrupted: bool = False
 
     def obtain(self, step: Step) -> Any:
         """Read a step's artifact if it is there and fresh, else make and store it. Raises DataError for a damaged one
@@ -82,12 +82,8 @@ class RunFolder:
             at, begun = datetime.now(UTC), time.monotonic()
             with stoppable():
                 made = self.experiment.run(step, progress)
-            took: dict[str, Any] = {
-                "made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}
-            }
-            if getattr(made, "interrupted", False):
-                self.interrupted.append(step)
-                took[INTERRUPTED] = True
+            self.interrupted = getattr(made, "interrupted", False)
+            took = {"made": {"at": at.isoformat(timespec="seconds"), "seconds": time.monotonic() - begun}}
             store.save(made, place, made_now(self.experiment.config, self.folder, step) | took)
             log.info("%s made in %.1f s", step.place, took["made"]["seconds"])
         stored: Any = store.load(step.stage.makes, place)

@@ -115,11 +115,21 @@ def interrupted(found: Found, effects: Sequence[type[Effect]], criteria: Criteri
     last = {step.best.hypothesis.names[-1]: step for step in found.path if step.entered and step.best is not None}
     steps = (last[name] for name in fit.hypothesis.names if name in last)  # of what has not left again
     slots = tuple(_slot(data, step, small, often, len(effects), criteria.least_size) for step in steps)
-    inclusion, base = _inclusion(slots), refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base))
-    likely = [f"{name} ({chance:.2f})" for name, chance in inclusion.items() if chance > NOTHING]
+    unnamed = _unnamed(found, small, slots, criteria, seed)
+    likely = [f"{name} ({chance:.2f})" for name, chance in unnamed.inclusion.items() if chance > NOTHING]
     said = f"The search for causes was interrupted, when it had come to {', '.join(likely) or 'none'}."
+    return replace(unnamed, verdict="insufficient", sentence=said, interrupted=True)
+
+
+def _unnamed(
+    found: Found, small: Sequence[np.ndarray], slots: Sequence[Slot], criteria: Criteria, seed: int
+) -> Judgement:
+    """Of the causes that entered, before any is named: `none`, or `unknown` where too much is left beside them."""
+    data, fit = found.prepared.data, found.fit
     unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
-    return Judgement("insufficient", (), (), inclusion, unknown, slots, base, small, said, interrupted=True)
+    base = refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base)) if fit.hypothesis.causes else fit
+    verdict = "unknown" if unknown > 0.5 else "none"
+    return Judgement(verdict, (), (), _inclusion(slots), unknown, tuple(slots), base, small)
 
 
 def judged(
@@ -131,24 +141,21 @@ def judged(
     seed: int,
 ) -> Judgement:
     """The verdict on the causes that entered, one for each slot. small: as of `responses`."""
-    data, fit = found.prepared.data, found.fit
-    unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
-    base = refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base)) if fit.hypothesis.causes else fit
-    verdict, inclusion = "unknown" if unknown > 0.5 else "none", _inclusion(slots)
-    unnamed = Judgement(verdict, (), (), inclusion, unknown, tuple(slots), base, small)
+    data, fit, unnamed = found.prepared.data, found.fit, _unnamed(found, small, slots, criteria, seed)
     if fit.lost:
         said = "a trial cannot be simulated with the parameters that suit the others"
         return replace(unnamed, verdict="insufficient", sentence=said)
     left = unexplained(data, fit)
-    together = removed(unexplained(data, base), left, criteria.tolerance)
+    together = removed(unexplained(data, unnamed.base), left, criteria.tolerance)
     enough, nearest = together >= criteria.least_share, ""
-    if verdict == "unknown":
+    if unnamed.verdict == "unknown":
         largest, beside = _beside_largest(data, fit, slots, left, criteria)
         enough = together >= criteria.explained and beside >= criteria.least_share
         nearest = _nearest(fit, together, largest, beside)
     if not fit.hypothesis.causes or not enough:
-        if verdict == "none" and too_few_points:
-            return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion={**inclusion, RESOLUTION: 1.0})
+        if unnamed.verdict == "none" and too_few_points:
+            known = {**unnamed.inclusion, RESOLUTION: 1.0}
+            return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion=known)
         return replace(unnamed, sentence=nearest)
     groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
     causes = tuple(dict.fromkeys(name for slot in slots for name in _group(slot, criteria)))

@@ -82,17 +82,17 @@ def case(model: Model, observation: Observation) -> Case:
     position = points[["x", "y"]].to_numpy()
     s, motion = points["s"].to_numpy(), motion_of(observation).lasting(times[-1])
     ready = Case(observation.trial, model, motion, times, frame, s, position, sigma)
-    known = "sigma" in points
+    hand, known = motion.actual(model.arm, ()), "sigma" in points
     if observation.moving:
-        begun = _begun(ready, known)
-        return replace(ready, initial=begun, turn=_turn(ready, begun))
+        begun = _begun(ready, hand, known)
+        return replace(ready, initial=begun, turn=_turn(hand, begun))
     try:
-        return replace(ready, turn=_turn(ready, _begun(ready, known)) if _points_up(ready) else 0.0)
+        return replace(ready, turn=_turn(hand, _begun(ready, hand, known))) if _points_up(hand) else ready
     except DataError:  # the first frames do not show it
         return ready
 
 
-def _begun(ready: Case, known: bool) -> State:
+def _begun(ready: Case, hand: HandMotion, known: bool) -> State:
     """The state in which a trial begins. known: the points' sigma is."""
     length = ready.model.string.length
     first = (ready.times, ready.frame, ready.s, ready.points)
@@ -100,22 +100,17 @@ def _begun(ready: Case, known: bool) -> State:
         seen = kinematics(*first, float(np.median(ready.sigma)) if known else None, length)
     except DataError as error:
         raise DataError(f"trial {ready.name}: {error}") from error
-    return initial_state(ready.motion.actual(ready.model.arm, ()), length, ready.times, seen)
+    return initial_state(hand, length, ready.times, seen)
 
 
-def _turn(ready: Case, begun: State) -> float:
+def _turn(hand: HandMotion, begun: State) -> float:
     """How far the string turns from a hand that points up to its end [rad]; 0 where the hand points down, from where
     there is one way."""
-    return float(begun.angle[-1] - _theta(ready)) if _points_up(ready) else 0.0
+    return float(begun.angle[-1] - hand.pose[0, 0, 2]) if _points_up(hand) else 0.0
 
 
-def _points_up(ready: Case) -> bool:
-    return bool(np.sin(_theta(ready)) > 0)
-
-
-def _theta(ready: Case) -> float:
-    """Of the hand at first [rad]."""
-    return float(ready.motion.actual(ready.model.arm, ()).pose[0, 0, 2])
+def _points_up(hand: HandMotion) -> bool:
+    return bool(np.sin(hand.pose[0, 0, 2]) > 0)
 
 
 def motion_of(observation: Observation) -> JointMotion | HandMotion:
