@@ -27,7 +27,7 @@ from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, interrup
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
 from stringcast.stages.diagnose.prepared import Prepared, prepared, too_chaotic, usable
 from stringcast.stages.diagnose.proposals import candidates
-from stringcast.stages.diagnose.single_effects import Criteria, Found, searched, unexplained
+from stringcast.stages.diagnose.single_effects import Criteria, Found, removed, searched, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered, tempered
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trimmed_at_contact
@@ -88,7 +88,7 @@ def diagnose(
             again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
             return again(model, given.observations, given.rejected, (), obstacles, without=without, progress=progress)
         gained = _gained(given, found, judgement.base)
-        judgement = _checked(judgement, gained, len(given.kept))
+        judgement = _checked(judgement, gained, len(given.kept), criteria)
         proposal = _proposal(found, judgement, criteria, obstacles, design, seed)
     except Enough:
         if reached is None:
@@ -211,15 +211,17 @@ def _told_with_causes(found: Found, given: Given) -> list[str]:
     return [o.trial for o, each in zip(aside, doubt, strict=True) if each < given.criteria.tolerance]
 
 
-def _checked(judgement: Judgement, gained: Gained, trials: int) -> Judgement:
-    """As far as it can be checked: what is found in one trial not at all, in several by those left out."""
+def _checked(judgement: Judgement, gained: Gained, trials: int, criteria: Criteria) -> Judgement:
+    """As far as it can be checked: what is found in one trial not at all, in several by those left out. Where more is
+    left than is tolerated, it must remove the least share of what is lacking in those, too."""
     if judgement.verdict in ("none", "insufficient") or judgement.causes == (RESOLUTION,):
         return judgement
     if trials == 1:
         likely = [f"{name} ({chance:.2f})" for name, chance in judgement.inclusion.items() if chance > 0.5]
         said = f"{ALONE}; there it is {', '.join(likely)}" if likely else ALONE
         return replace(judgement, verdict="insufficient", causes=(), groups=(), sentence=f"{said}.")
-    return judgement if gained.better else judgement.unsupported
+    enough = judgement.unknown <= 0.5 or gained.removed(criteria.tolerance) >= criteria.least_share
+    return judgement if gained.better and enough else judgement.unsupported
 
 
 def _too_few_points(ready: Prepared, criteria: Criteria) -> bool:
@@ -259,6 +261,11 @@ class Gained:
 
     held_out: pd.DataFrame
     better: bool
+
+    def removed(self, tolerance: float) -> float:
+        """Share of what the base model lacks at the tips of trials left out that the extended model does not."""
+        before, after = (self.held_out[f"tip_rms_{side}"].to_numpy() for side in ("base", "extended"))
+        return removed(before, after, tolerance)
 
 
 def written(
