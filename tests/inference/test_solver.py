@@ -79,13 +79,13 @@ def test_each_run_goes_its_own_way_whoever_runs_beside():
 
 
 def test_an_iteration_is_two_batches_and_runs_that_are_done_cost_nothing():
-    """Eight runs of two parameters: their residuals, then 8 x 2 differences, then 8 x 4 trial steps."""
+    """Eight runs of two parameters: their residuals, then 8 x 2 differences, then 8 x 6 trial steps."""
     problem = Decay()
     fitted(problem, np.full((8, 2), 0.5), 1)
-    assert problem.asked == [8, 16, 32]
+    assert problem.asked == [8, 16, 48]
     problem = Decay()
     fitted(problem, np.stack([chi_of(RATES, TRUTH), [0.5, 0.5]]), 30)
-    assert problem.asked[-1] == 4
+    assert problem.asked[-1] == 6
 
 
 def test_a_step_into_what_cannot_be_simulated_is_not_taken_and_a_slope_across_its_edge_is_none():
