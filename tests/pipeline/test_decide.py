@@ -6,21 +6,16 @@ The diagnosis itself is replaced by one that proposes a swing until it has seen 
 import json
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 from stringcast.data.artifacts import Diagnosis, Motion
 from stringcast.data.store import content_hash, load, origin_of
-from stringcast.hardware.virtual.blind import VERSIONS, draw
 from stringcast.pipeline import run_folder
-from stringcast.pipeline.experiment import prepare
 from tests.conftest import swing
+from tests.pipeline.conftest import about
 
-COARSE = ("camera.width=320", "camera.height=320", "camera.px_per_m=170.0", "camera.origin_px=[125.5,193.5]")
 SEEN = []  # names of the trials of each diagnosis made
 
 
@@ -43,18 +38,8 @@ def silent(name):
     yield lambda share: None
 
 
-@pytest.fixture(scope="module")
-def data(arm, camera, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("theirs")
-    draw(VERSIONS[1].cases.index("none"), arm, camera, 1).write(folder)
-    return folder
-
-
 def decide(data, folder, experiment="decide"):
-    with initialize_config_dir(str(Path("conf").resolve()), version_base="1.3"):
-        overrides = [f"+experiment={experiment}", f"trials={data}", "string.length=0.33", *COARSE]
-        config = OmegaConf.to_container(compose("config", overrides), resolve=True)
-    here = prepare(config, lambda block: f"conf/{block}")
+    here = about(data, f"+experiment={experiment}")
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
     result = here.mode.work(here, folder, run_folder.RunFolder(here, folder, silent, print))

@@ -5,35 +5,20 @@ import os
 import signal
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 from stringcast.data.artifacts import Diagnosis
-from stringcast.hardware.virtual.blind import VERSIONS, draw
-from stringcast.pipeline.experiment import prepare
 from stringcast.pipeline.layout import ENDED
 from stringcast.pipeline.stopping import stoppable
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.common import Enough
-from tests.pipeline.test_decide import COARSE
-
-
-@pytest.fixture(scope="module")
-def data(arm, camera, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("theirs")
-    draw(VERSIONS[1].cases.index("none"), arm, camera, 1).write(folder)
-    return folder
+from tests.pipeline.conftest import about
 
 
 def performed(data, folder, diagnose):
-    with initialize_config_dir(str(Path("conf").resolve()), version_base="1.3"):
-        overrides = ["+experiment=diagnose", f"trials={data}", "string.length=0.33", "keep=[]", *COARSE]
-        config = OmegaConf.to_container(compose("config", overrides), resolve=True)
-    here = prepare(config, lambda block: f"conf/{block}")
+    here = about(data, "+experiment=diagnose", "keep=[]")
     here = replace(here, stages={**here.stages, "diagnose": diagnose})
     console = Terminal(record=True, file=open(os.devnull, "w"), width=200)  # noqa: SIM115
     try:
