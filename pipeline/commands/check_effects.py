@@ -19,8 +19,10 @@ from stringcast.pipeline.settings import build, composed, names_given
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.diagnose.identifiability import Foreseen, foreseen
 from stringcast.stages.diagnose.prepared import prepared
+from stringcast.stages.diagnose.prepared import usable as can_begin
 from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria
+from stringcast.stages.estimate.trim import trimmed_at_contact
 from stringcast.stages.model.library import library
 
 
@@ -30,7 +32,8 @@ def effects(folder: Path, overrides: Sequence[str]) -> list[dict[str, Any]]:
     config = OmegaConf.create({**composed(["+experiment=diagnose", *overrides]), "trials": str(folder)})
     here = prepare(with_inherited_settings(config, names_given(overrides)), lambda block: f"conf/{block}")
     data, asked = usable(here), here.config["diagnose"]
-    seen = [trial for name, trial in data.trials.items() if name not in held_out(data)]
+    asked_of = (trial for name, trial in data.trials.items() if name not in held_out(data))
+    seen, _ = can_begin(here.model, [trimmed_at_contact(trial, here.obstacles) for trial in asked_of])
     if len(seen) < 2:
         raise DataError(f"{folder}: causes are sought in two trials or more. Record more.")
     criteria = build(Criteria, asked["criteria"], "diagnose.criteria", "conf/diagnose")

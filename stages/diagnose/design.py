@@ -179,7 +179,9 @@ def _sentence(
 ) -> str:
     pairs = "; ".join(" and ".join(pair) for pair in alike)
     if alike:
-        return f"No motion tells them apart, of {count} within the arm's limits: {pairs}."
+        return (
+            f"Of {count} motions within the arm's limits none tells all of them apart; on the best, alike stay {pairs}."
+        )
     return (
         f"Of {count} motions within the arm's limits, one tells {', '.join(names)} apart with a probability of "
         f"{found['probability_to_decide']:.2f} (expected log odds {found['expected_log_odds']:.1f}, spread "

@@ -78,15 +78,15 @@ def diagnose(
     the motion that would decide between look-alikes, clear of the obstacles. without: effects that are no candidates.
     Interrupted (`Enough`) after the base model, it ends with what it knows. Raises DataError without a trial to use.
     """
-    given, reached = _given(model, observations, rejected, held_out, criteria, matching), None
+    asked, reached = _given(model, observations, rejected, held_out, criteria, matching), None
     try:
-        for reached in _searched(given, without, seed, starts, progress):
+        for reached in _searched(asked, without, seed, starts, progress):
             given, ready, effects, found = reached
         found, judgement = settled(found, effects, criteria, _too_few_points(ready, criteria), seed)
         if given.rest and not judgement.causes and _shown(found, given.aside, criteria):
             log.info("the trials set aside show what the others do not: they are looked at as well")
             again = partial(diagnose, seed=seed, starts=starts, criteria=criteria, matching=matching, design=design)
-            return again(model, given.observations, given.rejected, (), obstacles, without=without, progress=progress)
+            return again(model, asked.observations, asked.rejected, (), obstacles, without=without, progress=progress)
         gained = _gained(given, found, judgement.base)
         judgement = _checked(judgement, gained, len(given.kept), criteria)
         proposal = _proposal(found, judgement, criteria, obstacles, design, seed)
@@ -169,7 +169,9 @@ def _searched(given: Given, without: Sequence[str], seed: int, starts: int, prog
     while True:
         log.info("fitting the base model")
         rng = np.random.default_rng(seed)
-        ready = prepared(given.model, given.asked, criteria.tolerance, rng, starts, progress, trusted)
+        ready = prepared(
+            given.model, given.asked, criteria.tolerance, rng, starts, lambda share: progress(0.3 * share), trusted
+        )
         effects = candidates(ready.base.hypothesis.model, library(), ready.data.trials, without)
         good = given.without(ready.chaotic)
         yield Reached(good, ready, effects, Found(ready, ready.base))
@@ -242,7 +244,7 @@ def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria
     data = Data(seen.trials + aside.trials, seen.discrepancies + aside.discrepancies, varying)
     sizes = np.concatenate([found.fit.sizes, np.zeros(len(aside.trials), dtype=int)])
     fit = fitted(data, found.fit.hypothesis, found.fit.chi[None], sizes)
-    return bool(unexplained(data, fit).max() > criteria.tolerance)
+    return bool(unexplained(data, fit)[len(seen.trials) :].max() > criteria.tolerance)
 
 
 def _proposal(

@@ -35,9 +35,9 @@ def document(
     """diagnosis.json. certainty: intervals and correlations of parameters, of the `base` and the `extended` model."""
     used, listed = [trial.name for trial in prepared.data.trials], [*judgement.causes]
     others = sorted(set(judgement.inclusion) - set(listed), key=lambda name: (-judgement.inclusion[name], name))
-    none = float(np.prod([slot.chances.get("", 0.0) for slot in judgement.slots]))  # that no effect is at work
-    rest = {"none": none, "unknown": judgement.unknown}
     known = 1 - judgement.unknown if judgement.verdict == "unknown" else 1.0  # that what is at work is in the library
+    none = known * float(np.prod([slot.chances.get("", 0.0) for slot in judgement.slots]))  # that no effect is at work
+    rest = ({"none": none} if judgement.slots else {}) | {"unknown": judgement.unknown}
     alternatives = [{"effect": name, "probability": known * judgement.inclusion[name]} for name in others]
     return {
         "format": FORMAT,

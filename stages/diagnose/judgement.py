@@ -126,10 +126,16 @@ def _unnamed(
 ) -> Judgement:
     """Of the causes that entered, before any is named: `none`, or `unknown` where too much is left beside them."""
     data, fit = found.prepared.data, found.fit
-    unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
     base = refitted(data, found.prepared.base, Hypothesis(fit.hypothesis.base)) if fit.hypothesis.causes else fit
-    verdict = "unknown" if unknown > 0.5 else "none"
-    return Judgement(verdict, (), (), _inclusion(slots), unknown, tuple(slots), base, small)
+    return _left(
+        Judgement("none", (), (), _inclusion(slots), 0.0, tuple(slots), base, small), data, fit, criteria, seed
+    )
+
+
+def _left(unnamed: Judgement, data: Data, fit: Fit, criteria: Criteria, seed: int) -> Judgement:
+    """The same by what a fit leaves."""
+    unknown = left_over(data, fit, criteria, np.random.default_rng([seed, DRAWS]))
+    return replace(unnamed, unknown=unknown, verdict="unknown" if unknown > 0.5 else "none")
 
 
 def judged(
@@ -143,36 +149,34 @@ def judged(
     """The verdict on the causes that entered, one for each slot. small: as of `responses`."""
     data, fit, unnamed = found.prepared.data, found.fit, _unnamed(found, small, slots, criteria, seed)
     if fit.lost:
-        said = "a trial cannot be simulated with the parameters that suit the others"
+        said = "A trial cannot be simulated with the parameters that suit the others."
         return replace(unnamed, verdict="insufficient", sentence=said)
     left = unexplained(data, fit)
     together = removed(unexplained(data, unnamed.base), left, criteria.tolerance)
-    enough, nearest = together >= criteria.least_share, ""
+    least, largest, beside = criteria.least_share, "", 1.0
     if unnamed.verdict == "unknown":
-        largest, beside = _beside_largest(data, fit, slots, left, criteria)
-        enough = together >= criteria.explained and beside >= criteria.least_share
-        nearest = _nearest(fit, together, largest, beside)
-    if not fit.hypothesis.causes or not enough:
+        least, (largest, beside) = criteria.explained, _beside_largest(data, fit, left, criteria)
+    if not fit.hypothesis.causes or together < least or beside < criteria.least_share:
+        unnamed = _left(unnamed, data, unnamed.base, criteria, seed)
         if unnamed.verdict == "none" and too_few_points:
             known = {**unnamed.inclusion, RESOLUTION: 1.0}
             return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion=known)
-        return replace(unnamed, sentence=nearest)
+        nearest = _nearest(fit, together, largest, beside)
+        return replace(unnamed, sentence=nearest if unnamed.verdict == "unknown" else "")
     groups = tuple(g for g in (_group(s, criteria) for s in slots) if len(g) > 1)
     causes = tuple(dict.fromkeys(name for slot in slots for name in _group(slot, criteria)))
     return replace(unnamed, verdict="ambiguous" if groups else "effect", causes=causes, groups=groups)
 
 
-def _beside_largest(
-    data: Data, fit: Fit, slots: Sequence[Slot], left: np.ndarray, criteria: Criteria
-) -> tuple[str, float]:
+def _beside_largest(data: Data, fit: Fit, left: np.ndarray, criteria: Criteria) -> tuple[str, float]:
     """The cause without which most is lacking, and the share of what it alone leaves that the others remove: a large
     cause shall not carry what stands in for one that nobody knows. All of it where there are no others. left: what all
     of them leave in each trial [m], (K,)."""
     causes = fit.hypothesis.causes
     if len(causes) < 2:
         return "", 1.0
-    lacking = [float(np.mean(unexplained(data, slot.less) ** 2)) for slot in slots]
-    largest = causes[int(np.argmax(lacking))]
+    without = (refitted(data, fit, fit.hypothesis.without(cause)) for cause in causes)
+    largest = causes[int(np.argmax([np.mean(unexplained(data, less) ** 2) for less in without]))]
     alone = refitted(data, fit, Hypothesis(fit.hypothesis.base, (largest,)))
     return largest.name, removed(unexplained(data, alone), left, criteria.tolerance)
 

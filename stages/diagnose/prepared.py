@@ -28,7 +28,7 @@ from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import chi_of, values_of
 
-SEGMENTS, STEP = 20, 1e-3  # [s]: 1 mm of error at the tip in a plain cast (conf/string/swift.yaml), which is corrected
+SEGMENTS, STEP = 20, 1e-3  # [s]: 1 mm of error at the tip in a plain cast, which is corrected
 GUESS = 1e-3  # [m] of noise before anything is known
 STATED_WRONG = 1.3  # times the noise that the data's author states: then the data are believed
 OUTLYING = 6.0  # noises from smooth motion: one point in 5e8 by chance

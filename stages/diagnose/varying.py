@@ -38,5 +38,5 @@ def _moved(
     beside[range(len(places)), places] += np.where(chi[places] > 0.5, -solver.FIRST, solver.FIRST)
     residuals = data.residuals(hypothesis.model, beside)
     here, moved = [each[-1:] for each in residuals], [each[:-1] - each[-1] for each in residuals]
-    sizes = data.tip_sizes(moved)
+    sizes = np.maximum(data.tip_sizes(moved), np.finfo(float).tiny)
     return here, [(each / sizes[:, None]).T for each in moved]

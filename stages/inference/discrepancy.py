@@ -168,6 +168,7 @@ def _kernel_root(trial: Case, growth: np.ndarray) -> np.ndarray:
     memory = max(MEMORY, 2 * (at[1] - at[0]))
     rate = np.sqrt(3) / memory  # of a Matern kernel of order 3/2
     time = columns(trial.times, at, lambda gap: (1 + rate * gap) * np.exp(-rate * gap))[trial.frame]
-    grown = (growth / np.sqrt(np.mean(growth**2)))[trial.frame] / trial.sigma
+    rms = max(float(np.sqrt(np.mean(growth**2))), np.finfo(float).tiny)  # none of a trial that cannot be simulated
+    grown = (growth / rms)[trial.frame] / trial.sigma
     place = along(trial.s, trial.model.string.length)
     return np.asarray(((grown[:, None] * time)[:, :, None] * place[:, None, :]).reshape(len(trial.s), -1))

@@ -143,7 +143,7 @@ def test_what_is_the_same_by_nature_is_said_to_be(model, slow):
     assert said["inseparable"] == [["lead", "time_offset"]]
     assert said["probability_to_decide"] < 0.01
     assert abs(said["expected_log_odds"]) < 0.1
-    assert "No motion tells them apart" in said["sentence"]
+    assert "none tells all of them apart" in said["sentence"]
     assert alike.commands.empty
 
 

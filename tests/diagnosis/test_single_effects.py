@@ -18,6 +18,7 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.discrepancy import SIZES, TYPICAL, Discrepancy, _kernel_root, log_prior, smoothed
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted
 from stringcast.stages.inference.forward import Case, case
+from stringcast.stages.inference.solver import LOST
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.library import library, named
@@ -108,6 +109,13 @@ def test_what_one_trial_says_alone_is_asked_of_the_others(arm, heavy, believed):
 
 def base_values(hypothesis, ratio):
     return [{**TRUTH, "tip_mass.ratio": ratio}[p.name] for p in hypothesis.parameters]
+
+
+def test_a_trial_that_cannot_be_simulated_lacks_nothing_that_is_smooth(trial):
+    """No parameter moves it: its fit is said to be lost, instead of an error of linear algebra."""
+    one = Discrepancy.of(trial, np.zeros(25), np.zeros((2 * len(trial.s), 0)))
+    assert not one.variance.any()
+    assert np.isfinite(one.log_likelihoods(one.coefficients(np.full((1, 2 * len(trial.s)), LOST)))).all()
 
 
 def test_what_hardly_moves_the_tip_does_not_enter(trial):
