@@ -8,7 +8,7 @@ import numpy as np
 
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Found, refitted
-from stringcast.stages.inference.evidence import TIP, Fit, Hypothesis, tip_draws
+from stringcast.stages.inference.evidence import Fit, Hypothesis, tip_draws
 
 
 @dataclass(frozen=True)
@@ -66,5 +66,5 @@ def one_after_another(found: Found, base: Fit) -> list[Fit]:
 
 def _known(prepared: Prepared) -> tuple[float, float]:
     """Mean squares at the tip that noise, and what is in doubt of the numerical error, leave [m2]."""
-    noise = [2 * np.mean(trial.sigma[trial.s > trial.s.max() - TIP] ** 2) for trial in prepared.data.trials]
+    noise = [2 * np.mean(trial.sigma[trial.tip] ** 2) for trial in prepared.data.trials]
     return float(np.mean(noise)), float(np.mean(prepared.doubt**2))

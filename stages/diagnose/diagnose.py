@@ -28,7 +28,7 @@ from stringcast.stages.diagnose.predictions import better, held_out_table, predi
 from stringcast.stages.diagnose.prepared import Prepared, prepared, too_chaotic, usable
 from stringcast.stages.diagnose.proposals import candidates
 from stringcast.stages.diagnose.single_effects import Criteria, Found, removed, searched, unexplained
-from stringcast.stages.diagnose.small_effects import Tempered, tempered
+from stringcast.stages.diagnose.small_effects import tempered
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trimmed_at_contact
 from stringcast.stages.inference.evidence import Data, Fit, fitted
@@ -277,7 +277,7 @@ def written(
     data, named = found.prepared.data, set(judgement.causes) & set(found.fit.hypothesis.names)
     shown = found if named else replace(found, fit=judgement.base)
     budget = budgeted(shown, judgement.base, np.random.default_rng([seed, len(data.trials)]))
-    causes = tables.causes(shown, judgement, library(), _tempered(shown, judgement), given.reach)
+    causes = tables.causes(shown, judgement, given.reach)
     return Diagnosis(
         _finding(given, shown, judgement, gained, proposal, budget, causes),
         causes,
@@ -315,12 +315,6 @@ def _finding(
     row = {"verdict": judgement.verdict, "sentence": said, "diagnosis": json.dumps(without_nan(text), indent=2)}
     row |= {"extended": _extended(given, found.fit, sure["extended"]["intervals"])}
     return FINDING.check(pd.DataFrame([row]))
-
-
-def _tempered(found: Found, judgement: Judgement) -> dict[str, Tempered]:
-    """Of the fit with each cause that is named."""
-    fits = {n: tables.fit_with(found, judgement, n) for n in judgement.causes if n != RESOLUTION}
-    return {name: tempered(found.prepared.data, fit, judgement.small) for name, fit in fits.items()}
 
 
 def _gained(given: Given, found: Found, base: Fit) -> Gained:

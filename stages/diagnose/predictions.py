@@ -11,7 +11,7 @@ import pandas as pd
 from stringcast.data.artifacts import HELD_OUT, Observation
 from stringcast.stages.estimate.matching import Matching, targets
 from stringcast.stages.inference.discrepancy import likeliest, marginal
-from stringcast.stages.inference.evidence import TIP, Data, Fit, fitted
+from stringcast.stages.inference.evidence import Data, Fit, fitted
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
@@ -86,7 +86,7 @@ def better(base: Sequence[Prediction], extended: Sequence[Prediction]) -> bool:
 def distances(trial: Case, residual: np.ndarray, name: str) -> dict[str, float]:
     """Root mean squares of a trial's residual over sigma, of all of it and of the tip [m]."""
     off = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
-    parts = {"rms": off, "tip_rms": off[trial.s > trial.s.max() - TIP]}
+    parts = {"rms": off, "tip_rms": off[trial.tip]}
     return {f"{what}_{name}": float(np.sqrt(np.mean(part**2))) for what, part in parts.items()}
 
 

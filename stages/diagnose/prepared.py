@@ -18,7 +18,7 @@ from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoo
 from stringcast.stages.inference.evidence import Data, Finer, Fit, Hypothesis, at_best, evaluated, fitted, lacked
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import as_first_told, modes
-from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.likelihood import STILL, Likelihood
 from stringcast.stages.inference.mesh import on_mesh
 from stringcast.stages.inference.noise import WHITE, told
 from stringcast.stages.inference.search import refined, screened, searched, with_noise
@@ -42,7 +42,7 @@ CLEARLY = 5.0  # of the log evidence: strong, by Jeffreys' scale
 SETTLED = 1.0  # of the log evidence: to gain less is not worth a mention, by the same
 MOST = 20  # iterations of the search before its last horizon
 LEAST_GROWTH = 0.1  # of the largest: early frames are not exact either
-STILL, RESTING = 0.01, 0.2  # of the length: a string at rest stays so near where it ends; [s] of rest that are kept
+RESTING = 0.2  # [s] that are kept of a string at rest
 
 
 @dataclass(frozen=True)

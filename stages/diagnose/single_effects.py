@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from stringcast.stages.diagnose.predictions import Prediction, predicted, rises
-from stringcast.stages.diagnose.prepared import FEWEST, Prepared, nearer, searched_again
+from stringcast.stages.diagnose.prepared import CLEARLY, FEWEST, SETTLED, Prepared, nearer, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
 from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
 from stringcast.stages.model.effect import Effect, components, position_dependent
@@ -26,8 +26,6 @@ from stringcast.stages.model.effect import Effect, components, position_dependen
 log = logging.getLogger(__name__)
 
 PROMISING = 6  # proposals fitted first; the others, if none of these explains what is left
-SOON = 1.0  # of the log-likelihood: a step that gains less does not say which candidates are worth fitting to the end
-WORTH = 5.0  # of the log-likelihood to first order: less is not fitted first
 RIVALS = 3  # fitted to the end, at most
 
 Share = Annotated[float, Field(gt=0, lt=1)]
@@ -153,7 +151,7 @@ def compared(
     data, known = prepared.data, [] if at_its_end is None else [at_its_end]
     ranked = proposals(data, parent, [e for e in effects if e not in parent.hypothesis.causes], seed)
     rest = [p for p in ranked if not any(p.effect in fit.hypothesis.causes for fit in known)]
-    first = [p for p in rest[:PROMISING] if p.gain > WORTH]
+    first = [p for p in rest[:PROMISING] if p.gain > CLEARLY]
     step = Step(parent, ranked, _ranked([*known, *_fitted(prepared, parent, first)]))
     alike = _like_the_best(step, [p for p in rest if p not in first], criteria)
     step = replace(step, tried=_ranked([*step.tried, *_fitted(prepared, parent, alike)]))
@@ -328,10 +326,10 @@ def _fitted(prepared: Prepared, parent: Fit, some: Sequence[Proposal]) -> list[F
     for number, proposal in enumerate(some, 1):
         best = max((fit.evidence for fit in fits), default=parent.evidence) - parent.evidence
         log.info("%d of %d: %s, best %+.1f", number, len(some), proposal.effect.name, best)
-        fit = fitted(prepared.data, proposal.hypothesis, proposal.starts, parent.sizes, SOON)
+        fit = fitted(prepared.data, proposal.hypothesis, proposal.starts, parent.sizes, SETTLED)
         first = fit.evidence - parent.evidence
         if first > 0:
-            fit = fitted(prepared.told_by(fit), fit.hypothesis, fit.chi[None], fit.sizes, SOON)
+            fit = fitted(prepared.told_by(fit), fit.hypothesis, fit.chi[None], fit.sizes, SETTLED)
         gains = (fit.evidence - parent.evidence, first, proposal.gain)
         log.info("%s: evidence %+.1f, at first %+.1f, promised %.1f", proposal.effect.name, *gains)
         fits.append(fit)

@@ -14,10 +14,11 @@ from stringcast.stages.diagnose.document import MM
 from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria, Found, least_gain, moved, removed, unexplained
-from stringcast.stages.diagnose.small_effects import Tempered
+from stringcast.stages.diagnose.small_effects import Tempered, tempered
 from stringcast.stages.inference.evidence import ABSENT, Data, Fit, lacked
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.model.effect import Effect, ModelChange, components
+from stringcast.stages.model.library import library
 
 ALIKE = 8  # effects whose likeness is shown: the most promising
 EVERY, PARTS = 0.02, 4  # [s], and parts of the string, that what is missing or explained is averaged over
@@ -60,7 +61,7 @@ def tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray
 def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolerance: float) -> pd.DataFrame:
     """Table THEORIES: all that were fitted, those with most evidence first."""
     data, base = found.prepared.data, by_cause[0]
-    lacking, trials = unexplained(data, base), len(base.by_trial)
+    lacking = unexplained(data, base)
     tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
     tried |= {joined_names(fit): fit for slot in judgement.slots for fit in slot.fits.values()}
     tried |= {joined_names(fit): fit for fit in (found.fit, *by_cause)}
@@ -71,7 +72,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
             "parameters": len(fit.chi),
             "mean_square": float(np.mean(np.concatenate(fit.residuals) ** 2)),
             "fit_gain": fit.evidence - base.evidence,
-            "held_out_gain": least_gain(base, fit) if fit is not base and len(fit.by_trial) == trials else np.nan,
+            "held_out_gain": least_gain(base, fit) if fit is not base else np.nan,
             "moved": float(moved(data, base, fit).max()),
             "unexplained": 1 - removed(lacking, unexplained(data, fit), tolerance),
             "probability": chance.get(name, 0.0),
@@ -121,14 +122,12 @@ def likeness(found: Found) -> pd.DataFrame:
     return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
 
 
-def causes(
-    found: Found, judgement: Judgement, library: Mapping[str, type[Effect]], tempered: Mapping[str, Tempered], z: float
-) -> pd.DataFrame:
-    """Table CAUSES: those named, each as fitted among the others or in place of its look-alike. tempered: of the fit
-    with each. z: half width of the intervals in deviations."""
+def causes(found: Found, judgement: Judgement, z: float) -> pd.DataFrame:
+    """Table CAUSES: those named, each as fitted among the others or in place of its look-alike. z: half width of the
+    intervals in deviations."""
     rows: list[dict[str, object]] = []
     for name in judgement.causes:
-        effect, common = library[name], {"effect": name, "probability": judgement.inclusion.get(name, 0.0)}
+        effect, common = library()[name], {"effect": name, "probability": judgement.inclusion.get(name, 0.0)}
         if issubclass(effect, ModelChange):
             nothing = dict.fromkeys(("value", "low", "high"), np.nan) | dict.fromkeys(("meaning", "unit"), "")
             rows.append(common | {"sentence": effect.describe({}), "parameter": "", "at_least": False, **nothing})
@@ -137,7 +136,8 @@ def causes(
         differs = MM * found.prepared.data.differs(name)
         each_time = f", and differs from trial to trial, by about {differs:.0f} mm at the tip" if differs else ""
         common["sentence"] = effect.describe(fit.of(effect)) + each_time + at_an_end(fit, effect)
-        rows += [common | row for row in _parameters(fit, effect, tempered[name], z)]
+        sure = tempered(found.prepared.data, fit, judgement.small)
+        rows += [common | row for row in _parameters(fit, effect, sure, z)]
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
 
@@ -160,10 +160,10 @@ def at_an_end(fit: Fit, effect: type[Effect]) -> str:
     return f", with {' and '.join(ends)} at the end of the range: it may stand for what the library does not hold"
 
 
-def _parameters(fit: Fit, effect: type[Effect], tempered: Tempered, z: float) -> list[dict[str, object]]:
+def _parameters(fit: Fit, effect: type[Effect], sure: Tempered, z: float) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     for parameter, place in zip(effect.parameters, fit.hypothesis.places(effect, effect.parameters), strict=True):
-        low, high = interval(fit, place, tempered, z)
+        low, high = interval(fit, place, sure, z)
         high = parameter.high if parameter.at_least else high
         row: dict[str, object] = {"parameter": effect.qualified(parameter), "meaning": parameter.meaning}
         value = float(parameter.value(fit.chi[place]))
@@ -173,28 +173,22 @@ def _parameters(fit: Fit, effect: type[Effect], tempered: Tempered, z: float) ->
     return rows
 
 
-def certainty(fit: Fit, tempered: Tempered, z: float) -> dict[str, Any]:
-    """How well the trials tell a fit's parameters, as diagnosis.json has it."""
-    return {"intervals": intervals(fit, tempered, z), "correlations": correlations(fit, tempered)}
-
-
-def intervals(fit: Fit, tempered: Tempered, z: float) -> dict[str, list[float]]:
-    """Ends of the intervals of all parameters, by qualified name."""
-    return {p.name: [*interval(fit, place, tempered, z)] for place, p in enumerate(fit.hypothesis.parameters)}
-
-
-def correlations(fit: Fit, tempered: Tempered) -> list[dict[str, Any]]:
-    """Pairs of parameters that these trials tell apart only in part, the most correlated first."""
-    names, matrix = [p.name for p in fit.hypothesis.parameters], tempered.correlation
+def certainty(fit: Fit, sure: Tempered, z: float) -> dict[str, Any]:
+    """How well the trials tell a fit's parameters, as diagnosis.json has it: the intervals of all, and pairs that these
+    trials tell apart only in part, the most correlated first."""
+    names, matrix = [p.name for p in fit.hypothesis.parameters], sure.correlation
     pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(matrix[i, j]) > TOGETHER]
     pairs.sort(key=lambda pair: -abs(matrix[pair]))
-    return [{"parameters": [names[i], names[j]], "value": float(matrix[i, j])} for i, j in pairs]
+    return {
+        "intervals": {name: [*interval(fit, place, sure, z)] for place, name in enumerate(names)},
+        "correlations": [{"parameters": [names[i], names[j]], "value": float(matrix[i, j])} for i, j in pairs],
+    }
 
 
-def interval(fit: Fit, place: int, tempered: Tempered, z: float) -> tuple[float, float]:
+def interval(fit: Fit, place: int, sure: Tempered, z: float) -> tuple[float, float]:
     """Ends of a parameter's interval, which holds its value."""
     chi, parameter = fit.chi[place], fit.hypothesis.parameters[place]
-    ends = tempered.centre[place] + z * np.array([-1.0, 1.0]) * tempered.deviation[place]
+    ends = sure.centre[place] + z * np.array([-1.0, 1.0]) * sure.deviation[place]
     low, high = parameter.value(np.clip([min(ends[0], chi), max(ends[1], chi)], 0.0, 1.0))
     return float(low), float(high)
 

@@ -8,14 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numba import get_num_threads
 
-from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.forward import CHUNK, Case
 from stringcast.stages.model import kernel
 from stringcast.stages.model.hand import HandMotion, rested
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.simulate import simulate
 from stringcast.stages.model.state import State
 
-CHUNK = 128  # candidates simulated at once: keeps memory in hand, whatever their number
 BEGINNING = 0.05  # [s] of simulated time that a batch costs before its first step
 APART = 1.15  # times what steps cost where each candidate has a hand of its own
 

@@ -31,7 +31,6 @@ WIDTHS = np.array([1e-3, 3e-3, 1e-2, 3e-2])  # [m] by which a cause may well mov
 ROUNDS = 6  # at most, in turns with the sizes of discrepancies: it mostly takes three
 FEW = 4  # iterations of several starts, before the best alone goes on
 DRAWS = 400  # of what may be lacking: a probability is told to 0.025
-TIP = 1e-3  # [m] points so near to the outermost are the tip
 ABSENT = 1e-9  # of a range: nearer than that is not there
 NEAR = 0.05  # of a range: farther off, slopes do not tell what a finer mesh changes
 LATELY = 64  # candidates whose residuals are kept: those of some iterations
@@ -210,18 +209,18 @@ class Data:
         return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen), varying, finer)
 
     def tip_rms(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
-        """Root mean square over each trial of displacements (2 n,) over sigma, at the outermost place [m], (K,)."""
+        """Root mean square over each trial of displacements (..., 2 n) over sigma, at the outermost place [m],
+        (K, ...)."""
         found = []
         for trial, each in zip(self.trials, displacements, strict=True):
-            tip = trial.s > trial.s.max() - TIP
-            off = each.reshape(-1, 2)[tip] * trial.sigma[tip, None]
-            found.append(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+            there = each.reshape(*each.shape[:-1], len(trial.s), 2).compress(trial.tip, axis=-2)
+            away = there * trial.sigma[trial.tip, None]
+            found.append(np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1)))
         return np.array(found)
 
     def tip_sizes(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
         """Root mean square over all trials of displacements (C, 2 n) over sigma in each, as of `tip_rms` [m], (C,)."""
-        each = zip(*displacements, strict=True)
-        return np.array([np.sqrt(np.mean(self.tip_rms(some) ** 2)) for some in each])
+        return np.asarray(np.sqrt(np.mean(self.tip_rms(displacements) ** 2, axis=0)))
 
 
 @dataclass(frozen=True)
@@ -356,8 +355,7 @@ def tip_draws(data: Data, fit: Fit, rng: np.random.Generator) -> np.ndarray:
     DRAWS)."""
     data = data.of(fit.hypothesis)
     told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
-    drawn = [d.draws(each[0], int(size), DRAWS, rng) for d, each, size in told]
-    return np.array([[data.only([k]).tip_rms([draw])[0] for draw in own] for k, own in enumerate(drawn)])
+    return data.tip_rms([d.draws(each[0], int(size), DRAWS, rng) for d, each, size in told])
 
 
 def _slopes(

@@ -18,7 +18,8 @@ from stringcast.stages.model.simulate import StringMotion
 from stringcast.stages.model.state import State
 
 MODES = 6  # of a trial's initial state, in shape and in turning rate each
-CHUNK = 256  # candidates simulated at once: keeps memory in hand, whatever their number
+CHUNK = 128  # candidates simulated at once: keeps memory in hand, whatever their number
+TIP = 1e-3  # [m] points so near to the outermost are the tip
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,11 @@ class Case:
     turn: float = 0.0
     change: np.ndarray = field(default_factory=lambda: np.zeros(2 * MODES))
     noise: Noise = WHITE
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Which of the points are the tip, (N,)."""
+        return np.asarray(self.s > self.s.max() - TIP)
 
     def simulate(self, values: np.ndarray) -> Iterator[tuple[slice, StringMotion]]:
         """Strings of candidates (C, P) as the camera reports them at the frame times, chunk by chunk."""

@@ -23,7 +23,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter, values_of
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
-STILL = 0.01  # of the string's length, from which the hand has moved
+STILL = 0.01  # of the string's length, from which the hand has moved, or a string has from where it ends
 
 
 @dataclass(frozen=True)
