@@ -11,7 +11,7 @@ All motions are compared by d alone; the most promising with what the rivals cou
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -41,15 +41,10 @@ class Proposal:
     """next_experiment: as in diagnosis.json, None where nothing is left to be decided. The motion's tables, and where
     each rival has the string in it; all empty where no motion would help."""
 
-    next_experiment: Mapping[str, Any] | None
-    commands: pd.DataFrame
-    control_points: pd.DataFrame
-    foretold: pd.DataFrame
-
-
-def without_motion(next_experiment: Mapping[str, Any] | None) -> Proposal:
-    """Words alone."""
-    return Proposal(next_experiment, COMMANDS.empty(), CONTROL_POINTS.empty(), FORETOLD.empty())
+    next_experiment: Mapping[str, Any] | None = None
+    commands: pd.DataFrame = field(default_factory=COMMANDS.empty)
+    control_points: pd.DataFrame = field(default_factory=CONTROL_POINTS.empty)
+    foretold: pd.DataFrame = field(default_factory=FORETOLD.empty)
 
 
 @dataclass(frozen=True)
@@ -94,22 +89,22 @@ def designed(rivals: Rivals, obstacles: Sequence[Box], design: Design, rng: np.r
     """The motion to perform next, and what it will do; nothing where one hypothesis stands alone or the arm is
     unknown."""
     if len(rivals.fits) < 2 or not all(isinstance(t.motion, JointMotion) for t in rivals.data.trials):
-        return without_motion(None)
+        return Proposal()
     likeliest = next(iter(rivals.fits.values()))
     curves = possible(likeliest.hypothesis.base, obstacles, design, rng)
     if not len(curves.duration):
-        return without_motion(None)
+        return Proposal()
     like = max(rivals.data.trials, key=lambda trial: len(trial.s))
     cases = [_imagined(likeliest.hypothesis, curves, i, like, design) for i in range(len(curves.duration))]
     few = _promising(rivals, cases, obstacles)
     tried = {i: rivals.odds(corrected([cases[i]], likeliest.hypothesis, likeliest.chi)[0]) for i in few}
-    best = max(few, key=lambda i: _least(tried[i][0]), default=None)
+    best = max(few, key=lambda i: tried[i][0].min(), default=None)
     if best is None:
-        return without_motion(None)
+        return Proposal()
     odds, near = tried[best]
     text = _document(rivals, odds, len(cases))
-    if _least(odds) < 1:
-        return without_motion(text)
+    if odds.min() < 1:
+        return Proposal(text)
     curve = curves.only(np.array([best]))
     arm = likeliest.hypothesis.model.arm
     return Proposal(text, commands_of(arm, curve), control_points_of(curve), _foretold(cases[best], near))
@@ -118,10 +113,7 @@ def designed(rivals: Rivals, obstacles: Sequence[Box], design: Design, rng: np.r
 def _imagined(hypothesis: Hypothesis, curves: Curves, number: int, like: Case, design: Design) -> Case:
     """The trial that a motion would make, each point as certain as those it stands for."""
     case = imagined(hypothesis.model, curves.only(np.array([number])), like, design)
-    many = max(standing_for(hypothesis.model, case, like), 1.0)
-    return Case(
-        *(case.name, case.model, case.motion, case.times, case.frame, case.s, case.points), case.sigma / np.sqrt(many)
-    )
+    return replace(case, sigma=case.sigma / np.sqrt(max(standing_for(hypothesis.model, case, like), 1.0)))
 
 
 def _promising(rivals: Rivals, cases: Sequence[Case], obstacles: Sequence[Box]) -> list[int]:
@@ -142,27 +134,19 @@ def _apart(strings: Sequence[np.ndarray]) -> float:
     return float(min(np.mean((a - b) ** 2) for a, b in combinations(strings, 2)))
 
 
-def _least(odds: np.ndarray) -> float:
-    """The least expected log odds of a true rival over another. odds: (R, R)."""
-    return float(odds.min())
-
-
-def probability(odds: float, enough: float) -> float:
-    """That log odds of this mean, and twice that variance, exceed what decides."""
-    return float(norm.cdf((odds - enough) / np.sqrt(2 * max(odds, 1e-12))))
-
-
 def _stated(odds: float, enough: float) -> dict[str, float]:
-    numbers = {"probability_to_decide": probability(odds, enough), "expected_log_odds": odds}
-    return {name: round(value, 3) for name, value in (numbers | {"spread": float(np.sqrt(2 * odds))}).items()}
+    """Log odds of this mean, and twice that variance, and the probability that they exceed what decides."""
+    decide = float(norm.cdf((odds - enough) / np.sqrt(2 * max(odds, 1e-12))))
+    numbers = {"probability_to_decide": decide, "expected_log_odds": odds, "spread": float(np.sqrt(2 * odds))}
+    return {name: round(value, 3) for name, value in numbers.items()}
 
 
 def _document(rivals: Rivals, odds: np.ndarray, count: int) -> dict[str, Any]:
     """next_experiment, but for the place where the motion will be."""
-    made = [_least(rivals.odds(rivals.data.only([k]))[0]) for k in range(len(rivals.data.trials))]
+    made = [float(rivals.odds(rivals.data.only([k]))[0].min()) for k in range(len(rivals.data.trials))]
     again = int(np.argmax(made))
     old = {"trial": rivals.data.trials[again].name, **_stated(made[again], rivals.enough)}
-    found, names = _stated(_least(odds), rivals.enough), list(rivals.fits)
+    found, names = _stated(float(odds.min()), rivals.enough), list(rivals.fits)
     pairs = combinations(range(len(names)), 2)
     alike = [[names[a], names[b]] for a, b in pairs if min(odds[a, b], odds[b, a]) < 1]
     text = {"sentence": _sentence(names, alike, found, old, count, rivals.enough), "between": names}

@@ -21,7 +21,7 @@ from stringcast.stages.common import Enough, Progress
 from stringcast.stages.diagnose import tables
 from stringcast.stages.diagnose.budget import Budget, budgeted, one_after_another
 from stringcast.stages.diagnose.casts import Design
-from stringcast.stages.diagnose.design import Proposal, Rivals, designed, without_motion
+from stringcast.stages.diagnose.design import Proposal, Rivals, designed
 from stringcast.stages.diagnose.document import document, left_over, sentence, settings, without_nan
 from stringcast.stages.diagnose.judgement import RESOLUTION, Judgement, interrupted, settled
 from stringcast.stages.diagnose.predictions import better, held_out_table, predicted
@@ -195,7 +195,7 @@ def _so_far(reached: Reached, seed: int) -> Diagnosis:
     log.warning("interrupted: ending with what is known")
     judgement = interrupted(reached.found, reached.effects, reached.given.criteria, seed)
     nothing = Gained(HELD_OUT.empty(), False)
-    return written(reached.given, reached.found, judgement, nothing, without_motion(None), seed)
+    return written(reached.given, reached.found, judgement, nothing, Proposal(), seed)
 
 
 def _chaotic(found: Found, criteria: Criteria) -> list[str]:

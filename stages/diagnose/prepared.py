@@ -391,8 +391,7 @@ def _without_outliers(trial: Case, residual: np.ndarray) -> tuple[Case, np.ndarr
         near = np.linalg.norm(beside, axis=1) < OUTLYING * noise
         if near.all() or len(np.unique(trial.frame[near])) < FRAMES_NEEDED:
             break
-        parts = {name: getattr(trial, name)[near] for name in ("frame", "s", "points", "sigma")}
-        trial, residual = replace(trial, **parts), residual[near]
+        trial, residual = trial.only(near), residual[near]
     return trial, residual, noise
 
 
@@ -450,5 +449,4 @@ def awake(trial: Case) -> Case:
             np.maximum.at(away, trial.frame[track], np.linalg.norm(trial.points[track] - end, axis=1))
     moving = np.flatnonzero(away > STILL * trial.model.string.length)
     last = trial.times[moving[-1]] if moving.size else trial.times[0]
-    last = max(last + RESTING, trial.times[:FRAMES_NEEDED][-1])
-    return trial.until((last - trial.times[0]) / max(float(np.ptp(trial.times)), np.finfo(float).tiny))
+    return trial.until(max(last + RESTING, trial.times[:FRAMES_NEEDED][-1]))

@@ -62,13 +62,15 @@ class Case:
         """Where strings (C, F, n, 2) are at the measured arc lengths and times, (C, N, 2) [m]."""
         return measured(points, self.frame, self.s / self.model.string.segment)
 
-    def until(self, share: float) -> Case:
-        """The first part of the trial: `share` of its time."""
-        last = self.times[0] + share * (self.times[-1] - self.times[0])
+    def until(self, last: float) -> Case:
+        """The first part of the trial, to this time [s]."""
         frames = int(np.searchsorted(self.times, last + 1e-9))
-        kept = self.frame < frames
+        return replace(self.only(self.frame < frames), times=self.times[:frames])
+
+    def only(self, kept: np.ndarray) -> Case:
+        """With some of the points alone. kept: (N,)."""
         parts = {name: getattr(self, name)[kept] for name in ("frame", "s", "points", "sigma")}
-        return replace(self, times=self.times[:frames], **parts)
+        return replace(self, **parts)
 
     def off(self, values: np.ndarray) -> tuple[float, float]:
         """Mean square distance of one candidate (P,) from the measured points, and from those nearest the tip [m2]."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stringcast.stages.common import mad_sigma
+from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.forward import MODES, Case
 from stringcast.stages.inference.huber import LIMIT
 from stringcast.stages.inference.solver import LOST, fitted
@@ -41,7 +42,7 @@ def settled(ready: Case, values: np.ndarray, span: float = SPAN) -> Case:
     the string cannot be simulated with them."""
     if ready.initial is None:
         return ready
-    early = ready.until(min(span / float(np.ptp(ready.times)), 1.0))
+    early = ready.until(ready.times[0] + span)
     noise = float(mad_sigma(_residuals(early, values, change(ready)[None])[0])) + 1e-12
     return suited(ready, early, values, lambda residual: residual / noise, LIMIT) if np.isfinite(noise) else ready
 
@@ -99,8 +100,8 @@ def as_first_told(ready: Case, modes: np.ndarray) -> Case:
     """The case with its points displaced, to first order, as if it began in the state that its first frames tell, about
     which other states are as likely as they are near. modes: over sigma, (2 N, M), and maybe others after them."""
     own = change(ready)
-    away = modes[:, : len(own)] @ own
-    return replace(ready, points=ready.points + ready.sigma[:, None] * away.reshape(-1, 2))
+    moved = modes[:, : len(own)] @ own
+    return replace(ready, points=ready.points + ready.sigma[:, None] * moved.reshape(-1, 2))
 
 
 def change(ready: Case) -> np.ndarray:
@@ -115,8 +116,7 @@ def change(ready: Case) -> np.ndarray:
 def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarray:
     """Simulated less measured over sigma, (C, 2 N), with each of the changes (C, M) of the state at the beginning."""
     moved = with_change(ready, changes)
-    _, motion = next(moved.simulate(np.repeat(values[None], len(changes), axis=0)))
-    return ((moved.at_measured(motion.points) - ready.points) / ready.sigma[:, None]).reshape(len(changes), -1)
+    return away(moved.model, [moved], np.repeat(values[None], len(changes), axis=0))[0]
 
 
 def with_change(ready: Case, to: np.ndarray) -> Case:

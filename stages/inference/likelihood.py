@@ -61,9 +61,7 @@ class Likelihood:
 
     def until(self, seconds: float) -> Likelihood:
         """The beginning of each trial: so long after its hand moved, or after it began moving."""
-        lasts = [max(_begins(trial) + seconds, trial.times[:2][-1]) for trial in self.trials]
-        pairs = zip(self.trials, lasts, strict=True)
-        trials = tuple(t.until((last - t.times[0]) / max(float(np.ptp(t.times)), 1e-9)) for t, last in pairs)
+        trials = tuple(t.until(max(_begins(t) + seconds, t.times[:2][-1])) for t in self.trials)
         nuisance = tuple(u[: 2 * len(trial.s)] for u, trial in zip(self.nuisance, trials, strict=False))
         return replace(self, trials=trials, nuisance=nuisance)
 

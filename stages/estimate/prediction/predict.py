@@ -15,6 +15,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import PREDICTED, SCORE, Estimate, Observation, Prediction, TrialSet
 from stringcast.stages.estimate.trim import trimmed_at_contact
+from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.forward import Case, case
 from stringcast.stages.inference.initial_modes import coefficients, settled
 from stringcast.stages.inference.solver import LOST, fitted
@@ -58,13 +59,11 @@ def resting(ready: Case) -> Case | None:
     if ready.initial is not None:
         return None
     hand, length = ready.motion.actual(ready.model.arm, ()), ready.model.string.length
-    away = np.abs(hand.pose[0] - hand.pose[0, 0])
-    moves = np.hypot(away[:, 0], away[:, 1]) + length * away[:, 2] > RESTING * length
+    moved = np.abs(hand.pose[0] - hand.pose[0, 0])
+    moves = np.hypot(moved[:, 0], moved[:, 1]) + length * moved[:, 2] > RESTING * length
     last = hand.start + hand.tick * (np.argmax(moves) - 1) if moves.any() else hand.end
     frames = int(np.searchsorted(ready.times, last, side="right"))
-    kept = ready.frame < frames
-    parts = {name: getattr(ready, name)[kept] for name in ("frame", "s", "points", "sigma")}
-    return replace(ready, times=ready.times[:frames], **parts) if frames else None
+    return replace(ready.only(ready.frame < frames), times=ready.times[:frames]) if frames else None
 
 
 @dataclass(frozen=True)
@@ -89,6 +88,4 @@ class _AtRest:
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Simulated less measured over sigma, (C, 2 N)."""
-        _, motion = next(self.still.simulate(self.values_at(chi)))
-        off = (self.still.at_measured(motion.points) - self.still.points) / self.still.sigma[:, None]
-        return np.nan_to_num(off.reshape(len(chi), -1), nan=LOST)
+        return np.nan_to_num(away(self.still.model, [self.still], self.values_at(chi))[0], nan=LOST)
