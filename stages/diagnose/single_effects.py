@@ -174,16 +174,17 @@ def _like_the_best(step: Step, others: Sequence[Proposal], criteria: Criteria) -
 
 def _contested(prepared: Prepared, step: Step, criteria: Criteria, at_its_end: Fit | None = None) -> Step:
     """With those fitted to the end that come near to the most evident, if that is evident at all, and whether the best
-    then enters. Without one by which simulation tells fewer than two trials: what is in doubt in the others may
-    explain anything."""
+    then enters. Without one by which simulation tells fewer than two trials, or, in the place of a cause that is
+    there, not all of them: what is in doubt in the others may explain anything."""
     parent = step.parent
     if step.best is None or step.best.evidence < parent.evidence + criteria.enough:
         return step
     near = parent.evidence + criteria.least_share * (step.best.evidence - parent.evidence)
     count = sum(fit.evidence > near for fit in step.tried[:RIVALS])
     rivals = [(prepared, fit) if fit is at_its_end else polished(prepared, fit) for fit in step.tried[:count]]
-    enough = min(FEWEST, len(prepared.doubt))
-    least = np.sqrt(1 - criteria.explained) * unexplained(prepared.data, parent)
+    enough, least = len(prepared.doubt), np.zeros(len(prepared.doubt))
+    if at_its_end is None:
+        enough, least = min(FEWEST, enough), np.sqrt(1 - criteria.explained) * unexplained(prepared.data, parent)
     told = [fit for made, fit in rivals if _told(made, prepared, criteria, least) >= enough]
     step = replace(step, tried=_ranked([*told, *step.tried[count:]]), to_the_end=told)
     return replace(step, entered=step.best is not None and enters(prepared.data, step, criteria))

@@ -151,8 +151,11 @@ def test_a_cause_by_which_too_few_trials_can_be_told_does_not_enter(before, doub
     )
     monkeypatch.setattr(single_effects, "enters", lambda data, step, criteria: True)
     monkeypatch.setattr(single_effects, "unexplained", lambda data, parent: np.array(lacking))
-    step = single_effects._contested(prepared, Step(SimpleNamespace(evidence=0.0), (), fits), CRITERIA)
+    begun = Step(SimpleNamespace(evidence=0.0), (), fits)
+    step = single_effects._contested(prepared, begun, CRITERIA)
     assert (step.best.name, step.entered) == (best, True)
+    step = single_effects._contested(prepared, begun, CRITERIA, at_its_end=fits[1])  # in its place: all must be told
+    assert step.best.name == ("doubtful" if before == (0.0, 5e-3) else "sure")
 
 
 @pytest.mark.parametrize(("foretold", "enters"), [((76.0, 41.0), True), ((150.0, -5.0), False), ((150.0, 4.0), False)])
