@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 import stringcast
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
 from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
+from stringcast.hardware.virtual.blind import VERSIONS, draw
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -164,6 +165,14 @@ def arm() -> Arm:
 @pytest.fixture(scope="session")
 def camera() -> Camera:
     return configured(Camera, "camera/highspeed.yaml")
+
+
+@pytest.fixture(scope="module")
+def null_trials(arm, camera, tmp_path_factory):
+    """A folder of trials that hide nothing."""
+    folder = tmp_path_factory.mktemp("theirs")
+    draw(VERSIONS[1].cases.index("none"), arm, camera, 1).write(folder)
+    return folder
 
 
 def ordinary(arm) -> Model:

@@ -14,7 +14,7 @@ from stringcast.data.artifacts import Diagnosis, Motion
 from stringcast.data.store import content_hash, load, origin_of
 from stringcast.pipeline import run_folder
 from tests.conftest import swing
-from tests.pipeline.conftest import about
+from tests.pipeline.small import about
 
 SEEN = []  # names of the trials of each diagnosis made
 
@@ -38,8 +38,8 @@ def silent(name):
     yield lambda share: None
 
 
-def decide(data, folder, experiment="decide"):
-    here = about(data, f"+experiment={experiment}")
+def decide(trials, folder, experiment="decide"):
+    here = about(trials, f"+experiment={experiment}")
     SEEN.clear()
     here = replace(here, stages={**here.stages, "diagnose": proposing})
     result = here.mode.work(here, folder, run_folder.RunFolder(here, folder, silent, print))
@@ -47,8 +47,8 @@ def decide(data, folder, experiment="decide"):
     return result
 
 
-def test_the_motion_proposed_is_performed_and_seen_with_the_others(data, tmp_path):
-    result = decide(data, tmp_path)
+def test_the_motion_proposed_is_performed_and_seen_with_the_others(null_trials, tmp_path):
+    result = decide(null_trials, tmp_path)
     first, second = SEEN
     assert second == [*first, f"performed-{len(first) + 1:02d}"]
     place = tmp_path / "iterations" / f"{len(first) + 1:02d}"
@@ -61,21 +61,21 @@ def test_the_motion_proposed_is_performed_and_seen_with_the_others(data, tmp_pat
     assert sources[trial.as_posix()] == content_hash(tmp_path / trial)
 
 
-def test_an_interrupted_run_goes_on_where_it_was(data, tmp_path):
-    decide(data, tmp_path)
+def test_an_interrupted_run_goes_on_where_it_was(null_trials, tmp_path):
+    decide(null_trials, tmp_path)
     whole = content_hash(tmp_path / "iterations")
     last = sorted((tmp_path / "iterations").iterdir())[-1]
     for name in ("points", "diagnosis"):
         for file in (last / name).iterdir():
             file.unlink()
         (last / name).rmdir()
-    decide(data, tmp_path)
+    decide(null_trials, tmp_path)
     assert len(SEEN) == 1  # the first diagnosis was read
     assert content_hash(tmp_path / "iterations") == whole
 
 
-def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(data, tmp_path):
-    result = decide(data, tmp_path, "diagnose")
+def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(null_trials, tmp_path):
+    result = decide(null_trials, tmp_path, "diagnose")
     said = json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"]
     motion = load(Motion, tmp_path / said["motion"])
     assert motion.duration == pytest.approx(0.2)

@@ -14,11 +14,19 @@ from stringcast.pipeline.layout import ENDED
 from stringcast.pipeline.stopping import stoppable
 from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.common import Enough
-from tests.pipeline.conftest import about
+from tests.pipeline.small import about
 
 
-def performed(data, folder, diagnose):
-    here = about(data, "+experiment=diagnose", "keep=[]")
+@pytest.fixture(autouse=True)
+def heard():
+    """SIGINT as in a terminal: what a shell starts in the background is deaf to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def performed(trials, folder, diagnose):
+    here = about(trials, "+experiment=diagnose", "keep=[]")
     here = replace(here, stages={**here.stages, "diagnose": diagnose})
     console = Terminal(record=True, file=open(os.devnull, "w"), width=200)  # noqa: SIM115
     try:
@@ -54,19 +62,19 @@ def hasty(*given, **more) -> Diagnosis:
     raise AssertionError("nobody interrupted it")
 
 
-def test_what_a_step_knew_is_kept_and_made_again(data, tmp_path):
-    assert performed(data, tmp_path, patient).startswith("interrupted")
+def test_what_a_step_knew_is_kept_and_made_again(null_trials, tmp_path):
+    assert performed(null_trials, tmp_path, patient).startswith("interrupted")
     assert (tmp_path / "diagnosis.json").exists()
     assert not (tmp_path / ENDED).exists()
-    shown = performed(data, tmp_path, whole)
+    shown = performed(null_trials, tmp_path, whole)
     assert "recomputing" in shown
     assert "it was interrupted" in shown
     assert (tmp_path / ENDED).exists()
-    assert "recomputing" not in performed(data, tmp_path, whole)
+    assert "recomputing" not in performed(null_trials, tmp_path, whole)
 
 
-def test_a_stage_that_knows_nothing_leaves_nothing(data, tmp_path):
-    assert performed(data, tmp_path, hasty).startswith("interrupted")
+def test_a_stage_that_knows_nothing_leaves_nothing(null_trials, tmp_path):
+    assert performed(null_trials, tmp_path, hasty).startswith("interrupted")
     assert not (tmp_path / "diagnosis.json").exists()
     assert not list((tmp_path / "iterations").rglob("diagnosis"))
 
