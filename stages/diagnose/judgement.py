@@ -157,7 +157,7 @@ def judged(
     if unnamed.verdict == "unknown":
         least, (largest, beside) = criteria.explained, _beside_largest(data, fit, left, criteria)
     if not fit.hypothesis.causes or together < least or beside < criteria.least_share:
-        unnamed = _left(unnamed, data, unnamed.base, criteria, seed)
+        unnamed = unnamed if unnamed.base is fit else _left(unnamed, data, unnamed.base, criteria, seed)
         if unnamed.verdict == "none" and too_few_points:
             known = {**unnamed.inclusion, RESOLUTION: 1.0}
             return replace(unnamed, verdict="effect", causes=(RESOLUTION,), inclusion=known)
@@ -175,9 +175,13 @@ def _beside_largest(data: Data, fit: Fit, left: np.ndarray, criteria: Criteria) 
     causes = fit.hypothesis.causes
     if len(causes) < 2:
         return "", 1.0
-    without = (refitted(data, fit, fit.hypothesis.without(cause)) for cause in causes)
-    largest = causes[int(np.argmax([np.mean(unexplained(data, less) ** 2) for less in without]))]
-    alone = refitted(data, fit, Hypothesis(fit.hypothesis.base, (largest,)))
+    without = [refitted(data, fit, fit.hypothesis.without(cause)) for cause in causes]
+    number = int(np.argmax([np.mean(unexplained(data, less) ** 2) for less in without]))
+    largest = causes[number]
+    if len(causes) == 2:  # without the other
+        alone = without[1 - number]
+    else:
+        alone = refitted(data, fit, Hypothesis(fit.hypothesis.base, (largest,)))
     return largest.name, removed(unexplained(data, alone), left, criteria.tolerance)
 
 

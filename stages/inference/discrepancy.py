@@ -21,7 +21,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csr_array
 from scipy.special import logsumexp
 
-from stringcast.stages.common import mad_sigma
+from stringcast.stages.common import mad_sigma, rms
 from stringcast.stages.inference.basis import KNOTS, RANK, along, beside_noise, columns, in_time, nodes, products
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.noise import Track, gram_roots, track
@@ -168,7 +168,7 @@ def _kernel_root(trial: Case, growth: np.ndarray) -> np.ndarray:
     memory = max(MEMORY, 2 * (at[1] - at[0]))
     rate = np.sqrt(3) / memory  # of a Matern kernel of order 3/2
     time = columns(trial.times, at, lambda gap: (1 + rate * gap) * np.exp(-rate * gap))[trial.frame]
-    rms = max(float(np.sqrt(np.mean(growth**2))), np.finfo(float).tiny)  # none of a trial that cannot be simulated
-    grown = (growth / rms)[trial.frame] / trial.sigma
+    typical = max(rms(growth), np.finfo(float).tiny)  # there is none where a trial cannot be simulated
+    grown = (growth / typical)[trial.frame] / trial.sigma
     place = along(trial.s, trial.model.string.length)
     return np.asarray(((grown[:, None] * time)[:, :, None] * place[:, None, :]).reshape(len(trial.s), -1))

@@ -64,7 +64,10 @@ class Case:
 
     def until(self, last: float) -> Case:
         """The first part of the trial, to this time [s]."""
-        frames = int(np.searchsorted(self.times, last + 1e-9))
+        return self.first(int(np.searchsorted(self.times, last + 1e-9)))
+
+    def first(self, frames: int) -> Case:
+        """So many of its frames, the first."""
         return replace(self.only(self.frame < frames), times=self.times[:frames])
 
     def only(self, kept: np.ndarray) -> Case:

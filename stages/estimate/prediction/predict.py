@@ -8,7 +8,7 @@ rests.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -63,7 +63,7 @@ def resting(ready: Case) -> Case | None:
     moves = np.hypot(moved[:, 0], moved[:, 1]) + length * moved[:, 2] > RESTING * length
     last = hand.start + hand.tick * (np.argmax(moves) - 1) if moves.any() else hand.end
     frames = int(np.searchsorted(ready.times, last, side="right"))
-    return replace(ready.only(ready.frame < frames), times=ready.times[:frames]) if frames else None
+    return ready.first(frames) if frames else None
 
 
 @dataclass(frozen=True)
