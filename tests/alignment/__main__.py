@@ -1,4 +1,4 @@
-"""How well clocks are compared: `python -m tests.alignment`. Leaves offsets.parquet in data/results/alignment.
+"""How well clocks are compared: `python -m tests.alignment`. Leaves offsets.parquet in tests/benchmarks/alignment/results.
 
 Most from points of the hand, drawn with a noise of 0.7 mm; some filmed on the virtual lab and read in its frames.
 """
@@ -31,7 +31,7 @@ from stringcast.stages.model.string import String
 from tests.alignment.stand import Stand
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "data" / "results" / "alignment"
+FOLDER = ROOT / "tests" / "benchmarks" / "alignment" / "results"
 RATES = (200.0, 60.0, 30.0)
 SIGMA = 7e-4  # [m]
 NOISES = {"white": (0.0, 0.0), "correlated": (0.9, 0.0), "rolling shutter": (0.0, 5e-3)}  # correlation, readout [s]

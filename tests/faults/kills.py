@@ -2,14 +2,12 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
 
 from tests.faults.strike import look_at_what_is_left
-from tests.faults.toy import ROOT, contents, toy_run
+from tests.faults.toy import contents, toy_run
 
 
 class Forked:
@@ -37,25 +35,6 @@ class Forked:
     def kill(self, child):
         os.kill(child, signal.SIGKILL)
         return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-
-class Command:
-    """The command as a user gives it."""
-
-    def __init__(self, *overrides):
-        self.command = [sys.executable, "-m", "pipeline", *overrides]
-
-    def start(self, folder):
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        return subprocess.Popen([*self.command, f"hydra.run.dir={folder}"], cwd=ROOT, **quiet)
-
-    def ended(self, process):
-        """The exit status; None while it runs."""
-        return process.poll()
-
-    def kill(self, process):
-        process.kill()
-        return process.wait()
 
 
 def ended_by(run, process, moment):

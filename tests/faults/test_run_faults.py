@@ -1,7 +1,4 @@
-"""Whole runs survive every fault at every file operation: nothing half-written counts, nothing finished is lost.
-
-`python -m tests.faults` strikes every operation with every kind of fault, and kills for longer.
-"""
+"""Whole runs survive every fault at every file operation: nothing half-written counts, nothing finished is lost."""
 
 import ast
 import json

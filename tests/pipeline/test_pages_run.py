@@ -128,11 +128,8 @@ RUN = {
         r"2064 frames: 7\d\.\d% read, 0\.\d+% wrong", ("shares.parquet", "frames.parquet")
     ),
     # In a copy of the project: they rewrite what was recorded.
-    "pipeline.studies.blind.record": Run(r"f743bdb \| 51 \| 31 of 31"),
     "tests.alignment": Run(less="--seeds 1 --filmed 0"),
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
-    "tests.diagnosis": Run(less="--seeds 1"),
-    "tests.drivers.sweep": Run(less="100"),
     # What is on the disk.
     "pipeline draw 7 riddle riddle.json": Run(r"5 trials\. What they hide is in .*riddle\.json", long=False),
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
@@ -159,12 +156,11 @@ ELSEWHERE = {  # which test runs it, or why none can
     "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
     "pipeline +experiment=measured_study trials=../shared/measured": "needs recordings of others, which are not ours to "
     "hand on; a small one: tests/measured/test_measured_study.py",
-    "pipeline.studies.extraction.footage ../shared/measured data/results/extraction/measured.parquet": "needs films of "
+    "pipeline.studies.extraction.footage ../shared/measured tests/benchmarks/extraction/results/measured.parquet": "needs films of "
     "others, which are not ours to hand on",
     "pipeline.studies.measured.diagnosed ../shared/measured": "needs recordings of others, which are not ours to hand on",
     "pipeline +experiment=": "the beginning of a command: its names are composed in test_readme_commands.py",
     "pipeline draw <seed> data/sample data/envelopes/sample.json": "as draw 7 riddle riddle.json, over the sample",
-    "pipeline.studies.blind.record outputs/...": "as without a folder; tests/pipeline/test_recorded_studies.py::test_a_study_is_added_and_counted_by_itself",
     "pipeline +experiment=calibrate source=device source@plane=device": "needs a camera and a person with a board",
     "pipeline +experiment=stringB hardware=serial calibrated=outputs/...": "needs an arm on a serial port; with an "
     "emulated one: tests/drivers/test_run_interrupted.py",
@@ -174,7 +170,6 @@ ELSEWHERE = {  # which test runs it, or why none can
     "stringcast.hardware.dynamixel.emulator [--fault KIND:N ...]": "tests/drivers/test_dynamixel.py::bus",
     "pipeline +sway=plain mode=batch mode.stage=sway trials=data/sample": "a stage of one's own, which there is none of: "
     "tests/pipeline/test_new_stage.py",
-    "tests.faults": "kills and breaks for as long as one likes: tests/faults/test_run_faults.py does so, for less",
     "tasks.py test": "is what runs this",
     "tasks.py setup": "made the environment that this runs in",
     "tasks.py bench": "installs what it compares with; a small one: tests/speed/test_smoke.py",

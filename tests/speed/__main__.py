@@ -27,7 +27,7 @@ from tests.speed.measures import Row, framed, measured
 from tests.speed.picture import picture
 from tests.speed.waits import waits
 
-FOLDER = Path(__file__).resolve().parents[2] / "data" / "results" / "speed"
+FOLDER = Path(__file__).resolve().parents[2] / "outputs" / "speed"
 COMMAND = "python3 tasks.py bench"
 PEERS = ("mujoco", "pyelastica")
 MEANING = {

@@ -1,7 +1,7 @@
 """Which benches a seed means: names, frozen, so that an effect that is added moves no bench that was recorded.
 
 What may be hidden stands here by name and in order, not as the library has it. A version is never changed: the table of
-recorded benches (data/results/blind_study) and the text of studies refer to it. What is new goes into a new version,
+recorded benches (tests/benchmarks/diagnosis) and the text of studies refer to it. What is new goes into a new version,
 the last of VERSIONS; see `tests/virtual_lab/test_versions.py`, which says so when an effect is in none.
 """
 

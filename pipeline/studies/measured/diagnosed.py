@@ -1,6 +1,6 @@
 """Diagnosis of strings that others measured: `python -m pipeline.studies.measured.diagnosed ../shared/measured`.
 
-Leaves measured.parquet in data/results/measured, a row for each string, and the diagnosis of each in --out. A quarter
+Leaves measured.parquet in tests/benchmarks/measured/results, a row for each string, and the diagnosis of each in --out. A quarter
 of an hour of a core each, or more. Rows of strings that are not asked for stay as they are.
 """
 
@@ -31,7 +31,7 @@ from stringcast.pipeline.studies.engine import workers
 from stringcast.pipeline.studies.measured.family import Family
 from stringcast.pipeline.studies.measured.study import WHERE, MeasuredSettings
 
-FOLDER = ROOT / "data" / "results" / "measured"
+FOLDER = ROOT / "tests" / "benchmarks" / "measured" / "results"
 RELEASED = "release_"  # trials to which the authors of the cables fitted their model
 SLOW = "(drive|release|slow)_(?P<string>.+)"  # the loop that was moved slowly, too, to which no set is fitted
 MEASURED = Table(
