@@ -350,8 +350,8 @@ FIT = Table(
         Column("after", "1", "E after"),
         Column("rms_before", "m", "centre-line residual before, root mean square"),
         Column("rms_after", "m", "centre-line residual after, root mean square"),
-        Column("tip_before", "m", "the same of the measured point nearest the tip", optional=True),
-        Column("tip_after", "m", "the same of the measured point nearest the tip", optional=True),
+        Column("tip_before", "m", "the same of the measured point nearest the tip"),
+        Column("tip_after", "m", "the same of the measured point nearest the tip"),
         Column("rejected", "1", "candidates rejected because they did not stay finite", "int"),
         Column("sentence", "", "what this data can and cannot determine, in words", "text"),
     ),
@@ -424,10 +424,6 @@ class Prediction:
 
     TABLES: ClassVar[dict[str, Table]] = {"predicted": PREDICTED, "score": SCORE}
 
-    def tables(self) -> dict[str, Table]:
-        """TABLES."""
-        return dict(self.TABLES)
-
 
 # --- diagnosis --------------------------------------------------------------------------
 RESIDUALS = Table(
@@ -449,8 +445,8 @@ RESIDUALS = Table(
         Column("base_tangential", "m", "measured less base model, along the string, towards the tip"),
     ),
 )
-THEORIES = Table(
-    "theories",
+HYPOTHESES = Table(
+    "hypotheses",
     "every set of causes that was fitted",
     (
         Column("causes", "", "effects at work beyond the base model, joined by ' + '; empty for none", "text"),
@@ -509,7 +505,7 @@ CAUSES = Table(
         Column("value", "", "best value, in `unit`"),
         Column("low", "", "lower end of the 95 % interval, in `unit`"),
         Column("high", "", "upper end, in `unit`; of the range, where only the lower one is known"),
-        Column("at_least", "1", "only the lower end of the interval is known", "bool", optional=True),
+        Column("at_least", "1", "only the lower end of the interval is known", "bool"),
     ),
 )
 HELD_OUT = Table(
@@ -525,9 +521,7 @@ HELD_OUT = Table(
         Column("E_base", "1", "matching rate, Eq. 5"),
         Column("E_extended", "1", "matching rate, Eq. 5"),
         Column("log_likelihood_difference", "1", "extended less base, in units of the residual's own chance"),
-        Column(
-            "rms_known", "m", "of the extended model fitted to all trials that causes were chosen from", optional=True
-        ),
+        Column("rms_known", "m", "of the extended model fitted to all trials that causes were chosen from"),
     ),
 )
 MISSING = Table(
@@ -541,11 +535,11 @@ MISSING = Table(
         Column("y", "m", "along y"),
     ),
 )
-FORETOLD = Table(
-    "foretold",
-    "the string on the motion proposed: under the likeliest theory, and as near to that as each other can come",
+PREDICTED_STRINGS = Table(
+    "predicted",
+    "the string on the motion proposed: under the likeliest hypothesis, and as near to that as each other can come",
     (
-        Column("theory", "", "what differs in it, joined by ' + '; the likeliest comes first", "text"),
+        Column("hypothesis", "", "what differs in it, joined by ' + '; the likeliest comes first", "text"),
         _TIME,
         Column("s", "m", "arc length from the grasp"),
         Column("x", "m", "position"),
@@ -574,28 +568,28 @@ class Diagnosis:
     causes: pd.DataFrame
     held_out: pd.DataFrame
     residuals: pd.DataFrame
-    theories: pd.DataFrame
+    hypotheses: pd.DataFrame
     entries: pd.DataFrame
     screening: pd.DataFrame
     likeness: pd.DataFrame
     missing: pd.DataFrame
     commands: pd.DataFrame
     control_points: pd.DataFrame
-    foretold: pd.DataFrame
+    predicted: pd.DataFrame
 
     TABLES: ClassVar[dict[str, Table]] = {
         "finding": FINDING,
         "causes": CAUSES,
         "held_out": HELD_OUT,
         "residuals": RESIDUALS,
-        "theories": THEORIES,
+        "hypotheses": HYPOTHESES,
         "entries": ENTRIES,
         "screening": SCREENING,
         "likeness": LIKENESS,
         "missing": MISSING,
         "commands": COMMANDS,
         "control_points": CONTROL_POINTS,
-        "foretold": FORETOLD,
+        "predicted": PREDICTED_STRINGS,
     }
 
     @property
@@ -618,7 +612,7 @@ class Diagnosis:
         """The motion that would tell look-alikes apart, ready to be performed; None where none is proposed."""
         if self.commands.empty:
             return None
-        likeliest = self.foretold[self.foretold["theory"] == self.foretold["theory"].iloc[0]]
+        likeliest = self.predicted[self.predicted["hypothesis"] == self.predicted["hypothesis"].iloc[0]]
         outcome = {c.name: [np.nan] for c in MOTION_OUTCOME.columns}
         outcome |= {"duration": [self.commands["t"].max()], "tried": [0]}
         tables = (PREDICTED_STRING.check(likeliest[["t", "s", "x", "y"]]), ATTEMPTS.empty())

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
-from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, FORETOLD
+from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, PREDICTED_STRINGS
 from stringcast.stages.diagnose.casts import Design, imagined, possible, standing_for
 from stringcast.stages.diagnose.prepared import corrected
 from stringcast.stages.generate.curves import Curves
@@ -44,7 +44,7 @@ class Proposal:
     next_experiment: Mapping[str, Any] | None = None
     commands: pd.DataFrame = field(default_factory=COMMANDS.empty)
     control_points: pd.DataFrame = field(default_factory=CONTROL_POINTS.empty)
-    foretold: pd.DataFrame = field(default_factory=FORETOLD.empty)
+    foretold: pd.DataFrame = field(default_factory=PREDICTED_STRINGS.empty)
 
 
 @dataclass(frozen=True)
@@ -175,10 +175,10 @@ def _sentence(
 
 
 def _foretold(case: Case, shown: Mapping[str, np.ndarray]) -> pd.DataFrame:
-    """Table FORETOLD."""
+    """Table PREDICTED_STRINGS."""
     frames = []
     for name, each in shown.items():
         x, y = (case.points + each.reshape(-1, 2) * case.sigma[:, None]).T
-        table = {"theory": name, "t": case.times[case.frame], "s": case.s, "x": x, "y": y, "sigma": case.sigma}
+        table = {"hypothesis": name, "t": case.times[case.frame], "s": case.s, "x": x, "y": y, "sigma": case.sigma}
         frames.append(pd.DataFrame(table))
-    return FORETOLD.check(pd.concat(frames, ignore_index=True))
+    return PREDICTED_STRINGS.check(pd.concat(frames, ignore_index=True))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import CAUSES, ENTRIES, LIKENESS, MISSING, RESIDUALS, SCREENING, THEORIES
+from stringcast.data.artifacts import CAUSES, ENTRIES, HYPOTHESES, LIKENESS, MISSING, RESIDUALS, SCREENING
 from stringcast.stages.diagnose.document import MM
 from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
@@ -59,7 +59,7 @@ def tangents(frame: np.ndarray, s: np.ndarray, points: np.ndarray) -> np.ndarray
 
 
 def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolerance: float) -> pd.DataFrame:
-    """Table THEORIES: all that were fitted, those with most evidence first."""
+    """Table HYPOTHESES: all that were fitted, those with most evidence first."""
     data, base = found.prepared.data, by_cause[0]
     lacking = unexplained(data, base)
     tried = {joined_names(fit): fit for step in found.path for fit in step.tried}
@@ -79,7 +79,7 @@ def theories(found: Found, by_cause: Sequence[Fit], judgement: Judgement, tolera
         }
         for name, fit in tried.items()
     ]
-    return THEORIES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
+    return HYPOTHESES.check(pd.DataFrame(rows).sort_values("fit_gain", ascending=False, ignore_index=True))
 
 
 def entries(data: Data, by_cause: Sequence[Fit]) -> pd.DataFrame:

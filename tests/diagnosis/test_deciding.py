@@ -134,7 +134,7 @@ def test_the_motion_proposed_tells_more_than_others_and_than_what_was_done(model
     told = [contest.odds(lacking([case], base, chi))[0].min() for case in cases]
     assert said["expected_log_odds"] > np.median(told)
     assert len(made.commands) > 20
-    assert set(made.foretold["theory"]) == {"arm_lag", "time_offset"}
+    assert set(made.predicted["hypothesis"]) == {"arm_lag", "time_offset"}
 
 
 def test_what_is_the_same_by_nature_is_said_to_be(model, slow):

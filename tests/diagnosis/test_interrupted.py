@@ -29,7 +29,7 @@ def test_what_had_entered_is_said_and_nothing_is_named(arm, camera, monkeypatch)
     assert {each["effect"] for each in said["alternatives"] if each["probability"] > 0.5} == {"tip_mass"}
     assert yaml.safe_load(made.finding["extended"].iloc[0])["effects"] == []
     assert len(made.held_out) == 0
-    assert made.theories["causes"].str.contains("tip_mass").any()
+    assert made.hypotheses["causes"].str.contains("tip_mass").any()
     assert set(made.entries["cause"]) == {"tip_mass"}
 
 

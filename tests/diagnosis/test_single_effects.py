@@ -188,7 +188,7 @@ def test_a_mass_that_is_hidden_at_the_tip_is_found_and_the_budget_adds_up(arm, c
 
 def test_a_cause_that_cannot_be_at_work_is_no_candidate(arm, camera, monkeypatch):
     made = said_of(*casts(arm, camera, ["tip_mass"], {"tip_mass.ratio": 0.05}), monkeypatch, without=["tip_mass"])
-    assert not made.theories["causes"].str.contains("tip_mass").any()
+    assert not made.hypotheses["causes"].str.contains("tip_mass").any()
 
 
 def test_a_string_without_any_is_left_alone(arm, camera, monkeypatch):

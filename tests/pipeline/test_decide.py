@@ -28,8 +28,8 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
     row = {"verdict": text["verdict"], "sentence": "So.", "diagnosis": json.dumps(text), "extended": "effects: []"}
     tables = {name: table.empty() for name, table in Diagnosis.TABLES.items()} | {"finding": pd.DataFrame([row])}
     if wanted:
-        string = pd.DataFrame({"theory": ["a"], "t": [0.0], "s": [0.1], "x": [0.0], "y": [0.0], "sigma": [1e-3]})
-        tables |= {"commands": swing(duration=0.2).commands, "foretold": string}
+        string = pd.DataFrame({"hypothesis": ["a"], "t": [0.0], "s": [0.1], "x": [0.0], "y": [0.0], "sigma": [1e-3]})
+        tables |= {"commands": swing(duration=0.2).commands, "predicted": string}
     return Diagnosis(**tables)
 
 

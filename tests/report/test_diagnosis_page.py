@@ -90,7 +90,7 @@ def theories(count=3):
         ("", 8, 9.0, 0.0, 0.0, 0.0, 1.0, 0.0),
     ]
     rows += [(f"wind + other{n}", 11, 3.0, 100.0 + n, np.nan, 0.004, 0.5, 0.01) for n in range(count - 2)]
-    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["theories"].columns])
+    return pd.DataFrame(rows, columns=[c.name for c in Diagnosis.TABLES["hypotheses"].columns])
 
 
 def displaced():
@@ -111,7 +111,7 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
     extended = f"effects: [{', '.join(names)}]\nstring: {{points: 17}}\nknown: {{linear_drag: 0.37}}\n"
     row = {"verdict": verdict, "sentence": sentence, "diagnosis": json.dumps(document), "extended": extended}
     own = {name: table.empty() for name, table in Diagnosis.TABLES.items()}
-    own |= {"finding": pd.DataFrame([row]), "causes": causes, "held_out": held_out(), "theories": theories()}
+    own |= {"finding": pd.DataFrame([row]), "causes": causes, "held_out": held_out(), "hypotheses": theories()}
     own["residuals"] = measured() if names else unextended(measured())
     bars = [("", "tip_mass", 45088.0), ("", "wind", 12.0), ("tip_mass", "wind", 9.0)]
     own["screening"] = pd.DataFrame(bars, columns=["context", "effect", "predicted_gain"])
@@ -127,7 +127,7 @@ def entered():
 
 def nothing_tried():
     nothing = {name: Diagnosis.TABLES[name].empty() for name in ("screening", "likeness")}
-    return nothing | {"theories": theories()[1:2]}
+    return nothing | {"hypotheses": theories()[1:2]}
 
 
 VERDICTS = {
@@ -344,7 +344,7 @@ def test_too_few_mass_points_have_no_parameter(worded):
 
 
 def test_nothing_measured_has_a_page(worded):
-    empty = {name: Diagnosis.TABLES[name].empty() for name in ("residuals", "theories", "held_out")}
+    empty = {name: Diagnosis.TABLES[name].empty() for name in ("residuals", "hypotheses", "held_out")}
     page = Page(worded(diagnosed("insufficient", gain={"held_out_trials": []}, **nothing_tried() | empty)))
     assert "Nothing was measured that could be compared." in page.text
     assert page.pictures() == []
@@ -385,7 +385,7 @@ def test_no_two_words_on_a_map_lie_on_one_another(record, monkeypatch):
 
 def test_of_many_trials_the_worst_are_drawn_and_of_many_theories_the_best(worded):
     many = measured(trials=TRIALS + 4)
-    page = Page(worded(diagnosed("effect", ["tip_mass"], residuals=many, theories=theories(40))))
+    page = Page(worded(diagnosed("effect", ["tip_mass"], residuals=many, hypotheses=theories(40))))
     drawn = {a["aria-label"].split()[4] for tag, a in page.elements if tag == "canvas"}
     assert drawn == {f"t{number:02d}" for number in range(4, TRIALS + 4)}
     assert page.text.index("base model alone") < page.text.index("28 more") < page.text.index("wind + other5 ")
@@ -470,14 +470,14 @@ def foretold(off=0.005):
     away = np.where((t == 0.2) & (s == S[-1]), off, 0.0)
     common = {"t": t, "s": s, "x": s, "sigma": SIGMA}
     return pd.concat(
-        [pd.DataFrame({"theory": "arm_lag", **common, "y": 0.0})]
-        + [pd.DataFrame({"theory": "time_offset", **common, "y": away})]
+        [pd.DataFrame({"hypothesis": "arm_lag", **common, "y": 0.0})]
+        + [pd.DataFrame({"hypothesis": "time_offset", **common, "y": away})]
     )
 
 
 def test_the_motion_proposed_is_shown_where_the_theories_are_farthest_apart(worded):
     following = {"sentence": "One of 300 motions tells them apart."}
-    page = worded(diagnosed("ambiguous", ["arm_lag", "time_offset"], following=following, foretold=foretold()))
+    page = worded(diagnosed("ambiguous", ["arm_lag", "time_offset"], following=following, predicted=foretold()))
     assert following["sentence"] in page
     assert "The proposed motion at 200" in page
     assert "time offset 5.0" in page

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 HEADER = b"\xff\xff\xfd\x00"
-BROADCAST = 0xFE
 PING, READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x55, 0x82, 0x83
 
 

@@ -145,10 +145,10 @@ DASHES = ("-", "--", "-.", ":")
 def proposed(record: DiagnosisRecord) -> Picture | None:
     """The strings of the hypotheses where they are farthest apart, and their distance over time; None where no motion
     is proposed."""
-    table = record.diagnosis.foretold
+    table = record.diagnosis.predicted
     if table.empty:
         return None
-    hypotheses = {str(name): rows.reset_index(drop=True) for name, rows in table.groupby("theory", sort=False)}
+    hypotheses = {str(name): rows.reset_index(drop=True) for name, rows in table.groupby("hypothesis", sort=False)}
     likeliest, first = next(iter(hypotheses.items()))
     apart = {}  # the largest distance from the likeliest anywhere on the string [m], by time
     for name, rows in list(hypotheses.items())[1:]:

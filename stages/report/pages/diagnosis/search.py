@@ -47,14 +47,14 @@ def found(record: DiagnosisRecord) -> Section:
         drawn.append(Figure("Confounded effects", alike, about))
 
     # the hypotheses with the least cost first; the base model is among the few that are shown
-    rows = record.diagnosis.theories.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
+    rows = record.diagnosis.hypotheses.sort_values("fit_gain", ascending=False, kind="stable").reset_index(drop=True)
     late = (rows["causes"] == "") & (np.arange(len(rows)) >= FEW)
     order = np.where(late, FEW - 1.5, np.arange(len(rows)))
     theories = rows.iloc[np.argsort(order, kind="stable")].to_dict("records")
     more = theories[FEW:]
     tried: list[Part] = [_theories_table(theories[:FEW])]
     tried += [Details(f"{len(more)} more", [_theories_table(more)])] if more else []
-    searched = len(record.diagnosis.theories) > 1 or not record.diagnosis.screening.empty
+    searched = len(record.diagnosis.hypotheses) > 1 or not record.diagnosis.screening.empty
     fitted = Card("Hypotheses fitted", [*tried, Text(EVIDENCE, "caption")])
     entries = record.diagnosis.entries
     way = [Card("Path of entry", [_way(entries), Text(WAY, "caption")])] if len(entries) else []
