@@ -22,12 +22,12 @@ from threadpoolctl import threadpool_limits
 import stringcast
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
 from stringcast.hardware.virtual.bench import Bench, Specimen, VirtualArm, VirtualCamera
-from stringcast.hardware.virtual.blind import VERSIONS, draw
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from tests.benchmarks.simulators.blind import VERSIONS, draw
 
 ROOT = Path(__file__).resolve().parents[1]
 if not Path(stringcast.__file__).resolve().is_relative_to(ROOT):

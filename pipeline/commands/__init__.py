@@ -18,7 +18,6 @@ NAMES = (
     "check",
     "new",
     "board",
-    "draw",
     "resume",
     "index",
     "verify",

@@ -8,7 +8,7 @@ from conftest import pipeline
 
 from stringcast.data.artifacts import Diagnosis, Motion
 from stringcast.data.store import load
-from stringcast.hardware.virtual.blind import draw
+from tests.benchmarks.simulators.blind import draw
 
 
 @pytest.fixture(scope="module")

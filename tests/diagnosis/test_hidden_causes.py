@@ -15,12 +15,12 @@ from conftest import ROOT
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
-from stringcast.hardware.virtual.blind.bench import BlindBench
-from stringcast.hardware.virtual.blind.casts import random_cast
-from stringcast.hardware.virtual.blind.scene import Scene
 from stringcast.pipeline.studies.blind.study import diagnosed
 from stringcast.stages.model.library import named
+from tests.benchmarks.simulators.blind import LATEST, VERSIONS, draw
+from tests.benchmarks.simulators.blind.bench import BlindBench
+from tests.benchmarks.simulators.blind.casts import random_cast
+from tests.benchmarks.simulators.blind.scene import Scene
 
 SIGMA = 7e-4  # [m]
 TOLD = 1e-6  # by which probabilities may miss one

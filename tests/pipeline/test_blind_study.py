@@ -14,7 +14,6 @@ import pytest
 from matplotlib.image import imread
 
 from stringcast.data.dataset import read
-from stringcast.hardware.virtual.blind import LATEST, VERSIONS, draw
 from stringcast.pipeline.provenance import code
 from stringcast.pipeline.settings import composed
 from stringcast.pipeline.studies.blind.pictures import pictures
@@ -23,6 +22,7 @@ from stringcast.pipeline.studies.blind.study import OneBench
 from stringcast.pipeline.studies.blind.verdicts import answered, beliefs, confidence, correct
 from stringcast.pipeline.studies.counts import counted
 from stringcast.pipeline.studies.engine import all_made, kept
+from tests.benchmarks.simulators.blind import LATEST, VERSIONS, draw
 
 
 def row(kind, names, verdict, causes=(), groups=(), alternatives=(), size=10.0, paper=40.0, seed=0, **parameters):

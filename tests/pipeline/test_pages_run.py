@@ -131,7 +131,6 @@ RUN = {
     "tests.alignment": Run(less="--seeds 1 --filmed 0"),
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
     # What is on the disk.
-    "pipeline draw 7 riddle riddle.json": Run(r"5 trials\. What they hide is in .*riddle\.json", long=False),
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
     "pipeline export <run> string.xml --mass 0.012": Run(r"string\.xml"),
     "pipeline resume <run>": Run(r"report\.html$"),
@@ -160,7 +159,7 @@ ELSEWHERE = {  # which test runs it, or why none can
     "others, which are not ours to hand on",
     "pipeline.studies.measured.diagnosed ../shared/measured": "needs recordings of others, which are not ours to hand on",
     "pipeline +experiment=": "the beginning of a command: its names are composed in test_readme_commands.py",
-    "pipeline draw <seed> data/sample data/envelopes/sample.json": "as draw 7 riddle riddle.json, over the sample",
+    "tasks.py study draw 7 riddle riddle.json": "tests/benchmarks/test_draw.py",
     "pipeline +experiment=calibrate source=device source@plane=device": "needs a camera and a person with a board",
     "pipeline +experiment=stringB hardware=serial calibrated=outputs/...": "needs an arm on a serial port; with an "
     "emulated one: tests/drivers/test_run_interrupted.py",

@@ -30,7 +30,7 @@ from tests.speed.trial import ROOT
 CASTS = 4
 DURATION = (0.5, 0.8)  # [s] of the movement; the string swings on until END
 END = 1.0  # [s]
-SPEEDS = (2.0, 10.0)  # [m/s] of the hand at its fastest, as in hardware/virtual/blind
+SPEEDS = (2.0, 10.0)  # [m/s] of the hand at its fastest, as in tests/benchmarks/simulators/blind
 ALPHA = 150.0  # [rad/s2], as conf/generate/bezier.yaml
 FRAMES = np.arange(201) / 200  # [s], at the rate of conf/camera/highspeed.yaml
 NOISE = 7e-4  # [m], of a point that the extract stage reads

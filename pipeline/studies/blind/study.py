@@ -18,8 +18,6 @@ from pydantic import Field
 from stringcast.data import dataset
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.schema import DataError
-from stringcast.hardware.virtual import laboratory
-from stringcast.hardware.virtual.blind import LATEST, draw
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.inherited import with_inherited_settings
 from stringcast.pipeline.provenance import code
@@ -27,6 +25,8 @@ from stringcast.pipeline.settings import build
 from stringcast.pipeline.studies.blind.pictures import pictures
 from stringcast.pipeline.studies.blind.scores import OWN, TABLES, scores
 from stringcast.pipeline.studies.engine import Study, StudyJob
+from tests.benchmarks.simulators import laboratory
+from tests.benchmarks.simulators.blind import LATEST, draw
 
 FAILED = "failed"  # verdict on a bench whose diagnosis raised
 HALF = 0.5  # of the trials: what they name, all should name
@@ -35,7 +35,7 @@ HALF = 0.5  # of the trials: what they name, all should name
 @dataclass(frozen=True)
 class BlindSettings:
     """benches: how many, from seed `first`. processes: 0 is one for each core. laboratory: who draws them, the virtual
-    lab itself or one of `hardware.virtual.laboratory`. kind: of all of a laboratory's, instead of each seed's own.
+    lab itself or one of `tests.benchmarks.simulators.laboratory`. kind: of all of a laboratory's, instead of each seed's own.
     replicated: each bench is diagnosed with half of its trials as well."""
 
     benches: Annotated[int, Field(ge=1)]
@@ -47,7 +47,7 @@ class BlindSettings:
 
 
 class Bench(Protocol):
-    """A bench with an envelope; see `hardware.virtual.blind` and `hardware.virtual.laboratory`."""
+    """A bench with an envelope; see `tests.benchmarks.simulators.blind` and `tests.benchmarks.simulators.laboratory`."""
 
     def write(self, folder: Path) -> None:
         """Write what was measured."""

@@ -10,11 +10,11 @@ import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Film, Points
 from stringcast.hardware.virtual import Bench, Specimen
-from stringcast.hardware.virtual.blind.casts import random_cast
 from stringcast.hardware.virtual.conditions import Condition, Shot, film, shot_of
 from stringcast.stages.extract.footage import Footage, footage_of
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from tests.benchmarks.simulators.blind.casts import random_cast
 
 SPEEDS = (1.5, 4.0)  # of the hand [m/s]: tips reach about three times that
 Extract = Callable[[Footage, Camera], Points]

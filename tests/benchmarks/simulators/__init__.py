@@ -1,0 +1,1 @@
+"""Reference simulators that make synthetic datasets with hidden causes."""
