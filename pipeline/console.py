@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from math import isfinite
-from typing import Any
 
 import pandas as pd
 from rich.console import Group, RenderableType
@@ -18,8 +17,7 @@ from rich.text import Text
 from stringcast.pipeline.iterations import Iteration
 from stringcast.pipeline.log import heard
 from stringcast.pipeline.result import Result
-from stringcast.pipeline.settings import CONF
-from stringcast.pipeline.terminal import Terminal, called_as
+from stringcast.pipeline.terminal import Terminal
 from stringcast.stages.common import Progress as Report
 
 Bar = Callable[[str], AbstractContextManager[Report]]
@@ -43,8 +41,8 @@ def bars(console: Terminal) -> Iterator[Bar]:
         yield bar
 
 
-def show(result: Result, config: Mapping[str, Any], console: Terminal) -> None:
-    """A summary of the run, what was at fault, and what comes next: commands and paths whole, to be pasted."""
+def show(result: Result, console: Terminal) -> None:
+    """A summary of the run, what was at fault, and where its page is: a path on one line, to be pasted."""
     if result.stage is None:
         console.print(casts(result))
     else:
@@ -58,9 +56,6 @@ def show(result: Result, config: Mapping[str, Any], console: Terminal) -> None:
     lay = {n: f"the string lay in an obstacle in {frames} frame(s)" for n, frames in touched.items()}
     for number, words in (*late.items(), *lay.items()):
         console.print(f"Cast {number}: {words}.", markup=False, highlight=False)
-    if other := by_the_other_method(config):
-        words = f"By the method `{config['other_method']}`: {called_as()} {other}"
-        console.print(words, soft_wrap=True, markup=False, highlight=False)
     report = result.folder / "report.html"
     place = report if report.exists() else result.folder
     console.print(str(place), soft_wrap=True, markup=False, highlight=False)
@@ -94,14 +89,6 @@ def casts(result: Result) -> Panel:
         parts += ["", Text(more)]
     title = f"[bold {colour}]{escape(ended)}" if len(ended) <= TITLE else None
     return Panel(Group(*parts), title=title, border_style=colour)
-
-
-def by_the_other_method(config: Mapping[str, Any]) -> str:
-    """The arguments of a run by the other method; empty where a run is none of the paper's."""
-    other, name = config.get("other_method"), config["name"]
-    if not other or not (CONF / "experiment" / f"{name}.yaml").exists() or name == "robust":
-        return ""
-    return f"+experiment={name} method={other}"
 
 
 def listed(frame: pd.DataFrame) -> Table:

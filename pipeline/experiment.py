@@ -13,7 +13,6 @@ import numpy as np
 from hydra.utils import get_object
 
 from stringcast.pipeline.iterations import Step
-from stringcast.pipeline.older import FLOAT64
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import UserError, build, chosen, loaded, stage
@@ -116,7 +115,7 @@ def prepare(config: Mapping[str, Any], where: Where) -> Experiment:
     camera = build(Camera, config["camera"], "camera", where("camera"))
     plain = Model(string, arm, camera)
     model = with_effects(plain, config["effects"], where("effects"))
-    with_effects(plain, config.get("own", []), where("own"), "own")  # they need not be at work
+    with_effects(plain, config["own"], where("own"), "own")  # they need not be at work
     known, measured = _known(config["known"], model, where("known"))
     model = replace(model, known=known, measured=measured)
     boxes = config["obstacles"]["boxes"]
@@ -138,10 +137,6 @@ ALL = "all"  # of the trials, which `trials_used` may be
 
 def _check_run(config: Mapping[str, Any], where: Where) -> None:
     """The few settings of the run itself."""
-    if "steps" in config:
-        raise UserError(
-            f"steps = {config['steps']}: what a run does is its mode now. Give `override /mode: ...` instead."
-        )
     for name, other in (("manipulations", ""), ("trials_used", f", or {ALL}")):
         if (type(config[name]) is not int or config[name] < 1) and not (other and config[name] == ALL):
             must = f"it must be a whole number from 1{other}"
@@ -197,9 +192,7 @@ def _known(block: Any, model: Model, where: str) -> tuple[dict[str, float], dict
 
 def _string(block: Mapping[str, Any], where: str) -> String:
     """The string model, with the ranges of its parameters."""
-    if block.get("precision", FLOAT64) != FLOAT64:
-        raise UserError(f"string.precision ({where}): motion is computed in float64 only. Take this setting out.")
-    apart = ("ranges", "tolerance", "integrator", "precision")
+    apart = ("ranges", "tolerance", "integrator")
     settings = {key: value for key, value in block.items() if key not in apart}
     plain = build(String, settings, "string", where)
     known = {p.name: p for p in plain.parameters}

@@ -10,7 +10,6 @@ from omegaconf import DictConfig, OmegaConf
 from stringcast.data import dataset
 from stringcast.data.foreign import json_block, plain, yaml_block
 from stringcast.data.schema import DataError
-from stringcast.pipeline.older import modern
 from stringcast.pipeline.settings import UserError, allowed, chosen, flat, leaves
 from stringcast.pipeline.targets import VIRTUAL
 from stringcast.stages.calibrate import CAMERA
@@ -141,7 +140,7 @@ def inherited(folder: Path, given: set[str]) -> dict[str, Any]:
     given: names on the command line; a group that is chosen there is not brought along, but for the string's length.
     """
     if (folder / "config.json").exists():
-        known = modern(json_block(folder / "config.json"))
+        known = json_block(folder / "config.json")
         brought = plain({name: known[name] for name in FROM_TRIALS if name in known}, folder / "config.json")
         brought |= {LENGTH: known["string"]["length"]} if "string" in known else {}
     else:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stringcast.pipeline.commands import NAMES
-from stringcast.pipeline.older import new_name
 from stringcast.pipeline.settings import CONF, UserError
 
 CALL = ["python", "-m", "pipeline"]  # as which it is called is put in where it is printed
@@ -109,13 +108,6 @@ def _of_setting(word: Word) -> Iterator[Answer]:
     """Of name=value."""
     if word.name == "experiment":
         yield Answer(f"{word.text}: an experiment is added to the settings.", [_given(word.name, word.value)])
-    if word.name == "steps":  # as before there were modes
-        names = word.value.strip("[]").replace(" ", "").split(",")  # such as extract,diagnose
-        last = {"study": "blind_study", "extract": "cast"}.get(names[-1], names[-1])
-        mode = "cast" if "generate" in names else "decide" if "execute" in names else last
-        yield Answer(f"{word.text}: what a run does is its mode now.", [f"mode={mode}"])
-    if (now := new_name(word.setting)) != word.setting:
-        yield Answer(f"{word.text}: this setting is called {now} now.", [f"{now}={word.value}"])
     place = re.fullmatch(r"[\[(]?(-?[\d.]+),(-?[\d.]+)[\])]?", word.value)
     if word.setting == "target" and place:
         x, y = (_metres(float(part)) for part in place.groups())

@@ -23,7 +23,6 @@ from stringcast.data import store
 from stringcast.data.schema import DataError
 from stringcast.pipeline.iterations import Step
 from stringcast.pipeline.layout import place_of
-from stringcast.pipeline.older import modern
 from stringcast.pipeline.registry import stages
 from stringcast.pipeline.settings import UserError, allowed, leaves
 from stringcast.stages.model.library import files, kind_of
@@ -195,17 +194,13 @@ def inputs_there(folder: Path, paths: Mapping[str, str], trials: str | None) -> 
 
 def changes(made: Mapping[str, Any], now: Mapping[str, Any], uses: Sequence[str]) -> Iterator[str]:
     """Differences of two origins, a line each, without the hashes. uses: the settings that count."""
-    if "sources" not in made:
-        yield "its files do not say of which sources they were made"
-        return
     decisive = []  # all of either that decides what comes out, by name
     for one in (made, json.loads(json.dumps(now))):  # as stored: JSON knows no tuples
-        config = modern(one["config"])
         inputs, sources, packages = (
             {f"{kind} {name}": value for name, value in one[f"{kind}s"].items()}
             for kind in ("input", "source", "package")
         )
-        settings = leaves({key: config.get(key) for key in uses})
+        settings = leaves({key: one["config"].get(key) for key in uses})
         decisive.append(inputs | settings | sources | packages | {"Python": one["python"]})
     for name, before, after in pairs(*decisive):
         became = "is new" if before == ABSENT else "is gone" if after == ABSENT else "has changed"

@@ -10,7 +10,6 @@ from hydra.utils import get_object
 
 from stringcast.data.artifacts import Diagnosis
 from stringcast.data.store import write_text
-from stringcast.pipeline.console import by_the_other_method
 from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.provenance import software
 from stringcast.pipeline.result import Result
@@ -58,7 +57,7 @@ def casting(experiment: Experiment, result: Result) -> Record:
         tuple(e for e in estimates if e is not None),
         experiment.config,
         made_by(experiment),
-        following(after_casts(result, experiment.config)),
+        following(after_casts(result)),
     )
 
 
@@ -68,7 +67,7 @@ def following(ahead: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     return [(why, f"{called_as()} {words}") for why, words in (*ahead, always)]
 
 
-def after_casts(result: Result, config: Mapping[str, Any]) -> list[tuple[str, str]]:
+def after_casts(result: Result) -> list[tuple[str, str]]:
     """The commands to offer after casts, or after estimation alone."""
     wrong = ("What does the simulation get wrong in these trials, and why?", f"+experiment=diagnose trials={HERE}")
     ahead = [wrong] if not all(i.refused for i in result.iterations) else []
@@ -77,8 +76,6 @@ def after_casts(result: Result, config: Mapping[str, Any]) -> list[tuple[str, st
         ahead.append(("Estimate the string from the same trials, with intervals", words))
     if result.estimate is not None:
         ahead.append(("A card of the string's parameters, with units", f"export {HERE} string.csv"))
-    if words := by_the_other_method(config):
-        ahead.append((f"The same casts by the method {config['other_method']}", words))
     return ahead
 
 

@@ -29,7 +29,6 @@ from stringcast.pipeline.experiment import Experiment
 from stringcast.pipeline.inherited import FROM_DATASETS
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.layout import ENDED, FAILED, LOCK, LOG, place_of
-from stringcast.pipeline.older import modern
 from stringcast.pipeline.provenance import look, made_now, origin, performed, repeatable
 from stringcast.pipeline.result import Result, in_numbers
 from stringcast.pipeline.stopping import stoppable
@@ -139,7 +138,7 @@ def begin(experiment: Experiment, folder: Path) -> None:
     before = path.read_text(encoding="utf-8") if path.exists() else None
     if before not in (None, text):
         growing = experiment.mode.growing
-        if _less(modern(json_block(path)), growing) != _less(json.loads(text), growing):
+        if _less(json_block(path), growing) != _less(json.loads(text), growing):
             raise DataError(
                 f"{folder}: this folder holds a run with other settings (see config.json). "
                 "Leave hydra.run.dir to its default, or repeat the settings of that run."

@@ -18,7 +18,6 @@ from omegaconf import OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
 from stringcast.data.errors import ExpectedError
-from stringcast.pipeline.older import MOVED
 from stringcast.pipeline.targets import roles
 from stringcast.stages.common import SettingsGroup
 
@@ -154,10 +153,9 @@ def loaded(target: Any, place: str, where: str) -> Any:
 
 
 def allowed(target: Any, place: str, where: str) -> str:
-    """The name of what fills a role, as it is called now. place: of the setting, whose last name is the role, such as
+    """The name of what fills a role. place: of the setting, whose last name is the role, such as
     `string.integrator`; where: the file it comes from. Raises UserError for a name that the role does not list."""
     known = roles().get(place.rpartition(".")[2], ())
-    target = MOVED.get(str(target), target)
     if target not in known:
         choices = f"Choose {' or '.join(known)}" if known else "Remove it: no code is chosen here"
         raise UserError(f"{place}._target_ = {target!r} ({where}): it may not be named here. {choices}.")

@@ -19,7 +19,6 @@ from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.filmed import refuse_source
 from stringcast.pipeline.inherited import EXTENDED, extended_model, put_back, with_inherited_settings
-from stringcast.pipeline.older import modern
 from stringcast.pipeline.settings import UserError, composed, names_given
 from stringcast.pipeline.terminal import refusal
 from stringcast.stages.export.mjcf import mjcf
@@ -46,7 +45,7 @@ class KnownString:
         estimates = sorted(whole.glob("iterations/*/estimate/parameters.parquet"))
         if (whole / EXTENDED).exists() or not estimates:
             return cls.load(whole)
-        settings, table = modern(json_block(whole / "config.json")), read_table(PARAMETERS, estimates[-1])
+        settings, table = json_block(whole / "config.json"), read_table(PARAMETERS, estimates[-1])
         sure = table["low"].notna() & table["high"].notna()
         known: dict[str, Any] = dict(zip(table["name"], table["value"].astype(float), strict=True))
         known |= table[sure].set_index("name")[["value", "low", "high"]].astype(float).to_dict("index")

@@ -24,7 +24,6 @@ NAMES = (
     "why",
     "diff",
     "lineage",
-    "pictures",
     "export",
 )
 PROVENANCE = frozenset({"verify", "why", "diff", "lineage"})

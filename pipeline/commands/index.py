@@ -20,7 +20,6 @@ from stringcast.data.foreign import json_block
 from stringcast.data.schema import Column, DataError, Table
 from stringcast.pipeline.commands import Arguments
 from stringcast.pipeline.layout import ENDED, FAILED
-from stringcast.pipeline.older import modern
 from stringcast.pipeline.provenance import reasons_of, software
 from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.targets import DRY_RUNS
@@ -66,7 +65,7 @@ def index(folder: Path) -> pd.DataFrame:
     found: list[Path] = []
     for path in folder.rglob("config.json"):
         text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
-        if '"mode"' in text or '"steps"' in text:  # ours; older versions had steps instead
+        if '"mode"' in text:
             found.append(path.parent)
     shown = track(sorted(found), "index", console=Terminal(stderr=True), transient=True)
     rows = [{"run": run.relative_to(folder).as_posix()} | row(run) for run in shown]
@@ -91,9 +90,9 @@ def write(runs: pd.DataFrame, to: Path, folder: Path) -> None:
 def row(run: Path) -> dict[str, Any]:
     """One run. What is damaged does not stop the list: it says so."""
     try:
-        written, end = json_block(run / "config.json"), run / ENDED
-        settings, ended = modern(written), json_block(end) if end.is_file() else {}
-        return {"experiment": str(written["name"]), **_ending(run, ended, settings), **_steps(run, settings)}
+        settings, end = json_block(run / "config.json"), run / ENDED
+        ended = json_block(end) if end.is_file() else {}
+        return {"experiment": str(settings["name"]), **_ending(run, ended, settings), **_steps(run, settings)}
     except (DataError, *OTHERWISE) as error:
         nothing: dict[str, Any] = {"experiment": "", "outcome": "", "date": "", "iterations": 0, "best_E": float("nan")}
         return nothing | {"seconds": 0.0, "state": "damaged", "stale": "", "said": str(error)}

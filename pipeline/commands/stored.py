@@ -11,10 +11,8 @@ from stringcast.data.foreign import json_block
 from stringcast.pipeline.experiment import Experiment, prepare
 from stringcast.pipeline.iterations import Iteration, Step
 from stringcast.pipeline.modes.stepwise import Stepwise
-from stringcast.pipeline.older import modern, new_name
 from stringcast.pipeline.result import Result
-from stringcast.pipeline.settings import UserError, flat
-from stringcast.pipeline.terminal import Terminal
+from stringcast.pipeline.settings import UserError
 
 
 class NotMadeError(Exception):
@@ -49,19 +47,11 @@ def walk(here: Experiment, folder: Path, ask: Callable[[Step], Any]) -> Result |
 
 
 def stored_settings(folder: Path) -> dict[str, Any]:
-    """A run's settings as they are called now, from its config.json. Raises UserError where there is none."""
+    """A run's settings, from its config.json. Raises UserError where there is none."""
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(f"{folder}: there is no run here (it has no config.json). Name a run's folder.")
-    written = json_block(path)
-    settings = modern(written)
-    renamed = {name: new_name(name) for name in flat(written) if new_name(name) != name}
-    read = [f"{old} is read as {new}" for old, new in renamed.items()]
-    if "mode" not in written and "mode" in settings:
-        read.append(f"steps = {written['steps']} is read as mode = {settings['mode']}")
-    if read:
-        Terminal(stderr=True).print(f"{path}: {', '.join(read)}, as it is called now.", soft_wrap=True, markup=False)
-    return settings
+    return json_block(path)
 
 
 def stored_experiment(folder: Path) -> Experiment:

@@ -42,7 +42,7 @@ class Stepwise(Mode):
                 run_folder.end(result)
         if "frames" not in experiment.config["keep"] and not kept.interrupted:
             run_folder.without_frames(experiment, result)
-        show(result, experiment.config, console)
+        show(result, console)
         if kept.interrupted:
             raise KeyboardInterrupt
         return result

@@ -19,7 +19,6 @@ from stringcast.pipeline.inherited import (
     refuse_inherited_limits,
     with_inherited_settings,
 )
-from stringcast.pipeline.older import MOVED
 from stringcast.pipeline.settings import CONF, UserError, composed, loaded, refuse_twice
 from stringcast.stages.model import generated
 from tests.faults.toy import toy_experiment, toy_run
@@ -194,12 +193,6 @@ def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tm
     config = OmegaConf.create({**settings, "trials": str(tmp_path)})
     with pytest.raises(DataError, match=r"estimate\.beta holds"):
         with_inherited_settings(config, set())
-
-
-def test_settings_of_stored_runs_may_call_what_there_is_by_its_old_name():
-    roles = {name: role for role, names in targets.roles().items() for name in names}
-    for old, new in MOVED.items():
-        assert loaded(old, roles[new], "config.json") is loaded(new, roles[new], "")
 
 
 def test_every_role_names_what_there_is_and_what_our_own_settings_choose():

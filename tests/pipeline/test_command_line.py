@@ -170,7 +170,6 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(quick, called, 
             ["mode=batch", "mode.stage=execute", "trials=data/sample"],
             "does not look at trials alone. Choose align or diagnose",
         ),
-        (["steps=[estimate]"], "what a run does is its mode now. Try: .*mode=estimate"),
         (["+experiment=estimate"], "looks at stored trials, and none are named. Try: .*trials=data/sample"),
         (["string.ranges.axial_stiffness.low=1e9"], "must be below"),
         (["string.tolerance=-1"], "metres above 0"),
@@ -295,7 +294,7 @@ def composed(*overrides):
 def test_every_experiment_composes_and_is_valid(name):
     stored = ["trials=outputs/some-run"] if name in ("estimate", "diagnose", "decide", "measured_study") else []
     points = {"stringD": 25, "long": 30}
-    points |= dict.fromkeys(("robust", "window", "gap", "several", "gain_study", "estimate"), 20)
+    points |= dict.fromkeys(("window", "gap", "several", "gain_study", "estimate"), 20)
     points |= dict.fromkeys(("diagnose", "decide"), 57)
     own = ("align", "calibrate", "extraction_study", "measured_study", "paper")  # simulate none, or say which by part
     points |= dict.fromkeys(own, 57)

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from omegaconf import OmegaConf
 
 from stringcast.data import store
 from stringcast.data.alignment import Alignment
@@ -22,8 +21,7 @@ from stringcast.pipeline import commands, provenance
 from stringcast.pipeline.commands.provenance import verified as computed_again
 from stringcast.pipeline.commands.stored import walk
 from stringcast.pipeline.modes import Batch, Calibrate
-from stringcast.pipeline.older import FLOAT64, modern
-from stringcast.pipeline.settings import UserError, composed
+from stringcast.pipeline.settings import UserError
 from stringcast.pipeline.studies.hitting.study import HitStudy
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
@@ -371,40 +369,6 @@ def test_the_examples_of_the_page_run_in_duckdb(finished, tmp_path, monkeypatch,
     assert blocks("sql")
     for query in blocks("sql"):
         assert len(duckdb.sql(query).df()), query
-
-
-def test_a_run_that_says_steps_instead_of_mode_is_read_and_gone_on_with(run, capsys):
-    """As older versions wrote it."""
-    path = run / "config.json"
-    config = json.loads(path.read_text())
-    mode = config.pop("mode")
-    string = config["string"] | {"precision": FLOAT64}
-    old = {"memory": config.pop("trials_used"), "leave": config.pop("keep"), "string": string}
-    path.write_text(json.dumps(config | old | {"steps": ["generate", "execute", "extract", "estimate"]}))
-    status, said = asked(capsys, "why", run)
-    assert status == 0
-    assert "is read as mode = {'_target_': 'pipeline.modes.Cast'" in said
-    assert "memory is read as trials_used, leave is read as keep" in said
-    assert asked(capsys, "index", run.parent)[1].count("missed") == 1
-    assert toy_run(run, toy_experiment())[0] == []
-    assert json.loads(path.read_text())["mode"] == mode
-
-
-def test_what_every_list_of_steps_did_a_mode_does():
-    """What the experiments of today compose, for those of before."""
-    were = {"estimate": ["estimate"], "diagnose": ["diagnose"], "align": ["align"], "calibrate": ["calibrate"]}
-    were |= {"decide": ["diagnose", "execute", "extract", "diagnose"], "blind_study": ["study"]}
-    were |= {name: [name] for name in ("hit_study", "extraction_study", "measured_study")}
-    for name, steps in were.items():
-        now = OmegaConf.to_container(OmegaConf.create(composed([f"+experiment={name}"])), resolve=True)
-        before = {key: value for key, value in now.items() if key != "mode"} | {"steps": steps}
-        assert modern(before) == now
-
-
-def test_a_diagnosis_that_went_by_other_rules_is_made_again_by_those_of_today():
-    now = composed()
-    before = now | {"diagnose": {name: value for name, value in now["diagnose"].items() if name != "criteria"}}
-    assert modern(before) == now
 
 
 @pytest.mark.parametrize("mode", [HitStudy(), Calibrate()])

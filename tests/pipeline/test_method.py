@@ -1,14 +1,14 @@
-"""The paper's experiments are cast by the paper's method or by the robust one, and each names the other."""
+"""The paper's experiments are cast by the paper's method or by the robust one."""
 
 import io
 import re
 
 import pytest
 
-from stringcast.pipeline.console import by_the_other_method, show
+from stringcast.pipeline.console import show
 from stringcast.pipeline.result import Result
 from stringcast.pipeline.settings import composed
-from stringcast.pipeline.terminal import Terminal, as_called, called_as
+from stringcast.pipeline.terminal import Terminal, as_called
 
 PAPERS = ("stringA", "stringB", "stringC", "stringD", "obstacle")
 
@@ -20,7 +20,7 @@ def parts(settings):
 
 
 @pytest.mark.parametrize("name", PAPERS)
-def test_an_experiment_of_the_paper_takes_either_method_and_names_the_other(name):
+def test_an_experiment_of_the_paper_takes_either_method(name):
     plain, robust = (composed([f"+experiment={name}", *method]) for method in ([], ["method=robust"]))
     assert composed([f"+experiment={name}", "method=paper"]) == plain
     assert parts(plain) == ["generate", "random_search", 1]
@@ -33,8 +33,6 @@ def test_an_experiment_of_the_paper_takes_either_method_and_names_the_other(name
     assert {key: robust[key] for key in ("specimen", "target", "obstacles")} == {
         key: plain[key] for key in ("specimen", "target", "obstacles")
     }
-    assert by_the_other_method(plain).endswith(f"+experiment={name} method=robust")
-    assert by_the_other_method(robust).endswith(f"+experiment={name} method=paper")
 
 
 @pytest.mark.parametrize("words", [[], ["target.x=0.45", "seed=3"], ["effects=[tip_mass]"], ["specimen=D"]])
@@ -44,19 +42,12 @@ def test_a_plain_cast_is_the_robust_one(words):
     assert plain == composed([*words, "method=robust"])
 
 
-def test_what_belongs_to_no_experiment_of_the_paper_names_none():
-    assert [by_the_other_method(composed(words)) for words in ([], ["+experiment=robust"], ["method=robust"])] == [
-        ""
-    ] * 3
-
-
 def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
-    """A command that is broken by the terminal's width is two commands, and a path is none."""
+    """A path that is broken by the terminal's width is none."""
     folder = tmp_path / ("a-long-name-of-a-folder-" * 4)
     out = Terminal(file=io.StringIO(), width=80)
-    show(Result(folder, (), "The tip reached the target."), composed(["+experiment=stringB", "method=robust"]), out)
-    *_, command, page = out.file.getvalue().splitlines()
-    assert command == f"By the method `paper`: {called_as()} +experiment=stringB method=paper"
+    show(Result(folder, (), "The tip reached the target."), out)
+    *_, page = out.file.getvalue().splitlines()
     assert page == str(folder)
 
 
@@ -65,7 +56,7 @@ def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
 )
 def test_what_a_run_says_is_not_cut(tmp_path, said):
     out = Terminal(file=io.StringIO(), width=80)
-    show(Result(tmp_path, (), f"{said.strip()}. Nothing is learned from it."), composed([]), out)
+    show(Result(tmp_path, (), f"{said.strip()}. Nothing is learned from it."), out)
     shown = " ".join(re.sub("[│╭╮╰╯─]", " ", out.file.getvalue()).split())
     assert f"{said.strip()}" in shown
     assert "Nothing is learned from it." in shown

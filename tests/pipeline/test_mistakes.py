@@ -43,8 +43,6 @@ MEANT = {
     "source.images=tilted": "source=images source.folder=tilted",
     "--seed 3": "seed=3",
     "--seed=3 stringB": "seed=3 +experiment=stringB",
-    "memory=all": "trials_used=all",
-    "generate.fresh=100": "generate.validation=100",
     "effects=wind": "'effects=[wind]'",
     "effects=wind,tip_mass": "'effects=[wind,tip_mass]'",
     "known.tip_mass.ratio=0.05": "+known.tip_mass.ratio=0.05",

@@ -134,7 +134,6 @@ RUN = {
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
     "pipeline export <run> string.xml --mass 0.012": Run(r"string\.xml"),
     "pipeline resume <run>": Run(r"report\.html$"),
-    "pipeline pictures outputs/gallery/report.html outputs/gallery/pictures": Run(r"\.(svg|webp) +\d+ kB"),
 }
 TEN_MINUTES = "tests/pipeline/test_readme_commands.py::test_the_first_ten_minutes_go_as_the_page_says"
 SHORT = "tests/pipeline/test_readme_commands.py::test_short_commands_do_what_the_front_page_says"

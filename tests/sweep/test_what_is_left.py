@@ -53,11 +53,6 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     assert len(again.trials["t01"].points) == 3
 
 
-def test_an_experiment_that_still_says_steps_does_not_cast_instead():
-    with pytest.raises(UserError, match=r"steps = \['diagnose'\]: what a run does is its mode now"):
-        _check_run(composed() | {"steps": ["diagnose"]}, lambda block: "conf/config.yaml")
-
-
 def test_what_a_run_may_leave_is_named():
     config = composed()
     assert config["keep"] == list(LEFT)
