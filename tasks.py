@@ -19,7 +19,6 @@ import sys
 import venv
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
@@ -29,7 +28,7 @@ BENCH_LOCK = ROOT / "tests" / "speed" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 SIDE_BY_SIDE = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
 PACKAGE = (ROOT / "setup.py", ROOT / "pyproject.toml")  # how the folders of this clone are one package
-TYPES = ENVIRONMENT / "types" / "stringcast"
+LINKS = ENVIRONMENT / "package"  # the folders of this clone as one package, for Python, editors and mypy
 TIMED = "tests/drivers"  # by real clocks: they run beside one another alone, and wait most of the time
 BY_CLOCKS = ("--numprocesses=3", "--dist=worksteal", TIMED)
 MAIN = ("+experiment=stringB", "method=robust")  # of `run`
@@ -62,16 +61,31 @@ def setup() -> None:
         install("--no-deps", "--no-build-isolation", "--editable", ROOT, made_of=PACKAGE)
         for stale in ROOT.rglob("__pycache__/*.nb[ci]"):  # machine code names modules as they were called
             stale.unlink()
-    show_types()
+    link_package()
 
 
-def show_types() -> None:
-    """Lay the package out as folders for mypy, which does not follow the import hook of an editable package."""
-    TYPES.mkdir(parents=True, exist_ok=True)
-    rooms = [ROOT / room for room in ("data", "hardware", "pipeline", "stages")]
-    for place in (*rooms, *(ROOT / "pipeline" / "api").glob("*.py")):
-        with suppress(OSError):  # it is there; or Windows allows no links, and only mypy misses them
-            (TYPES / place.name).symlink_to(place, target_is_directory=place.is_dir())
+def link_package() -> None:
+    """Lay this clone out as the package `stringcast`, made of links, and put it on the environment's path.
+
+    Editors, call graphs and mypy follow links, but not the import hook of an editable install.
+    The hook stays for Windows without links, where only these tools miss the package.
+    """
+    folder = LINKS / "stringcast"
+    folder.mkdir(parents=True, exist_ok=True)
+    rooms = [ROOT / room for room in ("conf", "data", "hardware", "pipeline", "stages")]
+    targets = {path.name: path for path in (*rooms, *(ROOT / "pipeline" / "api").glob("*.py*"))}
+    for link in folder.iterdir():
+        if link.name not in targets:
+            link.unlink()
+    for name, target in targets.items():
+        try:
+            (folder / name).symlink_to(target, target_is_directory=target.is_dir())
+        except FileExistsError:
+            continue
+        except OSError:
+            return
+    for packages in ENVIRONMENT.glob("[Ll]ib/**/site-packages"):
+        (packages / "stringcast.pth").write_text(f"{LINKS}\n", encoding="utf-8")
 
 
 def mark(*files: Path) -> Path:
