@@ -8,7 +8,8 @@ import numpy as np
 
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Found, refitted
-from stringcast.stages.inference.evidence import Fit, Hypothesis, tip_draws
+from stringcast.stages.inference.evidence import Fit, tip_draws
+from stringcast.stages.inference.hypothesis import Hypothesis
 
 
 @dataclass(frozen=True)

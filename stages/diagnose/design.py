@@ -26,9 +26,11 @@ from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import commands_of, control_points_of
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
-from stringcast.stages.inference.covariance import PRIOR
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
+from stringcast.stages.inference.evidence import Fit
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.likelihood import PRIOR
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.parameter import values_of

@@ -31,7 +31,8 @@ from stringcast.stages.diagnose.single_effects import Criteria, Found, removed, 
 from stringcast.stages.diagnose.small_effects import tempered
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.trim import trimmed_at_contact
-from stringcast.stages.inference.evidence import Data, Fit, fitted
+from stringcast.stages.inference.evidence import Fit, fitted
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import existing, library
@@ -241,7 +242,7 @@ def _shown(found: Found, observations: Sequence[Observation], criteria: Criteria
     the others leave open of its parameters is no cause."""
     seen, aside = found.prepared.data, found.prepared.others(observations, found.fit)[0]
     varying = {name: seen.varying[name] + aside.varying[name] for name in seen.varying.keys() & aside.varying.keys()}
-    data = Data(seen.trials + aside.trials, seen.discrepancies + aside.discrepancies, varying)
+    data = Data(seen.trials + aside.trials, varying)
     sizes = np.concatenate([found.fit.sizes, np.zeros(len(aside.trials), dtype=int)])
     fit = fitted(data, found.fit.hypothesis, found.fit.chi[None], sizes)
     return bool(unexplained(data, fit)[len(seen.trials) :].max() > criteria.tolerance)

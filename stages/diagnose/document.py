@@ -12,7 +12,8 @@ from stringcast.stages.diagnose.budget import Budget
 from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria, unexplained
-from stringcast.stages.inference.evidence import Data, Fit, lacked
+from stringcast.stages.inference.evidence import Fit, lacked
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 

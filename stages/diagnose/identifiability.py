@@ -19,8 +19,9 @@ from stringcast.stages.diagnose.linear import Linear
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria
 from stringcast.stages.inference.discrepancy import Discrepancy, marginal
-from stringcast.stages.inference.evidence import Data, Fit, size_density
+from stringcast.stages.inference.evidence import Fit, size_density
 from stringcast.stages.inference.solver import LOST
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect, components, position_dependent
 from stringcast.stages.model.parameter import Parameter
 
@@ -130,7 +131,7 @@ class _Trials:
     def __init__(self, data: Data, base: Fit, rng: np.random.Generator) -> None:
         self.data, self.base = data, replace(base, sizes=np.zeros(len(data.trials), dtype=int))
         self.linear = Linear(data, self.base)
-        self.noise = [_noise(each, rng) for each in data.discrepancies]
+        self.noise = [_noise(trial.discrepancy, rng) for trial in data.trials]
 
     def acting(self, effect: type[Effect]) -> Iterator[_Acting]:
         """Each parameter that is an effect's size, at SHARES of its range; up to where it cannot be simulated."""
@@ -176,7 +177,8 @@ class _Trials:
         """Mean log-likelihood that each trial loses with displacements (C, 2 n) over sigma that nobody explains,
         (K, C)."""
         found = []
-        for told, noise, part in zip(self.data.discrepancies, self.noise, left, strict=True):
+        for trial, noise, part in zip(self.data.trials, self.noise, left, strict=True):
+            told = trial.discrepancy
             seen = told.coefficients(part)[:, None] + noise
             likely = marginal(told.log_likelihoods(seen.reshape(-1, seen.shape[-1]))).reshape(seen.shape[:2])
             found.append(marginal(told.log_likelihoods(noise)).mean() - likely.mean(axis=1))

@@ -19,7 +19,9 @@ from stringcast.stages.diagnose.single_effects import (
     unexplained,
 )
 from stringcast.stages.diagnose.small_effects import gains, responses
-from stringcast.stages.inference.evidence import DRAWS, Data, Fit, Hypothesis, evaluated, fitted, tip_draws
+from stringcast.stages.inference.evidence import DRAWS, Fit, evaluated, fitted, tip_draws
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import marginal
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis
+from stringcast.stages.inference.evidence import Fit
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.likelihood import PRIOR
 from stringcast.stages.inference.solver import LOST
+from stringcast.stages.inference.trial_data import Data
 
 
 class Linear:

@@ -12,8 +12,10 @@ from typing import cast
 import numpy as np
 from scipy.stats import qmc
 
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, lacked
+from stringcast.stages.inference.evidence import Fit, lacked
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect, StringEffect, components
 from stringcast.stages.model.parameter import Parameter, values_of
 from stringcast.stages.model.stability import load

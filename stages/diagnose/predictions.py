@@ -11,8 +11,10 @@ import pandas as pd
 from stringcast.data.artifacts import HELD_OUT, Observation
 from stringcast.stages.estimate.matching import Matching, targets
 from stringcast.stages.inference.discrepancy import likeliest, marginal
-from stringcast.stages.inference.evidence import Data, Fit, fitted
+from stringcast.stages.inference.evidence import Fit, fitted
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.initial_modes import about
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
 
@@ -42,7 +44,7 @@ def predicted(data: Data, fit: Fit, unseen: bool = False) -> list[Prediction]:
 
 
 def _predicted(data: Data, fit: Fit, number: int) -> Prediction:
-    own = data.only([number]).about(fit).of(fit.hypothesis)
+    own = about(data.only([number]), fit).of(fit.hypothesis)
     residuals = own.residuals(fit.hypothesis.model, fit.chi[None])
     told = own.log_likelihoods(residuals)[:, 0]
     (residual,) = own.begun([residuals[0][0]], likeliest(told))

@@ -15,14 +15,17 @@ from stringcast.stages.diagnose.varying import varying
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import seen_together
 from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, smoothed, tracked_noise
-from stringcast.stages.inference.evidence import Data, Finer, Fit, Hypothesis, at_best, evaluated, fitted, lacked
+from stringcast.stages.inference.evidence import Fit, at_best, evaluated, fitted, lacked
 from stringcast.stages.inference.forward import Case, case
-from stringcast.stages.inference.initial_modes import as_first_told, modes
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.initial_modes import as_first_told, begun_anew, modes
 from stringcast.stages.inference.likelihood import STILL, Likelihood
 from stringcast.stages.inference.mesh import on_mesh
+from stringcast.stages.inference.mesh_correction import Finer
 from stringcast.stages.inference.noise import WHITE, told
 from stringcast.stages.inference.search import refined, screened, searched, with_noise
 from stringcast.stages.inference.solver import LOST
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.accuracy import extrapolated
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
@@ -71,7 +74,7 @@ class Prepared:
 
     def at(self, fit: Fit) -> Prepared:
         """With numerical error and what may be lacking as they are at a fit."""
-        raw = _begun(self.raw, self.data.begun_anew(fit))
+        raw = _begun(self.raw, begun_anew(self.data, fit))
         data, doubt = self.of(raw, fit)
         return replace(self, raw=raw, data=replace(data, finer=self._finer_at(fit)), doubt=doubt)
 
@@ -93,7 +96,7 @@ class Prepared:
         """With noise as what a fit leaves tells it, and with outliers if most of them are none: what a poorer model
         lacks may have sounded like noise, and where the string whips it may have looked like outliers."""
         if self.outliers:
-            whole = _begun(self.whole, self.data.begun_anew(fit))
+            whole = _begun(self.whole, begun_anew(self.data, fit))
             kept, left, _ = _cleared(whole, fit.hypothesis.model, fit.chi)
             anew = replace(self, whole=whole, raw=kept, data=replace(self.data, finer=None))
             if anew.outliers < STAY * self.outliers:
@@ -106,9 +109,9 @@ class Prepared:
         if self.literal:
             return self.data
         pairs = _on_meshes(self.raw, fit.hypothesis, fit.chi, (1, 2))
-        told = zip(self.data.trials, self.raw, pairs, self.data.discrepancies, strict=True)
-        exact = ((t, r.points - np.nan_to_num(extrapolated(a, b) - a), d.modes) for t, r, (a, b), d in told)
-        trials = tuple(as_first_told(replace(t, points=points), modes) for t, points, modes in exact)
+        told = zip(self.data.trials, self.raw, pairs, strict=True)
+        exact = (replace(t, points=r.points - np.nan_to_num(extrapolated(a, b) - a)) for t, r, (a, b) in told)
+        trials = tuple(as_first_told(trial, trial.discrepancy.modes) for trial in exact)
         return replace(self.data, trials=trials, finer=self._finer_at(fit))
 
     def of(self, trials: Sequence[Case], fit: Fit) -> tuple[Data, np.ndarray]:
@@ -127,7 +130,7 @@ class Prepared:
         trials = [replace(t, sigma=np.full(len(t.s), sigma), noise=noise) for t in whole]
         kept, _, _ = _cleared(trials, model, base.chi)
         first = self.of(kept, fit)
-        begun = first[0].begun_anew(fit)
+        begun = begun_anew(first[0], fit)
         return first if begun is first[0].trials else self.of(_begun(kept, begun), fit)
 
 
@@ -147,7 +150,7 @@ def prepared(
     stated = all("sigma" in o.points for o in observations)
     whole = [case(resolved(model), o) for o in observations]
     moving = tuple(awake(t if stated else replace(t, sigma=np.full(len(t.s), GUESS))) for t in whole)
-    likelihood, chi = _base(Likelihood(resolved(model), moving), rng, starts, progress)
+    likelihood, chi = _base(Likelihood(Data(moving), resolved(model)), rng, starts, progress)
     seen, trials = _cleaned(likelihood, chi, stated)
     hypothesis = Hypothesis(likelihood.model)
     data, doubt = corrected(trials, hypothesis, chi)
@@ -193,7 +196,7 @@ def _finer(prepared: Prepared, fit: Fit) -> Finer:
     offset = np.where(fit.chi > 0.5, -width, width)
     chi = np.concatenate([fit.chi[None], fit.chi + np.diag(offset)])
     meshes = [on_mesh(hypothesis.model, data.trials, times) for times in (1, 2)]
-    told = [Data(trials, ()).residuals(model, chi) for model, trials in meshes]
+    told = [Data(trials).residuals(model, chi) for model, trials in meshes]
     lost = [((own == LOST) | (half == LOST)).any(axis=0) for own, half in zip(*told, strict=True)]
     error = [np.where(gone, 0.0, extrapolated(*pair) - pair[0]) for gone, *pair in zip(lost, *told, strict=True)]
     known = prepared.doubt <= FIRST_ORDER * data.tip_rms([each[0] for each in error])
@@ -225,9 +228,9 @@ def _configured(prepared: Prepared, model: Model) -> Fit | None:
     if string.points > fine.points and string.tip_cell == fine.tip_cell:
         return None
     own = Hypothesis(replace(model, string=replace(string, ranges=fine.ranges)))
-    pairs = zip(prepared.raw, prepared.data.discrepancies, strict=True)
-    trials = tuple(as_first_told(replace(trial, model=own.model), told.modes) for trial, told in pairs)
-    data = Data(trials, prepared.data.discrepancies)
+    pairs = zip(prepared.raw, prepared.data.trials, strict=True)
+    alike = (replace(trial, model=own.model, error_model=other.discrepancy) for trial, other in pairs)
+    data = Data(tuple(as_first_told(trial, trial.discrepancy.modes) for trial in alike))
     return fitted(data, own, own.carried(prepared.base.named)[None], prepared.base.sizes)
 
 
@@ -278,7 +281,7 @@ def searched_again(data: Data, fit: Fit, rng: np.random.Generator, starts: int) 
     for cause in hypothesis.causes:
         own[hypothesis.places(cause, cause.parameters)] = True
     drawn = np.where(own, fit.chi, rng.uniform(size=(8 * starts, len(fit.chi))))
-    likelihood = Likelihood(hypothesis.model, tuple(replace(t, model=hypothesis.model) for t in data.trials))
+    likelihood = Likelihood(Data(tuple(replace(t, model=hypothesis.model) for t in data.trials)), hypothesis.model)
     tried = np.concatenate([fit.chi[None], screened(likelihood, drawn, starts - 1)])
     chi = searched(likelihood, tried, MOST)
     other = fitted(data, hypothesis, chi[None], fit.sizes)
@@ -295,9 +298,10 @@ def lacking(
     beginnings = modes(trials, values) or nothing
     nuisance = [np.hstack(pair) for pair in zip(beginnings, doubts or nothing, strict=True)]
     growth = _growth(trials, hypothesis, chi)
-    told = tuple(Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True))
-    begun = tuple(as_first_told(*each) for each in zip(trials, beginnings, strict=True))
-    return varying(Data(begun, told), hypothesis, chi)
+    told = [Discrepancy.of(*each) for each in zip(trials, growth, nuisance, strict=True)]
+    begun = [as_first_told(*each) for each in zip(trials, beginnings, strict=True)]
+    modelled = tuple(replace(trial, error_model=each) for trial, each in zip(begun, told, strict=True))
+    return varying(Data(modelled), hypothesis, chi)
 
 
 def corrected(trials: Sequence[Case], hypothesis: Hypothesis, chi: np.ndarray) -> tuple[Data, np.ndarray]:
@@ -342,9 +346,9 @@ def _widened(likelihood: Likelihood, chi: np.ndarray, place: int) -> tuple[Likel
     low, high = (parameter.low / WIDER, parameter.high) if chi[place] < 0.5 else (parameter.low, parameter.high * WIDER)
     ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
     wider = replace(model, string=replace(model.string, ranges=ranges))
-    trials = tuple(replace(trial, model=wider) for trial in likelihood.trials)
+    trials = [replace(trial, model=wider) for trial in likelihood.data.trials]
     start = chi_of(wider.parameters, values_of(likelihood.parameters, chi[None]))
-    problem = with_noise(replace(likelihood, model=wider, trials=trials), start[0])
+    problem = with_noise(replace(likelihood.with_trials(trials), model=wider), start[0])
     before, after = problem.residuals(start)[0], solver.fitted(problem, start)
     gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
     return (problem, after.chi[0]) if gain > CLEARLY else (likelihood, chi)
@@ -355,10 +359,10 @@ def _cleaned(likelihood: Likelihood, chi: np.ndarray, stated: bool) -> tuple[tup
 
     Noise is what residuals have beside smooth motion, of which what the model lacks is a part.
     """
-    kept, left, levels = _cleared(likelihood.trials, likelihood.model, chi)
+    kept, left, levels = _cleared(likelihood.data.trials, likelihood.model, chi)
     level = float(np.median(levels))
     factor = level if not stated or level > STATED_WRONG else 1.0
-    pair = (likelihood.trials, kept)
+    pair = (likelihood.data.trials, kept)
     whole, raw = (tuple(replace(t, sigma=factor * t.sigma) for t in trials) for trials in pair)
     return whole, _heard(raw, [off / factor for off in left], stated)
 
@@ -376,7 +380,7 @@ def _cleared(
     trials: Sequence[Case], model: Model, chi: np.ndarray
 ) -> tuple[tuple[Case, ...], tuple[np.ndarray, ...], tuple[float, ...]]:
     """Trials without outliers as a model at exponents (P,) tells them, and what `_without_outliers` says of each."""
-    found = Data(tuple(trials), ()).residuals(model, chi[None])
+    found = Data(tuple(trials)).residuals(model, chi[None])
     pairs = zip(trials, found, strict=True)
     kept, left, noise = zip(*(_without_outliers(trial, off.reshape(-1, 2)) for trial, off in pairs), strict=True)
     return kept, left, noise

@@ -15,8 +15,10 @@ from scipy.stats import qmc
 
 from stringcast.stages.diagnose.linear import Linear
 from stringcast.stages.diagnose.places import APART, touching, varied_parameters
-from stringcast.stages.inference.evidence import WIDTHS, Data, Fit, Hypothesis
+from stringcast.stages.inference.evidence import WIDTHS, Fit
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import CameraEffect, Effect, HandEffect, ModelChange, components, position_dependent
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.model import Model

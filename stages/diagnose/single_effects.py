@@ -20,7 +20,9 @@ from pydantic import Field
 from stringcast.stages.diagnose.predictions import Prediction, predicted, rises
 from stringcast.stages.diagnose.prepared import CLEARLY, FEWEST, SETTLED, Prepared, nearer, searched_again
 from stringcast.stages.diagnose.proposals import Proposal, elsewhere, proposals
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted, lacked
+from stringcast.stages.inference.evidence import Fit, evaluated, fitted, lacked
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect, components, position_dependent
 
 log = logging.getLogger(__name__)

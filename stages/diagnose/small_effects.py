@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import SIZES, log_prior
-from stringcast.stages.inference.evidence import Data, Fit
+from stringcast.stages.inference.evidence import Fit
+from stringcast.stages.inference.likelihood import PRIOR
 from stringcast.stages.inference.solver import LOST
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect, components, position_dependent
 
 SMALL = SIZES[SIZES < 2e-3]  # [m] of W0: more is not small
@@ -97,11 +98,9 @@ def _by_trial(data: Data, fit: Fit, small: Sequence[np.ndarray]) -> tuple[np.nda
     """Products of what parameters and small effects do in each trial, white, (K, M, M), and with what is left, (K, M):
     the fit's parameters first."""
     data = data.of(fit.hypothesis)
-    ends = np.cumsum([2 * len(d.variance) for d in data.discrepancies])[:-1]
-    residual = np.split(data.white([r[None] for r in fit.residuals], fit.sizes)[0], ends)
-    both = data.white([np.concatenate(pair) for pair in zip(fit.slopes, small, strict=True)], fit.sizes)
-    parts = np.split(both, ends, axis=1)
-    along = [part @ left for part, left in zip(parts, residual, strict=True)]
+    residual = data.white_by_trial([r[None] for r in fit.residuals], fit.sizes)
+    parts = data.white_by_trial([np.concatenate(pair) for pair in zip(fit.slopes, small, strict=True)], fit.sizes)
+    along = [part @ left[0] for part, left in zip(parts, residual, strict=True)]
     return np.array([part @ part.T for part in parts]), np.array(along)
 
 

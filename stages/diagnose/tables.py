@@ -15,8 +15,9 @@ from stringcast.stages.diagnose.judgement import Judgement
 from stringcast.stages.diagnose.prepared import Prepared
 from stringcast.stages.diagnose.single_effects import Criteria, Found, least_gain, moved, removed, unexplained
 from stringcast.stages.diagnose.small_effects import Tempered, tempered
-from stringcast.stages.inference.evidence import ABSENT, Data, Fit, lacked
+from stringcast.stages.inference.evidence import ABSENT, Fit, lacked
 from stringcast.stages.inference.forward import Case
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect, ModelChange, components
 from stringcast.stages.model.library import library
 

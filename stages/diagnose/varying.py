@@ -13,7 +13,9 @@ import numpy as np
 
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy import marginal
-from stringcast.stages.inference.evidence import WIDTHS, Data, Hypothesis
+from stringcast.stages.inference.evidence import WIDTHS
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect, components
 
 

@@ -29,6 +29,7 @@ from stringcast.stages.inference.covariance import Covariance, covariance
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
 from stringcast.stages.inference.search import refined, screened, searched, with_initial_states
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import values_of
 
@@ -66,10 +67,10 @@ def estimate(
     known = [i for i, name in enumerate(model.names) if "." in name and name in model.known]
     drawn[:, known] = before[known]
     tried = np.concatenate([before[None], drawn])
-    given = Likelihood(model, tuple(goal.case for goal in goals))
+    given = Likelihood(Data(tuple(goal.case for goal in goals)), model)
     found = searched(given, screened(given, tried, starts), iterations, progress)
     likelihood, best = refined(given, found)
-    goals = [replace(goal, case=trial) for goal, trial in zip(goals, likelihood.trials, strict=True)]
+    goals = [replace(goal, case=trial) for goal, trial in zip(goals, likelihood.data.trials, strict=True)]
     tried = np.concatenate([tried, best[None]])
     search = Candidates("least squares", tried, matching_rate(goals, values_of(model.parameters, tried)))
     sure = covariance(likelihood, best)
@@ -82,7 +83,7 @@ def posterior_samples(goals: Sequence[Target], chi: np.ndarray, seed: int) -> np
 
     Normal, with the covariance of least squares there; what would leave its range stops at its end.
     """
-    likelihood = Likelihood(goals[0].case.model, tuple(goal.case for goal in goals))
+    likelihood = Likelihood(Data(tuple(goal.case for goal in goals)), goals[0].case.model)
     return _draws(chi, covariance(with_initial_states(likelihood, chi), chi), seed)
 
 
@@ -98,7 +99,7 @@ def _interval(model: Model, best: np.ndarray, sure: Covariance, likelihood: Like
             "model lacks something, and the intervals do not cover that."
         )
     string, error = likelihood.model.string, discretisation_error(likelihood, best)
-    pairs = zip(likelihood.scale, likelihood.trials, strict=True)
+    pairs = zip(likelihood.scale, likelihood.data.trials, strict=True)
     noise = np.sqrt(2) * np.median([scale * np.median(trial.sigma) for scale, trial in pairs])
     if error > noise:
         finer = f"string.points={2 * string.points - 1} string.largest_step={string.largest_step / 2:.2g}"

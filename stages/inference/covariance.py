@@ -18,10 +18,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from stringcast.stages.inference.huber import loss, weights
-from stringcast.stages.inference.likelihood import Likelihood, time_blocks
+from stringcast.stages.inference.likelihood import PRIOR, Likelihood, time_blocks
 from stringcast.stages.inference.solver import FIRST, slopes, suited
-
-PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ def covariance(likelihood: Likelihood, chi: np.ndarray) -> Covariance:
         slope = slopes(likelihood, chi[None], residual, width)
         width = suited(slope, loss(residual, likelihood.limit))
     weight = weights(residual[0], likelihood.limit)
-    return jackknife(slope[0], residual[0], weight, time_blocks(likelihood.trials))
+    return jackknife(slope[0], residual[0], weight, time_blocks(likelihood.data.trials))
 
 
 def jackknife(slope: np.ndarray, residual: np.ndarray, weight: np.ndarray, block: np.ndarray) -> Covariance:

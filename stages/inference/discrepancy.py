@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from scipy.linalg import eigh
@@ -23,9 +24,11 @@ from scipy.special import logsumexp
 
 from stringcast.stages.common import mad_sigma, rms
 from stringcast.stages.inference.basis import KNOTS, RANK, along, beside_noise, columns, in_time, nodes, products
-from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.noise import Track, gram_roots, track
 from stringcast.stages.inference.whitening import LowRank
+
+if TYPE_CHECKING:
+    from stringcast.stages.inference.forward import Case
 
 MEMORY = 0.08  # [s] of the Matern kernel: in the middle of 0.05 to 0.12, which suited nine fits of strings of 0.3 m
 SIZES = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])  # [m] of s: each 1.56 times the last; no string is as far
@@ -48,6 +51,7 @@ class Discrepancy:
     variance: np.ndarray
     nuisance: np.ndarray
     modes: np.ndarray
+    scale: ClassVar[float] = 1.0  # of noise, in the points' own sigma
 
     @classmethod
     def of(cls, trial: Case, growth: np.ndarray, nuisance: np.ndarray) -> Discrepancy:
@@ -82,6 +86,10 @@ class Discrepancy:
         """With other nuisance, U over sigma (2 n, m), in the place of its first so many columns."""
         nuisance = np.hstack([self.coefficients(modes.T).T, self.nuisance[:, count:]])
         return replace(self, nuisance=nuisance, modes=np.hstack([modes, self.modes[:, count:]]))
+
+    def whiten(self, residual: np.ndarray, size: int) -> np.ndarray:
+        """Compute white coefficients (C, 2 M) of residuals over sigma (C, 2 n), at a number of SIZES."""
+        return self.white(self.coefficients(residual), size)
 
     def white(self, coefficients: np.ndarray, size: int) -> np.ndarray:
         """V(s)^(-1/2) of coefficients (C, 2 M), at a number of SIZES."""

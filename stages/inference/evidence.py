@@ -10,241 +10,24 @@ being there, and one that moves nothing is no worse than none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.batch import away
-from stringcast.stages.inference.covariance import PRIOR
-from stringcast.stages.inference.discrepancy import Discrepancy, likeliest, marginal
-from stringcast.stages.inference.forward import Case
-from stringcast.stages.inference.initial_modes import as_first_told, change, modes, suited
+from stringcast.stages.inference.discrepancy import likeliest, marginal
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.likelihood import PRIOR, Likelihood
 from stringcast.stages.inference.solver import LOST
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effect import Effect, components
-from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import Parameter, values_of
 
 WIDTHS = np.array([1e-3, 3e-3, 1e-2, 3e-2])  # [m] by which a cause may well move the tip, each as likely
 ROUNDS = 6  # at most, in turns with the sizes of discrepancies: it mostly takes three
 FEW = 4  # iterations of several starts, before the best alone goes on
 DRAWS = 400  # of what may be lacking: a probability is told to 0.025
 ABSENT = 1e-9  # of a range: nearer than that is not there
-NEAR = 0.05  # of a range: farther off, slopes do not tell what a finer mesh changes
-LATELY = 64  # candidates whose residuals are kept: those of some iterations
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """A base model with causes beside its own effects."""
-
-    base: Model
-    causes: tuple[type[Effect], ...] = ()
-
-    @cached_property
-    def model(self) -> Model:
-        """With the causes at work."""
-        return self.base.with_effects(*self.causes)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """(P,) of the model, all of which are fitted."""
-        return self.model.parameters
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the causes."""
-        return tuple(cause.name for cause in self.causes)
-
-    def joined(self, cause: type[Effect]) -> Hypothesis:
-        """With one more cause."""
-        return replace(self, causes=(*self.causes, cause))
-
-    def without(self, cause: type[Effect]) -> Hypothesis:
-        """With one less."""
-        return replace(self, causes=tuple(other for other in self.causes if other is not cause))
-
-    def places(self, cause: type[Effect], parameters: Sequence[Parameter]) -> list[int]:
-        """Of some parameters of a cause among all."""
-        return [self.model.names.index(cause.qualified(p)) for p in parameters]
-
-    @cached_property
-    def base_places(self) -> list[int]:
-        """Of the base model's parameters among all."""
-        return [self.model.names.index(name) for name in self.base.names]
-
-    def carried(self, known: Mapping[str, float]) -> np.ndarray:
-        """(P,) exponents known by name; those of others at their start, where a cause is absent."""
-        return np.array([known.get(p.name, float(p.chi(np.asarray(p.start)))) for p in self.parameters])
-
-
-@dataclass(frozen=True)
-class Finer:
-    """What a finer mesh changes in how parameters act, about exponents (P,) at which numerical error was taken off
-    (manifold mapping: Echeverria and Hemker 2005, Comput. Methods Appl. Math. 5, 107). names: (P,) of the parameters.
-    slopes: of each trial's residuals over sigma, (P, 2 n)."""
-
-    names: tuple[str, ...]
-    chi: np.ndarray
-    slopes: tuple[np.ndarray, ...]
-
-    def about(self, known: Mapping[str, float]) -> Finer:
-        """The same where numerical error is taken off at other exponents, known by name."""
-        return replace(self, chi=np.array([known.get(n, own) for n, own in zip(self.names, self.chi, strict=True)]))
-
-    def beside(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
-        """What it changes at exponents (C, P') of these names, (C, 2 n) of each trial: of those it knows, and farther
-        off as much as where slopes end."""
-        pairs = [(own, names.index(name)) for own, name in enumerate(self.names) if name in names]
-        own, there = (list(each) for each in zip(*pairs, strict=True))
-        away = np.clip(chi[:, there] - self.chi[own], -NEAR, NEAR)
-        return [away @ slope[own] for slope in self.slopes]
-
-
-@dataclass(frozen=True)
-class Data:
-    """Trials that hypotheses are to explain together, and what each may lack.
-
-    varying: of causes, by name, that differ from trial to trial: how they move each trial, over sigma, by what is as
-    likely as one deviation, (2 n, m). finer: which residuals have.
-    """
-
-    trials: tuple[Case, ...]
-    discrepancies: tuple[Discrepancy, ...]
-    varying: Mapping[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
-    finer: Finer | None = None
-
-    def of(self, hypothesis: Hypothesis) -> Data:
-        """As a hypothesis has them, some of whose causes may differ from trial to trial."""
-        names = tuple(name for name in hypothesis.names if name in self.varying)
-        if not names:
-            return self
-        if names not in self._of:
-            columns = [np.hstack(each) for each in zip(*(self.varying[name] for name in names), strict=True)]
-            told = tuple(d.joined(each) for d, each in zip(self.discrepancies, columns, strict=True))
-            self._of[names] = Data(self.trials, told, finer=self.finer)
-        return self._of[names]
-
-    def differs(self, name: str) -> float:
-        """By how much the tip is elsewhere from trial to trial because a cause differs [m]; 0 where it does not."""
-        columns = self.varying.get(name, ())
-        return float(self.tip_sizes([each.T for each in columns])[0]) if columns else 0.0
-
-    @cached_property
-    def _of(self) -> dict[tuple[str, ...], Data]:
-        return {}
-
-    def residuals(self, model: Model, chi: np.ndarray) -> list[np.ndarray]:
-        """Simulated less measured over sigma of each trial, (C, 2 n), for exponents (C, P); LOST where a run was
-        rejected. One candidate alone is not simulated again if it was lately: a fit ends where another begins."""
-        keys = [(id(model), one.tobytes()) for one in chi]
-        if len(chi) == 1 and keys[0] in self._lately:
-            return list(self._lately[keys[0]][1])
-        found = [np.nan_to_num(each, nan=LOST) for each in away(model, self.trials, values_of(model.parameters, chi))]
-        if self.finer is not None:
-            pairs = zip(found, self.finer.beside(model.names, chi), strict=True)
-            found = [np.where(each == LOST, LOST, each + more) for each, more in pairs]
-        for key, *rows in zip(keys[-LATELY:], *(each[-LATELY:] for each in found), strict=True):
-            self._lately[key] = model, [row[None].copy() for row in rows]
-        while len(self._lately) > LATELY:
-            self._lately.pop(next(iter(self._lately)))
-        return found
-
-    @cached_property
-    def _lately(self) -> dict[tuple[int, bytes], tuple[Model, list[np.ndarray]]]:
-        """By the model, which is kept so that no other has its id, and the exponents."""
-        return {}
-
-    def coefficients(self, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """(C, 2 M) of each trial's residuals (C, 2 n)."""
-        return [d.coefficients(each) for d, each in zip(self.discrepancies, residuals, strict=True)]
-
-    def log_likelihoods(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
-        """Of residuals (C, 2 n) of each trial, at all sizes of its discrepancy, (K, C, S)."""
-        told = zip(self.discrepancies, self.coefficients(residuals), strict=True)
-        return np.stack([d.log_likelihoods(each) for d, each in told])
-
-    def white(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> np.ndarray:
-        """Coefficients of each trial's residuals (C, 2 n), side by side, (C, N): white if its discrepancy has its
-        number of SIZES. sizes: (K,)."""
-        told = zip(self.discrepancies, self.coefficients(residuals), sizes, strict=True)
-        return np.concatenate([d.white(each, size) for d, each, size in told], axis=1)
-
-    def begun(self, residuals: Sequence[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
-        """Residuals (2 n,) of each trial without what another beginning explains. sizes: (K,) of SIZES."""
-        told = zip(self.discrepancies, self.coefficients([each[None] for each in residuals]), sizes, strict=True)
-        explained = [d.beginning(each[0], int(size)) for d, each, size in told]
-        return [each - part for each, part in zip(residuals, explained, strict=True)]
-
-    def about(self, fit: Fit) -> Data:
-        """Data whose trials begin in the states that are likeliest with a fit, with modes as they are there."""
-        if all(trial.initial is None for trial in self.trials):
-            return self
-        begun, known = self.begun_anew(fit), zip(self.trials, self.discrepancies, strict=True)
-        plain = [as_first_told(trial, -d.modes).points for trial, d in known]
-        columns = modes(begun, values_of(fit.hypothesis.parameters, fit.chi[None])[0])
-        pairs = zip(begun, plain, columns, strict=True)
-        trials = tuple(as_first_told(replace(trial, points=points), own) for trial, points, own in pairs)
-        told = zip(self.trials, self.discrepancies, columns, strict=True)
-        return replace(self, trials=trials, discrepancies=tuple(d.instead(own, len(change(t))) for t, d, own in told))
-
-    def begun_anew(self, fit: Fit) -> tuple[Case, ...]:
-        """The trials in the initial states that are likeliest with a fit, whatever it lacks."""
-        if all(trial.initial is None for trial in self.trials):
-            return self.trials
-        hypothesis, data, found = fit.hypothesis, self.of(fit.hypothesis), []
-        values = values_of(hypothesis.parameters, fit.chi[None])[0]
-        sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, fit.chi[None]))[:, 0])
-        for trial, told, size in zip(data.trials, data.discrepancies, sizes, strict=True):
-            own = replace(trial, model=hypothesis.model)
-            found.append(own if trial.initial is None else _likeliest_beginning(own, trial, told, int(size), values))
-        return tuple(found)
-
-    def only(self, chosen: Sequence[int]) -> Data:
-        """Some of the trials."""
-        varying = {name: tuple(columns[k] for k in chosen) for name, columns in self.varying.items()}
-        finer = self.finer and replace(self.finer, slopes=tuple(self.finer.slopes[k] for k in chosen))
-        return Data(tuple(self.trials[k] for k in chosen), tuple(self.discrepancies[k] for k in chosen), varying, finer)
-
-    def tip_rms(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
-        """Root mean square over each trial of displacements (..., 2 n) over sigma, at the outermost place [m],
-        (K, ...)."""
-        found = []
-        for trial, each in zip(self.trials, displacements, strict=True):
-            there = each.reshape(*each.shape[:-1], len(trial.s), 2).compress(trial.tip, axis=-2)
-            away = there * trial.sigma[trial.tip, None]
-            found.append(np.sqrt(np.mean(np.sum(away**2, axis=-1), axis=-1)))
-        return np.array(found)
-
-    def tip_sizes(self, displacements: Sequence[np.ndarray]) -> np.ndarray:
-        """Root mean square over all trials of displacements (C, 2 n) over sigma in each, as of `tip_rms` [m], (C,)."""
-        return np.asarray(np.sqrt(np.mean(self.tip_rms(displacements) ** 2, axis=0)))
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A hypothesis as the solver's problem: trials, and that exponents of the base model may lie anywhere in [0, 1],
-    which keeps those about the middle that the trials do not tell. sizes: (K,) of the discrepancies."""
-
-    data: Data
-    hypothesis: Hypothesis
-    sizes: np.ndarray
-    limit: float = np.inf
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """As of `solver.Problem`."""
-        return self.hypothesis.parameters
-
-    def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """As of `solver.Problem`."""
-        raw = self.data.residuals(self.hypothesis.model, chi)
-        lost = np.stack([(each == LOST).any(axis=1) for each in raw], axis=1)
-        widths = [2 * len(d.variance) for d in self.data.discrepancies]
-        white = np.where(np.repeat(lost, widths, axis=1), LOST, self.data.white(raw, self.sizes))
-        return np.hstack([white, np.sqrt(PRIOR) * (chi[:, self.hypothesis.base_places] - 0.5)])
 
 
 @dataclass(frozen=True)
@@ -304,12 +87,12 @@ def at_best(
 ) -> np.ndarray:
     """Exponents (P,) of `fitted`."""
     data = data.of(hypothesis)
-    first = solver.fitted(Problem(data, hypothesis, sizes), starts, FEW, enough)
+    first = solver.fitted(_problem(data, hypothesis, sizes), starts, FEW, enough)
     told = data.log_likelihoods(data.residuals(hypothesis.model, first.chi))
     best = int(np.argmax(marginal(told).sum(axis=0)))
     chi, sizes = first.chi[best], likeliest(told[:, best])
     for _ in range(ROUNDS - 1):
-        chi = solver.fitted(Problem(data, hypothesis, sizes), chi[None], enough=enough).chi[0]
+        chi = solver.fitted(_problem(data, hypothesis, sizes), chi[None], enough=enough).chi[0]
         new = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, chi[None]))[:, 0])
         if (new == sizes).all():
             break
@@ -335,27 +118,29 @@ def evaluated(data: Data, hypothesis: Hypothesis, chi: np.ndarray) -> Fit:
     return Fit(hypothesis, chi, tuple(raw), tuple(slopes), sizes, by_trial, evidence)
 
 
-def _likeliest_beginning(own: Case, trial: Case, told: Discrepancy, size: int, values: np.ndarray) -> Case:
-    """A trial, as its own model and as data have it, in the initial state that is likeliest with values (P,)."""
-    count = len(change(trial))
-    away = told.modes[:, :count] @ change(trial)  # which its points were displaced by
-    rest = told.instead(told.modes[:, :0], count)
-    return suited(own, own, values, lambda residual: rest.white(rest.coefficients(residual + away), size))
-
-
 def lacked(data: Data, fit: Fit) -> list[np.ndarray]:
-    """What a fit most likely lacks in each trial, over sigma, (2 n,)."""
-    data = data.of(fit.hypothesis)
-    told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
-    return [d.mean(each[0], int(size)) for d, each, size in told]
+    """Compute the most likely discrepancy of each trial, over sigma, (2 n,)."""
+    means = []
+    for trial, residual, size in zip(data.of(fit.hypothesis).trials, fit.residuals, fit.sizes, strict=True):
+        coefficients = trial.discrepancy.coefficients(residual[None])[0]
+        means.append(trial.discrepancy.mean(coefficients, int(size)))
+    return means
 
 
 def tip_draws(data: Data, fit: Fit, rng: np.random.Generator) -> np.ndarray:
-    """Root mean squares at the tip of each trial of what a fit may lack, as likely as the data leave it [m], (K,
+    """Draw discrepancies as likely as the data leave them, and compute their root mean squares at each tip [m], (K,
     DRAWS)."""
     data = data.of(fit.hypothesis)
-    told = zip(data.discrepancies, data.coefficients([each[None] for each in fit.residuals]), fit.sizes, strict=True)
-    return data.tip_rms([d.draws(each[0], int(size), DRAWS, rng) for d, each, size in told])
+    draws = []
+    for trial, residual, size in zip(data.trials, fit.residuals, fit.sizes, strict=True):
+        coefficients = trial.discrepancy.coefficients(residual[None])[0]
+        draws.append(trial.discrepancy.draws(coefficients, int(size), DRAWS, rng))
+    return data.tip_rms(draws)
+
+
+def _problem(data: Data, hypothesis: Hypothesis, sizes: np.ndarray) -> Likelihood:
+    """The trials as a hypothesis explains them. sizes: (K,) of the discrepancies."""
+    return Likelihood(data, hypothesis.model, sizes, uniform=hypothesis.base_places)
 
 
 def _slopes(

@@ -9,8 +9,10 @@ import numpy as np
 
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
+from stringcast.stages.inference.discrepancy import Discrepancy
 from stringcast.stages.inference.initial_state import initial_state, kinematics
 from stringcast.stages.inference.noise import WHITE, Noise
+from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
 from stringcast.stages.model.hand import HandMotion, JointMotion, hand_motion_from_grasp, joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.sampling import measured
@@ -30,7 +32,7 @@ class Case:
     index `frame` (N,) and arc length `s` (N,); sigma: (N,) [m]. initial: the state in which the
     trial begins, by the camera's clock; None if at rest before the hand moves. turn: on which side of the hand it is
     at rest, as of `equilibrium.hanging`. change: how far the state is from what the first frames say, in modes
-    (`initial_modes`). noise: how the points' is correlated.
+    (`initial_modes`). noise: how the points' is correlated. error_model: what residuals are beyond that.
     """
 
     name: str
@@ -45,6 +47,13 @@ class Case:
     turn: float = 0.0
     change: np.ndarray = field(default_factory=lambda: np.zeros(2 * MODES))
     noise: Noise = WHITE
+    error_model: IndependentErrors | Discrepancy = field(default=UNIT_ERRORS, repr=False)
+
+    @property
+    def discrepancy(self) -> Discrepancy:
+        """The error model of a trial whose discrepancy is modelled."""
+        assert isinstance(self.error_model, Discrepancy)
+        return self.error_model
 
     @property
     def tip(self) -> np.ndarray:
@@ -71,9 +80,9 @@ class Case:
         return replace(self.only(self.frame < frames), times=self.times[:frames])
 
     def only(self, kept: np.ndarray) -> Case:
-        """With some of the points alone. kept: (N,)."""
+        """Select points (N,). An error model is that of a whole trial, and is dropped."""
         parts = {name: getattr(self, name)[kept] for name in ("frame", "s", "points", "sigma")}
-        return replace(self, **parts)
+        return replace(self, **parts, error_model=UNIT_ERRORS)
 
     def off(self, values: np.ndarray) -> tuple[float, float]:
         """Mean square distance of one candidate (P,) from the measured points, and from those nearest the tip [m2]."""

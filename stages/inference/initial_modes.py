@@ -15,9 +15,12 @@ import numpy as np
 
 from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference.batch import away
+from stringcast.stages.inference.discrepancy import likeliest
+from stringcast.stages.inference.evidence import Fit
 from stringcast.stages.inference.forward import MODES, Case
 from stringcast.stages.inference.huber import LIMIT
 from stringcast.stages.inference.solver import LOST, fitted
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.parameter import Parameter, chi_of, values_of
 from stringcast.stages.model.slots import HELD as SLOTS
 from stringcast.stages.model.string import String
@@ -111,6 +114,47 @@ def change(ready: Case) -> np.ndarray:
         return np.zeros(0)
     held = len(coefficients(ready.model.string)) - 2 * MODES
     return np.concatenate([ready.change, np.full(held, ready.initial.let_back / LET_BACK)])
+
+
+def begun_anew(data: Data, fit: Fit) -> tuple[Case, ...]:
+    """Find the initial states of trials that are most likely with a fit, given its discrepancies."""
+    if all(trial.initial is None for trial in data.trials):
+        return data.trials
+    hypothesis, data = fit.hypothesis, data.of(fit.hypothesis)
+    values = values_of(hypothesis.parameters, fit.chi[None])[0]
+    sizes = likeliest(data.log_likelihoods(data.residuals(hypothesis.model, fit.chi[None]))[:, 0])
+    trials = []
+    for trial, size in zip(data.trials, sizes, strict=True):
+        extended = replace(trial, model=hypothesis.model)
+        trials.append(extended if trial.initial is None else _likeliest_beginning(trial, extended, int(size), values))
+    return tuple(trials)
+
+
+def about(data: Data, fit: Fit) -> Data:
+    """Restart trials in the initial states that are most likely with a fit, with the modes about those."""
+    if all(trial.initial is None for trial in data.trials):
+        return data
+    begun = begun_anew(data, fit)
+    columns = modes(begun, values_of(fit.hypothesis.parameters, fit.chi[None])[0])
+    trials = []
+    for trial, start, own in zip(data.trials, begun, columns, strict=True):
+        discrepancy = trial.discrepancy
+        plain = as_first_told(trial, -discrepancy.modes)
+        restarted = as_first_told(replace(start, points=plain.points), own)
+        trials.append(replace(restarted, error_model=discrepancy.instead(own, len(change(trial)))))
+    return replace(data, trials=tuple(trials))
+
+
+def _likeliest_beginning(trial: Case, extended: Case, size: int, values: np.ndarray) -> Case:
+    """Find the initial state of a trial that is most likely with values (P,) and a discrepancy of this size.
+
+    extended: the trial with the model that the values are of.
+    """
+    amplitudes = change(trial)
+    count, discrepancy = len(amplitudes), trial.discrepancy
+    displaced = discrepancy.modes[:, :count] @ amplitudes  # by which its points were displaced
+    rest = discrepancy.instead(discrepancy.modes[:, :0], count)
+    return suited(extended, extended, values, lambda residual: rest.whiten(residual + displaced, size))
 
 
 def _residuals(ready: Case, values: np.ndarray, changes: np.ndarray) -> np.ndarray:

@@ -1,77 +1,81 @@
-"""What trials say of candidates: how far they are from what was measured, in standard deviations and white.
+"""How far candidates are from what was measured, in standard deviations and white: the solver's least squares.
 
-    residual_k = V_k^(-1/2) (simulated - measured) / sigma,        V_k = 1 + U_k U_k'
+    residual_k = V_k^(-1/2) (simulated - measured) / sigma
 
-for trial k, whose points may also move by U_k a with unknown a ~ N(0, 1), such as by another state in the beginning.
-Integrated over a, that is noise of covariance V_k: what U_k could explain counts for less, and what is found is sure
-only of the rest.
+for trial k, whose error model says V_k: independent noise of some scale, or a smooth discrepancy of some size
+(`discrepancy`), and displacements U_k a with unknown a ~ N(0, 1), such as by another initial state. Integrated over a,
+that is noise of covariance V_k: what U_k could explain counts for less, and what is found is sure only of the rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.inference.batch import away
 from stringcast.stages.inference.forward import Case
 from stringcast.stages.inference.solver import LOST
-from stringcast.stages.inference.whitening import LowRank
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import Parameter, values_of
+from stringcast.stages.model.parameter import Parameter
 
 BLOCK = 0.05  # [s] of time taken as one independent piece
 STILL = 0.01  # of the string's length, from which the hand has moved, or a string has from where it ends
+PRIOR = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
 
 
 @dataclass(frozen=True)
 class Likelihood:
     """Trials that one model explains together.
 
-    scale: of each trial, times the points' own sigma, its noise and what the model lacks there; all are one where there
-    are none. nuisance: U of each trial, over sigma, (2 n, M), or of none. limit: standard deviations from which a
-    residual counts less (Huber), or infinite.
+    Parameters
+    ----------
+    data : the trials with their error models.
+    model : the model that is fitted to them.
+    sizes : of each trial, the number of its discrepancy's size, (K,); none where no trial has a discrepancy.
+    limit : standard deviations beyond which a residual counts less (Huber), or infinite.
+    uniform : indices of parameters that may lie anywhere in their range. Each has a normal prior of a uniform one's
+        variance, which keeps those about the middle that the trials do not determine.
     """
 
+    data: Data
     model: Model
-    trials: tuple[Case, ...]
-    scale: tuple[float, ...] = ()
-    nuisance: tuple[np.ndarray, ...] = ()
+    sizes: Sequence[int] | np.ndarray = ()
     limit: float = np.inf
+    uniform: Sequence[int] = ()
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Of the model."""
+        """The parameters of the model."""
         return self.model.parameters
 
+    @property
+    def scale(self) -> tuple[float, ...]:
+        """The standard deviation of each trial's noise, in the points' own sigma, (K,)."""
+        return tuple(trial.error_model.scale for trial in self.data.trials)
+
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Of candidates (C, P), (C, N): both coordinates of each point of each trial; LOST in a trial that could not be
-        simulated."""
-        return np.concatenate(self.by_trial(chi), axis=1)
+        """Compute white residuals of candidates (C, P), those of the prior last, (C, N); LOST in a trial that
+        diverged."""
+        prior = np.sqrt(PRIOR) * (chi[:, list(self.uniform)] - 0.5)
+        return np.concatenate([*self.by_trial(chi), prior], axis=1)
 
     def by_trial(self, chi: np.ndarray) -> list[np.ndarray]:
-        """The same, of each trial, (C, 2 n)."""
-        found = away(self.model, self.trials, values_of(self.parameters, chi))
-        found = [each / scale for each, scale in zip(found, self._scales, strict=True)]
-        if self.nuisance:
-            found = [whiten(each) for whiten, each in zip(self._whiten, found, strict=True)]
-        return [np.nan_to_num(each, copy=False, nan=LOST) for each in found]
+        """Compute white residuals of each trial, (C, N_k)."""
+        raw = self.data.residuals(self.model, chi)
+        sizes = np.asarray(self.sizes) if len(self.sizes) else np.zeros(len(raw), dtype=int)
+        white = self.data.white_by_trial(raw, sizes)
+        return [np.where((r == LOST).any(axis=1, keepdims=True), LOST, w) for r, w in zip(raw, white, strict=True)]
 
     def until(self, seconds: float) -> Likelihood:
-        """The beginning of each trial: so long after its hand moved, or after it began moving."""
-        trials = tuple(t.until(max(_begins(t) + seconds, t.times[:2][-1])) for t in self.trials)
-        nuisance = tuple(u[: 2 * len(trial.s)] for u, trial in zip(self.nuisance, trials, strict=False))
-        return replace(self, trials=trials, nuisance=nuisance)
+        """Cut each trial this long after its hand moved, or after it began moving."""
+        trials = [t.until(max(_begins(t) + seconds, t.times[:2][-1])) for t in self.data.trials]
+        return self.with_trials(trials)
 
-    @cached_property
-    def _whiten(self) -> list[LowRank]:
-        return [LowRank.of(u / scale) for u, scale in zip(self.nuisance, self._scales, strict=True)]
-
-    @property
-    def _scales(self) -> tuple[float, ...]:
-        return self.scale or (1.0,) * len(self.trials)
+    def with_trials(self, trials: Sequence[Case]) -> Likelihood:
+        """Replace the trials by the same ones made ready otherwise."""
+        return replace(self, data=replace(self.data, trials=tuple(trials)))
 
 
 def time_blocks(trials: Sequence[Case]) -> np.ndarray:

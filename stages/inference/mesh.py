@@ -40,8 +40,9 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
 
 def _measured(likelihood: Likelihood, values: np.ndarray) -> np.ndarray:
     """Where one candidate (1, P) is at the measured places of all trials, (N, 2) [m]."""
-    seen = seen_together(likelihood.model, likelihood.trials, values)
-    return np.concatenate([t.at_measured(points)[0] for t, points in zip(likelihood.trials, seen, strict=True)])
+    trials = likelihood.data.trials
+    seen = seen_together(likelihood.model, trials, values)
+    return np.concatenate([t.at_measured(points)[0] for t, points in zip(trials, seen, strict=True)])
 
 
 def on_mesh(model: Model, trials: Sequence[Case], times: float) -> tuple[Model, tuple[Case, ...]]:
@@ -53,5 +54,5 @@ def on_mesh(model: Model, trials: Sequence[Case], times: float) -> tuple[Model, 
 
 
 def _on(likelihood: Likelihood, times: float) -> Likelihood:
-    model, trials = on_mesh(likelihood.model, likelihood.trials, times)
-    return replace(likelihood, model=model, trials=trials)
+    model, trials = on_mesh(likelihood.model, likelihood.data.trials, times)
+    return replace(likelihood.with_trials(trials), model=model)

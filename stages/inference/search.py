@@ -19,6 +19,7 @@ from stringcast.stages.inference.initial_modes import SPAN, modes, settled
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import rungs
 from stringcast.stages.inference.solver import ITERATIONS, fitted
+from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
 from stringcast.stages.model.parameter import values_of
 from stringcast.stages.model.statics import GRAVITY
 
@@ -45,8 +46,9 @@ def screened(likelihood: Likelihood, chi: np.ndarray, count: int) -> np.ndarray:
 def horizons(likelihood: Likelihood) -> list[float]:
     """Beginnings of trials that are fitted one after the other [s]; the last is all there is."""
     length = likelihood.model.string.length
-    spans = [max(float(np.ptp(trial.times)), TINY) for trial in likelihood.trials]
-    rate = sum(2 * len(trial.s) / span for trial, span in zip(likelihood.trials, spans, strict=True))
+    trials = likelihood.data.trials
+    spans = [max(float(np.ptp(trial.times)), TINY) for trial in trials]
+    rate = sum(2 * len(trial.s) / span for trial, span in zip(trials, spans, strict=True))
     found = [max(FIRST * np.sqrt(length / GRAVITY), FEWEST * len(likelihood.parameters) / rate)]
     while found[-1] * GROWTH < NEARLY * max(spans):
         found.append(found[-1] * GROWTH)
@@ -104,8 +106,8 @@ def with_initial_states(likelihood: Likelihood, chi: np.ndarray, span: float = n
     """With the initial states that suit parameters (P,), and outliers that count less. span: of each trial's beginning
     that the states are found from [s]."""
     values = values_of(likelihood.parameters, chi)
-    trials = tuple(settled(trial, values, span) for trial in likelihood.trials)
-    return replace(with_noise(replace(likelihood, trials=trials), chi), limit=LIMIT)
+    trials = [settled(trial, values, span) for trial in likelihood.data.trials]
+    return replace(with_noise(likelihood.with_trials(trials), chi), limit=LIMIT)
 
 
 def with_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
@@ -115,6 +117,11 @@ def with_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     What a model lacks is more in some trials than in others, and these must not pay for it: with one scale for all of
     four trials, of which a hardening bends two, a search ended 2.5 to 20 noises off, and ends 1 to 9 off with these.
     """
-    plain = replace(likelihood, scale=(), nuisance=())
-    scale = tuple(float(mad_sigma(each)) + TINY for each in plain.by_trial(chi[None]))
-    return replace(plain, scale=scale, nuisance=modes(plain.trials, values_of(likelihood.parameters, chi)))
+    plain = likelihood.with_trials([replace(t, error_model=UNIT_ERRORS) for t in likelihood.data.trials])
+    residuals = plain.by_trial(chi[None])
+    columns = modes(plain.data.trials, values_of(likelihood.parameters, chi)) or (None,) * len(residuals)
+    trials = []
+    for trial, residual, shapes in zip(plain.data.trials, residuals, columns, strict=True):
+        errors = IndependentErrors(float(mad_sigma(residual)) + TINY, shapes)
+        trials.append(replace(trial, error_model=errors))
+    return plain.with_trials(trials)

@@ -1,17 +1,23 @@
-"""Whitening of correlated noise: what makes residuals of one covariance independent, with deviations of one."""
+"""Whitening of correlated noise: residuals of one covariance become independent, with deviations of one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 
 @dataclass(frozen=True)
 class LowRank:
-    """Of the covariance 1 + U U': V^(-1/2) r = r - Q (1 - (1 + s^2)^(-1/2)) Q' r, where U = Q s R'.
+    """The whitening of a covariance 1 + U U'.
 
-    basis: Q (N, M). taken: of each of its directions, (M,), the share of a residual that is taken away.
+    V^(-1/2) r = r - Q (1 - (1 + s^2)^(-1/2)) Q' r, where U = Q s R'.
+
+    Parameters
+    ----------
+    basis : Q, (N, M).
+    taken : the share (M,) of a residual along each direction of the basis that whitening removes.
     """
 
     basis: np.ndarray
@@ -19,11 +25,39 @@ class LowRank:
 
     @classmethod
     def of(cls, columns: np.ndarray) -> LowRank:
-        """With these columns U (N, M)."""
+        """Decompose the columns U (N, M)."""
         basis, size, _ = np.linalg.svd(columns, full_matrices=False)
         return cls(basis, 1.0 - 1.0 / np.sqrt(1.0 + size**2))
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
-        """White residuals of candidates (C, N)."""
+        """Whiten the residuals of candidates (C, N)."""
         along = np.einsum("cn,nm->cm", residual, self.basis)
         return residual - np.einsum("cm,nm->cn", self.taken * along, self.basis)
+
+
+@dataclass(frozen=True)
+class IndependentErrors:
+    """An error model of one trial: independent noise, and displacements of known shape.
+
+        V = scale^2 + U U'
+
+    Parameters
+    ----------
+    scale : the standard deviation of residuals, in the points' own sigma.
+    nuisance : U over sigma, (2 n, M): shapes whose amplitudes are N(0, 1), such as another initial state; or None.
+    """
+
+    scale: float = 1.0
+    nuisance: np.ndarray | None = None
+
+    def whiten(self, residual: np.ndarray, size: int = 0) -> np.ndarray:
+        """Whiten residuals over sigma (C, 2 n). There is only one size."""
+        scaled = residual / self.scale
+        return scaled if self._low_rank is None else self._low_rank(scaled)
+
+    @cached_property
+    def _low_rank(self) -> LowRank | None:
+        return None if self.nuisance is None else LowRank.of(self.nuisance / self.scale)
+
+
+UNIT_ERRORS = IndependentErrors()

@@ -10,8 +10,9 @@ from performed import performed, swings
 from stringcast.stages.diagnose.places import touching
 from stringcast.stages.diagnose.prepared import lacking, resolved
 from stringcast.stages.diagnose.proposals import candidates, proposals
-from stringcast.stages.inference.evidence import Hypothesis, evaluated, fitted
+from stringcast.stages.inference.evidence import evaluated, fitted
 from stringcast.stages.inference.forward import case
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.model.library import library, named
 from stringcast.stages.model.parameter import chi_of, values_of
 

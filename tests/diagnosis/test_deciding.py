@@ -11,7 +11,8 @@ from stringcast.stages.diagnose.design import Rivals, _promising, designed
 from stringcast.stages.diagnose.prepared import lacking, resolved
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import arm_faults
-from stringcast.stages.inference.evidence import Hypothesis, fitted
+from stringcast.stages.inference.evidence import fitted
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.effects.arm_lag import ArmLag
 from stringcast.stages.model.effects.time_offset import TimeOffset

@@ -10,8 +10,9 @@ from stringcast.stages.check.overview import found_from
 from stringcast.stages.diagnose.identifiability import foreseen
 from stringcast.stages.diagnose.prepared import Prepared, lacking, resolved
 from stringcast.stages.diagnose.single_effects import least_gain
-from stringcast.stages.inference.evidence import Hypothesis, evaluated, fitted
+from stringcast.stages.inference.evidence import evaluated, fitted
 from stringcast.stages.inference.forward import case
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.model.effects.arm_lag import ArmLag
 from stringcast.stages.model.effects.camera_offset import CameraOffset
 from stringcast.stages.model.effects.contact import Contact

@@ -16,8 +16,8 @@ from stringcast.stages.diagnose.judgement import Slot
 from stringcast.stages.diagnose.prepared import resolved
 from stringcast.stages.diagnose.single_effects import Found, Step
 from stringcast.stages.diagnose.small_effects import SMALL, gains
-from stringcast.stages.inference.covariance import PRIOR
 from stringcast.stages.inference.discrepancy import log_prior
+from stringcast.stages.inference.likelihood import PRIOR
 from stringcast.stages.model.library import library
 from tests.diagnosis.performed import CRITERIA, performed, said_of, swings
 
@@ -25,13 +25,11 @@ from tests.diagnosis.performed import CRITERIA, performed, said_of, swings
 class Scaled:
     """Two trials whose residuals are white once divided by the size of each."""
 
-    discrepancies = (SimpleNamespace(variance=np.ones(10)),) * 2
-
     def of(self, hypothesis: None) -> "Scaled":
         return self
 
-    def white(self, residuals: list[np.ndarray], sizes: np.ndarray) -> np.ndarray:
-        return np.concatenate([each / size for each, size in zip(residuals, sizes, strict=True)], axis=1)
+    def white_by_trial(self, residuals: list[np.ndarray], sizes: np.ndarray) -> list[np.ndarray]:
+        return [each / size for each, size in zip(residuals, sizes, strict=True)]
 
 
 @pytest.mark.parametrize("often", [(1.0, 1.0), (0.5, 1.5)])

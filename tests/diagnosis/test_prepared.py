@@ -21,10 +21,12 @@ from stringcast.stages.diagnose.prepared import (
     resolved,
 )
 from stringcast.stages.inference.discrepancy import smoothed
-from stringcast.stages.inference.evidence import Data, Hypothesis, evaluated
+from stringcast.stages.inference.evidence import evaluated
 from stringcast.stages.inference.forward import Case, case
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.search import refined, screened, searched
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.parameter import chi_of
 
@@ -142,11 +144,11 @@ def test_a_search_is_not_taken_along_by_the_trial_that_another_string_made(arm, 
     strings.append(TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]})
     given = zip(strings, swings(arm, 4, 0.3), strict=True)
     cases = tuple(case(model, performed(f"t{k}", arm, model, *each, places, rng)) for k, each in enumerate(given))
-    likelihood = Likelihood(model, cases)
+    likelihood = Likelihood(Data(cases), model)
     start = chi_of(model.parameters, np.array([p.start for p in model.parameters]))
     tried = np.concatenate([start[None], rng.uniform(size=(64, len(start)))])
     _, chi = refined(likelihood, searched(likelihood, screened(likelihood, tried, 8), MOST))
-    off = [np.sqrt(np.mean(each**2)) for each in Data(cases, ()).residuals(model, chi[None])]
+    off = [np.sqrt(np.mean(each**2)) for each in Data(cases).residuals(model, chi[None])]
     assert max(off[:3]) < 1.1
     assert off[3] > 10
 
@@ -155,7 +157,7 @@ def test_a_range_that_ends_too_early_is_widened_where_the_data_press(model, prep
     narrow = replace(next(p for p in model.string.parameters if p.name == "bending_stiffness"), high=2.0)
     ranges = {**model.string.ranges, "bending_stiffness": narrow}
     squeezed = replace(model, string=replace(model.string, ranges=ranges))
-    likelihood = Likelihood(squeezed, tuple(replace(t, model=squeezed) for t in prepared.raw))
+    likelihood = Likelihood(Data(tuple(replace(t, model=squeezed) for t in prepared.raw)), squeezed)
     bending, axial = (squeezed.names.index(name) for name in ("bending_stiffness", "axial_stiffness"))
     chi = np.clip(prepared.base.chi, 0.1, 0.9)
     assert _widened(likelihood, chi, bending)[0] is likelihood

@@ -16,9 +16,11 @@ from stringcast.stages.diagnose.prepared import resolved
 from stringcast.stages.diagnose.single_effects import Step, enters
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.discrepancy import SIZES, TYPICAL, Discrepancy, _kernel_root, log_prior, smoothed
-from stringcast.stages.inference.evidence import Data, Fit, Hypothesis, evaluated, fitted
+from stringcast.stages.inference.evidence import Fit, evaluated, fitted
 from stringcast.stages.inference.forward import Case, case
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.solver import LOST
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.hand import hand_motion_from_grasp
 from stringcast.stages.model.implicit import ImplicitLeapfrog
 from stringcast.stages.model.library import library, named
@@ -120,7 +122,7 @@ def test_a_trial_that_cannot_be_simulated_lacks_nothing_that_is_smooth(trial):
 
 def test_what_hardly_moves_the_tip_does_not_enter(trial):
     growth, none = np.ones(25), np.zeros((2 * len(trial.s), 0))
-    data = Data((trial,) * 3, (Discrepancy.of(trial, growth, none),) * 3)
+    data = Data((replace(trial, error_model=Discrepancy.of(trial, growth, none)),) * 3)
     hypothesis = Hypothesis(trial.model)
     still = tuple(np.zeros(2 * len(trial.s)) for _ in range(3))
     parent = Fit(hypothesis, np.zeros(8), still, (), np.zeros(3, dtype=int), np.zeros(3), 0.0)

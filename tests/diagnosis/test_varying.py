@@ -6,8 +6,9 @@ from conftest import TRUTH, ordinary
 from performed import performed, swings
 
 from stringcast.stages.diagnose.prepared import lacking, resolved
-from stringcast.stages.inference.evidence import Hypothesis, evaluated, fitted
+from stringcast.stages.inference.evidence import evaluated, fitted
 from stringcast.stages.inference.forward import case
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.model.library import library
 from stringcast.stages.model.parameter import chi_of
 

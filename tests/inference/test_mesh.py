@@ -7,6 +7,7 @@ from stringcast.stages.inference.forward import case
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error, rungs
 from stringcast.stages.inference.search import horizons
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model.parameter import chi_of
 from tests.speed.estimation_sets import drawn, model
 
@@ -18,14 +19,14 @@ def given():
 
 def likelihood(given, points, step):
     chain = model(points, step)
-    return Likelihood(chain, tuple(case(chain, trial) for trial in given.trials))
+    return Likelihood(Data(tuple(case(chain, trial) for trial in given.trials)), chain)
 
 
 def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(given):
     found = [(r.model.string.points - 1, r.model.string.largest_step) for r in rungs(likelihood(given, 41, 5e-4))]
     assert found == [(40, 5e-4), (20, 1e-3), (10, 2e-3)]
     assert [r.model.string.points for r in rungs(likelihood(given, 10, 1e-3))] == [10]
-    assert all(t.model is r.model for r in rungs(likelihood(given, 41, 5e-4)) for t in r.trials)
+    assert all(t.model is r.model for r in rungs(likelihood(given, 41, 5e-4)) for t in r.data.trials)
 
 
 def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given):
@@ -37,7 +38,7 @@ def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given)
     assert coarse / fine == pytest.approx(4.0, rel=0.05)
     trial = given.held_out
     far = np.sqrt(case(model(77, 2.5e-4), trial).off(given.truth)[0])
-    own = Likelihood(model(), (case(model(), trial),))
+    own = Likelihood(Data((case(model(), trial),)), model())
     assert discretisation_error(own, chi) == pytest.approx(far, rel=0.05)
 
 

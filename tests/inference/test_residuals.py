@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stringcast.stages.inference import evidence
-from stringcast.stages.inference.evidence import LATELY, Data
+from stringcast.stages.inference import trial_data
+from stringcast.stages.inference.trial_data import LATELY, Data
 from stringcast.stages.model.parameter import Parameter
 
 PARAMETERS = (Parameter("one", "1", "", 1.0, 2.0, 1.5), Parameter("two", "1", "", 1.0, 2.0, 1.5))
@@ -21,8 +21,8 @@ def simulated(monkeypatch):
         asked.append(len(values))
         return [values * model.factor, values[:, :1] + model.factor]
 
-    monkeypatch.setattr(evidence, "away", away)
-    return Data((), ()), asked
+    monkeypatch.setattr(trial_data, "away", away)
+    return Data(()), asked
 
 
 def test_the_best_of_a_batch_is_not_simulated_again_and_is_another_with_another_model(simulated):

@@ -7,9 +7,10 @@ import pytest
 from estimation.test_initial_state import NAMED, PLACES, STRING, TURN, observed, released
 
 from stringcast.stages.diagnose.prepared import lacking
-from stringcast.stages.inference.evidence import Hypothesis, evaluated, lacked
+from stringcast.stages.inference.evidence import evaluated, lacked
 from stringcast.stages.inference.forward import MODES, case
-from stringcast.stages.inference.initial_modes import with_change
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.initial_modes import about, with_change
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import chi_of
 
@@ -43,7 +44,7 @@ def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, t
     the first frames say, wherever it was looked for."""
     far, told = (lacking([each], hypothesis, true) for each in (begun(trial, 4.0, -3.0, 2.0), trial))
     off = evaluated(far, hypothesis, true)
-    near, found = (data.about(off).about(off) for data in (far, told))
+    near, found = (about(about(data, off), off) for data in (far, told))
     here, there = (evaluated(data, hypothesis, true) for data in (near, found))
     assert far.tip_rms(lacked(far, off))[0] > 5 * NOISE
     assert near.tip_rms(lacked(near, here))[0] < NOISE
@@ -54,4 +55,4 @@ def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, t
 
 def test_what_begins_at_rest_stays_as_it_is(trial, hypothesis, true):
     data = lacking([replace(trial, initial=None)], hypothesis, true)
-    assert data.about(evaluated(data, hypothesis, true)) is data
+    assert about(data, evaluated(data, hypothesis, true)) is data

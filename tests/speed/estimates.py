@@ -27,6 +27,7 @@ from stringcast.stages.inference.huber import loss
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.search import refined, screened
 from stringcast.stages.inference.solver import FIRST, slopes
+from stringcast.stages.inference.trial_data import Data
 from stringcast.stages.model import model as forward_model
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import chi_of, values_of
@@ -98,7 +99,7 @@ CONTENDERS = {
 
 def likelihood_of(fitted: Model, given: CastSet) -> Likelihood:
     """Of the set's trials."""
-    return Likelihood(fitted, tuple(case(fitted, trial) for trial in given.trials))
+    return Likelihood(Data(tuple(case(fitted, trial) for trial in given.trials)), fitted)
 
 
 @contextmanager

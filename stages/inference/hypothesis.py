@@ -1,0 +1,57 @@
+"""Hypotheses: a base model together with the causes that may be active in addition to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A base model with causes in addition to its own effects."""
+
+    base: Model
+    causes: tuple[type[Effect], ...] = ()
+
+    @cached_property
+    def model(self) -> Model:
+        """The base model with all causes active."""
+        return self.base.with_effects(*self.causes)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters (P,) of the model, all of which are fitted."""
+        return self.model.parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the causes."""
+        return tuple(cause.name for cause in self.causes)
+
+    def joined(self, cause: type[Effect]) -> Hypothesis:
+        """Add one cause."""
+        return replace(self, causes=(*self.causes, cause))
+
+    def without(self, cause: type[Effect]) -> Hypothesis:
+        """Remove one cause."""
+        return replace(self, causes=tuple(other for other in self.causes if other is not cause))
+
+    def places(self, cause: type[Effect], parameters: Sequence[Parameter]) -> list[int]:
+        """Find the indices of some parameters of a cause among all parameters."""
+        return [self.model.names.index(cause.qualified(p)) for p in parameters]
+
+    @cached_property
+    def base_places(self) -> list[int]:
+        """The indices of the base model's parameters among all parameters."""
+        return [self.model.names.index(name) for name in self.base.names]
+
+    def carried(self, known: Mapping[str, float]) -> np.ndarray:
+        """Collect exponents (P,) known by name; others are at their start, where a cause is absent."""
+        return np.array([known.get(p.name, float(p.chi(np.asarray(p.start)))) for p in self.parameters])

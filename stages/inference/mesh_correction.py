@@ -1,0 +1,50 @@
+"""How a finer mesh would change the effect of parameters (manifold mapping).
+
+References
+----------
+Echeverria and Hemker 2005, Comput. Methods Appl. Math. 5, 107.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+NEAR = 0.05  # of a range: beyond this distance the slopes do not hold
+
+
+@dataclass(frozen=True)
+class Finer:
+    """The first-order change of residuals between this mesh and its limit, about one point.
+
+    Parameters
+    ----------
+    names : names of the parameters, (P,).
+    chi : exponents (P,) at which the discretisation error was subtracted from the measured points.
+    slopes : of each trial, the slopes (P, 2 n) of the change of its residuals over sigma.
+    """
+
+    names: tuple[str, ...]
+    chi: np.ndarray
+    slopes: tuple[np.ndarray, ...]
+
+    def about(self, known: Mapping[str, float]) -> Finer:
+        """Move the point to other exponents, known by name."""
+        pairs = zip(self.names, self.chi, strict=True)
+        return replace(self, chi=np.array([known.get(name, chi) for name, chi in pairs]))
+
+    def only(self, chosen: Sequence[int]) -> Finer:
+        """Select some of the trials by number."""
+        return replace(self, slopes=tuple(self.slopes[k] for k in chosen))
+
+    def beside(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
+        """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P') of these names.
+
+        Parameters that the correction does not know change nothing; distances beyond its radius are cut there.
+        """
+        known = [i for i, name in enumerate(self.names) if name in names]
+        places = [names.index(self.names[i]) for i in known]
+        distance = np.clip(chi[:, places] - self.chi[known], -NEAR, NEAR)
+        return [distance @ slope[known] for slope in self.slopes]
